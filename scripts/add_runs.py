@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import torch
+from benchmarks import baselines
 from mistakes import MENDABLE, in_words
 from omegaconf import DictConfig
 from reader import while_read
 from saved_run import load_config, load_policy
 
-from dynasindy.benchmarks import baselines
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.viz.controllers import by_planning, named
 

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
+from benchmarks.arguments import names, parsed, told
 from commands import HELP, called, purpose
 from places import require_writable
 from reader import while_read
-
-from dynasindy.benchmarks.instruments.arguments import names, parsed, told
 
 
 def page() -> str:
@@ -41,7 +40,7 @@ def run(argv: Sequence[str]) -> int:
             why = f"--out {arguments.out} cannot be written: {error.strerror}; choose another"
             print(f"benchmark.py: {why}", file=sys.stderr)
             return 2
-    importlib.import_module(f"dynasindy.benchmarks.{name}").main(arguments)  # it takes seconds
+    importlib.import_module(f"benchmarks.{name}").main(arguments)  # it takes seconds
     return 0
 
 

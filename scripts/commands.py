@@ -25,7 +25,6 @@ COMMANDS = (
     "ablation",
     "table",
     "report",
-    "benchmark",
 )
 """Each is the script of that name, with a function `main` without arguments."""
 SCRIPTS = Path(__file__).resolve().parent
@@ -107,11 +106,9 @@ def _answer_about_command(words: list[str]) -> list[str]:
     if not completes(words) or not typed:
         return [COMMANDS[0], *words]  # what a shell has to know of any of them
     before = max(1, len(typed) - (not line.endswith(" ")))
-    if before == 1 or (before == 2 and typed[1] == "benchmark"):
-        from dynasindy.benchmarks.instruments.arguments import names as benchmarks
-
-        started = typed[before] if before < len(typed) else ""
-        print(*(name for name in (benchmarks() if before == 2 else COMMANDS) if name.startswith(started)))
+    if before == 1:
+        started = typed[1] if len(typed) > 1 else ""
+        print(*(name for name in COMMANDS if name.startswith(started)))
         sys.exit(0)
     name, *rest = line.split(maxsplit=2)[1:]
     if not (SCRIPTS.parent / "conf" / f"{name}.yaml").is_file():

@@ -11,10 +11,10 @@ import ablation_page
 import other_pages
 import pytest
 import results_page
+from benchmarks import baselines
 from tables import RESULTS, table
 from ties import REPOSITORY, Tie, figures, flat, left_over, paragraphs, read
 
-from dynasindy.benchmarks import baselines
 from dynasindy.evaluation.ablation import Level, read_rows, to_markdown
 from dynasindy.evaluation.rows import read_rows as read_cells
 from dynasindy.viz.report import document

@@ -2,10 +2,10 @@
 
 import pytest
 import torch
+from benchmarks import baselines, gradient
+from benchmarks.arguments import parsed
 
 from dynasindy.agents.classical import LQI, Tuning
-from dynasindy.benchmarks import baselines, gradient
-from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.evaluation.rows import read_rows

@@ -4,10 +4,10 @@ import csv
 
 import numpy as np
 import pytest
+from benchmarks.from_log import DT, TARGETS, flown, write_log
 
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
-from dynasindy.benchmarks.from_log import DT, TARGETS, flown, write_log
 from dynasindy.control.controller import Pace
 from dynasindy.evaluation.scenarios import step_references
 from dynasindy.systems import Tras

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from benchmarks import gradient
+from benchmarks.arguments import parsed
 from omegaconf import OmegaConf
 
-from dynasindy.benchmarks import gradient
-from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.systems import Xi
 

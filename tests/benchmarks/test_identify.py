@@ -4,9 +4,9 @@ import csv
 
 import pytest
 import torch
+from benchmarks import identify
+from benchmarks.arguments import parsed
 
-from dynasindy.benchmarks import identify
-from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.systems import Xi
 
 

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from benchmarks import unseen_plants
+from benchmarks.logged import CASES, Case
+from benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, sizes_of, terms_of, words, write_log
 
 import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
-from dynasindy.benchmarks.instruments import unfamiliar
-from dynasindy.benchmarks.instruments.logged import CASES, Case
-from dynasindy.benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, sizes_of, terms_of, words, write_log
 from dynasindy.control.controller import Pace
 from dynasindy.sensing import Channel
 from dynasindy.systems import Signature
@@ -79,9 +79,9 @@ def test_errors_are_those_at_the_end_in_ranges_of_the_targets():
 def test_a_controller_reads_degrees_of_a_plant_in_its_own_radians():
     signature = Signature(("speed", "pitch"), ("rpm", "rad"), ("command",), (13.0, 0.5))
     read = SimpleNamespace(signature=signature)
-    assert sizes_of(unfamiliar.CASES["turbine"], read) == {"speed": 1.0, "pitch": pytest.approx(math.pi / 180)}
+    assert sizes_of(unseen_plants.CASES["turbine"], read) == {"speed": 1.0, "pitch": pytest.approx(math.pi / 180)}
     read.signature = Signature(("speed", "pitch"), ("rpm", "deg"), ("command",), (13.0, 30.0))
-    assert sizes_of(unfamiliar.CASES["turbine"], read) == {"speed": 1.0, "pitch": 1.0}
+    assert sizes_of(unseen_plants.CASES["turbine"], read) == {"speed": 1.0, "pitch": 1.0}
 
 
 def test_what_a_controller_reads_in_flight_is_in_its_own_radians():
@@ -104,7 +104,7 @@ def test_what_a_controller_reads_in_flight_is_in_its_own_radians():
 
 
 def test_a_flight_that_runs_away_is_infinitely_wrong(monkeypatch):
-    monkeypatch.setattr("dynasindy.benchmarks.logs.FAR", 100.0)
+    monkeypatch.setattr("benchmarks.logs.FAR", 100.0)
     assert np.isinf(flown(CASES["fan"], Given(lambda y, r: 1.0, ("w",)), 0)).all()
 
 

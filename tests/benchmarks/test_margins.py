@@ -3,8 +3,7 @@
 import math
 
 import pytest
-
-from dynasindy.benchmarks.margins import COLUMNS, row_of
+from benchmarks.margins import COLUMNS, row_of
 
 
 def found():

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from benchmarks import model_free
+from benchmarks.arguments import parsed
+from benchmarks.gradient import PLANTS
+from benchmarks.model_free import AGENTS, Job
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from dynasindy.benchmarks import model_free
-from dynasindy.benchmarks.gradient import PLANTS
-from dynasindy.benchmarks.instruments.arguments import parsed
-from dynasindy.benchmarks.model_free import AGENTS, Job
 from dynasindy.dyna.excite import interact
 from dynasindy.evaluation.ablation import read_rows
 from dynasindy.tasks import Tracking

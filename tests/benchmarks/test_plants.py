@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-
-from dynasindy.benchmarks.plants import EXAMPLES, MEASURED, PLANTS, rows_of
+from benchmarks.plants import EXAMPLES, MEASURED, PLANTS, rows_of
 
 ROOT = Path(__file__).parents[2]
 

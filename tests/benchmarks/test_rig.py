@@ -5,8 +5,8 @@ import threading
 
 import numpy as np
 import pytest
+from benchmarks import rig
 
-from dynasindy.benchmarks import rig
 from dynasindy.rig.simulated import Record, SimulatedRig
 
 

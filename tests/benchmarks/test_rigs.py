@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from benchmarks.rigs import Log, _ahead_rows, _axis_errors, _columns, course, replayed
 
-from dynasindy.benchmarks.rigs import Log, _ahead_rows, _axis_errors, _columns, course, replayed
 from dynasindy.systems.base import Signature
 from dynasindy.world_models import SindyModel
 

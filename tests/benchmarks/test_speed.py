@@ -4,9 +4,9 @@ import subprocess
 
 import pytest
 import torch
+from benchmarks import speed
+from benchmarks.arguments import parsed
 
-from dynasindy.benchmarks import speed
-from dynasindy.benchmarks.instruments.arguments import parsed
 from dynasindy.evaluation.rows import read_rows, write_rows
 from dynasindy.systems import System, Tras
 from dynasindy.systems import compiler as compiling

@@ -4,11 +4,11 @@ import math
 
 import pytest
 import torch
+from benchmarks import swing_up
+from benchmarks.arguments import parsed
+from benchmarks.swings import SWINGS
 from stable_baselines3 import SAC
 
-from dynasindy.benchmarks import swing_up
-from dynasindy.benchmarks.instruments.arguments import parsed
-from dynasindy.benchmarks.instruments.swings import SWINGS
 from dynasindy.evaluation.rows import read_rows
 
 

@@ -4,12 +4,12 @@ import csv
 
 import pytest
 import torch
+from benchmarks import td3
+from benchmarks.arguments import parsed
+from benchmarks.td3 import N_OBS, N_U, Size
 from torch.utils.flop_counter import FlopCounterMode
 
 from dynasindy.agents import TD3
-from dynasindy.benchmarks import td3
-from dynasindy.benchmarks.instruments.arguments import parsed
-from dynasindy.benchmarks.td3 import N_OBS, N_U, Size
 
 SIZE = Size("tiny", (12, 8), 16, 10)
 

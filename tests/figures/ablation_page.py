@@ -301,7 +301,7 @@ def _judged(plant: str) -> list[float]:
 
 UNTIED = [
     Untied(PAGE, "took 14.3 minutes on two cores", "wall time of the command, which no table holds"),
-    Untied(PAGE, "explores with Gaussian noise of 0.1, as published", "setting of dynasindy/benchmarks/model_free.py"),
+    Untied(PAGE, "explores with Gaussian noise of 0.1, as published", "setting of scripts/benchmarks/model_free.py"),
     Untied(PAGE, "at .058 and .059 rad (worse axis) after 12 episodes and at .019 after 20", TRIAL),
     Untied(PAGE, "One seed of SAC with its defaults was at .032 after 12", TRIAL),
     Untied(PAGE, "which does not explore, at .8", TRIAL),

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 
+from benchmarks import logged
+from benchmarks.certainty import LASTS
 from results_page import limit_cycle
 from tables import cell, middle, numbers, pair, record, rows, setting, short, table
 from ties import Tie, Untied
 
-from dynasindy.benchmarks.instruments import logged
-from dynasindy.benchmarks.instruments.certainty import LASTS
 from dynasindy.evaluation.fitted import BETTER
 from dynasindy.world_models.models.follower import TIMES
 from dynasindy.world_models.refinement.trajectory import WORSE

@@ -6,13 +6,13 @@ import statistics
 from collections.abc import Iterator
 from functools import partial
 
+from benchmarks.gradient import GUST, PLANTS
+from benchmarks.plants import UNTUNED
+from benchmarks.td3 import BEST, COMPILED, IN_TORCH, OURS, ROUNDED, SIZES
 from tables import AXES as STATES
 from tables import middle, numbers, pair, record, rows, short, table
 from ties import Tie, Untied
 
-from dynasindy.benchmarks.gradient import GUST, PLANTS
-from dynasindy.benchmarks.plants import UNTUNED
-from dynasindy.benchmarks.td3 import BEST, COMPILED, IN_TORCH, OURS, ROUNDED, SIZES
 from dynasindy.planning.integral import IntegralAction
 
 PAGE = "docs/results/README.md"
@@ -551,9 +551,9 @@ UNTIED = [
             "over 0.3 s at 7.3, which no pendulum",
         )
     ),
-    Untied(PAGE, "goes at 2 instead of 0.3 per second", "settings of dynasindy/benchmarks/rigs.py, now and before"),
-    Untied(PAGE, "over where its sensor ends, at 10 V", "setting of dynasindy/benchmarks/rigs.py"),
-    Untied(PAGE, "every 0.1 s of the test log", "setting of dynasindy/benchmarks/instruments/qube.py"),
+    Untied(PAGE, "goes at 2 instead of 0.3 per second", "settings of scripts/benchmarks/rigs.py, now and before"),
+    Untied(PAGE, "over where its sensor ends, at 10 V", "setting of scripts/benchmarks/rigs.py"),
+    Untied(PAGE, "every 0.1 s of the test log", "setting of scripts/benchmarks/qube.py"),
     Untied(PAGE, "At 0.5 s the last value held", "a horizon of the table above it"),
     Untied(PAGE, "would leave 0.4 rad of alpha", "a trial: covariance of a filter, propagated by a linear model"),
     Untied(PAGE, "21.8 s to the controller", "from a clock; the page names commit and command"),

@@ -101,8 +101,6 @@ def test_a_wrong_key_is_found_before_torch_is_imported(tmp_path):
         ("/home/train/bin/dynasindy train planning=none checkpoint.", ["checkpoint.every="]),
         ("dynasindy train system=_", []),
         ("dynasindy train agent._", []),
-        ("dynasindy benchmark r", ["rig", "rigs"]),
-        ("dynasindy benchmark rig ", []),
         ("dynasindy table ", []),
         ("dynasindy nothing ", []),
     ],
@@ -119,11 +117,6 @@ def test_completion_imports_nothing_that_takes_seconds_either(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     first, modules = done.stdout.splitlines()
     assert first == "seed=" and "hydra" in modules.split() and not HEAVY & set(modules.split())
-
-
-def test_after_benchmark_and_a_space_all_benchmarks_are_offered(tmp_path):
-    there = {file.stem for file in (ROOT / "dynasindy" / "benchmarks").glob("*.py")} - {"__init__"}
-    assert set(completed("dynasindy benchmark ", tmp_path)) == there
 
 
 def test_after_the_command_and_a_space_all_commands_are_offered(commands, tmp_path):

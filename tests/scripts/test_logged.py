@@ -10,12 +10,12 @@ from pathlib import Path
 import forked
 import pytest
 import torch
+from benchmarks.logged import CASES
+from benchmarks.logs import words as log_words
+from benchmarks.logs import write_log
 from omegaconf import OmegaConf
 
 import dynasindy
-from dynasindy.benchmarks.instruments.logged import CASES
-from dynasindy.benchmarks.logs import words as log_words
-from dynasindy.benchmarks.logs import write_log
 from dynasindy.data.simulated import record
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum, Signature

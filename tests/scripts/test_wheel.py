@@ -36,7 +36,7 @@ def test_it_holds_every_file_of_the_package_every_config_and_script_and_the_comm
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
         (entries,) = (archive.read(name).decode() for name in archive.namelist() if name.endswith("entry_points.txt"))
     files = [file for tree in TREES for file in (ROOT / tree).rglob("*") if file.is_file()]
-    found = {file.relative_to(ROOT) for file in files if "__pycache__" not in file.parts}
+    found = {file.relative_to(ROOT) for file in files if not {"__pycache__", "benchmarks"} & set(file.parts)}
     wanted = {file.as_posix() if file.parts[0] == "dynasindy" else f"dynasindy/{file.as_posix()}" for file in found}
     assert held == wanted
     assert "dynasindy = dynasindy.__main__:main" in entries

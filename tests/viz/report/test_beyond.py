@@ -2,8 +2,8 @@ import csv
 
 import numpy as np
 import pytest
+from benchmarks.arguments import REPORTED
 
-from dynasindy.benchmarks.instruments.arguments import REPORTED
 from dynasindy.viz.report import beyond
 from dynasindy.viz.report.document import Picture, Table, Text
 from dynasindy.viz.report.sources import Results

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from benchmarks.textbook import CASES
 from scipy.linalg import expm
 
-from dynasindy.benchmarks.instruments.textbook import CASES
 from dynasindy.data.simulated import disturb
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions

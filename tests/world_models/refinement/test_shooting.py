@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from benchmarks.bound import cramer_rao
+from benchmarks.textbook import CASES
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
-from dynasindy.benchmarks.instruments.bound import cramer_rao
-from dynasindy.benchmarks.instruments.textbook import CASES
 from dynasindy.data.simulated import disturb
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions

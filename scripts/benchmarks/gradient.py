@@ -1,0 +1,355 @@
+"""Seconds of plant data to a controller: planning through the model's gradient, measured on the real plant.
+
+Every row is one figure of one policy in one scenario; figures of inputs stand where those of angles do.
+A file that exists is carried on: rows it holds are not measured again.
+Wall and CPU seconds are those from nothing to the policy (excitation, fits, planning, episodes), evaluation left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.commit import commit
+from benchmarks.stopwatch import Watch, Watched
+from benchmarks.unseen_situations import following, holding
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import train
+from dynasindy.dyna.parts import Parts, Settings
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
+from dynasindy.evaluation.metrics import STEADY_SECONDS
+from dynasindy.evaluation.rows import Row, append_rows, read_rows
+from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
+from dynasindy.excitation import Multisine
+from dynasindy.planning import Gate, GradientPlanning, Variation
+from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing import Channel, Sensors
+from dynasindy.systems import System, Tras, Trms33, Xi
+from dynasindy.systems.tras import TrasConstants
+from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.tasks import Mixture, RandomStep, Reference, Tracking, TrackingReward, Wave
+from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant and what has to be known to excite it and to ask something of it.
+
+    Attributes:
+        build: Makes the system.
+        library: Candidate functions of its model.
+        low: Lower ends of the targets that it can hold [rad].
+        high: Upper ends [rad].
+        amplitude: Half range of each input of the excitation.
+        offset: Mean of each input.
+    """
+
+    build: Callable[[], System]
+    library: str
+    low: Pair = (-0.5, -0.5)
+    high: Pair = (0.5, 0.4)
+    amplitude: Pair = (0.5, 0.3)
+    offset: Pair = (-0.1, 0.2)
+
+
+PLANTS = {
+    "xi": Plant(Xi, "paper_table"),
+    "tras": Plant(Tras, "rotor"),
+    "trms33": Plant(Trms33, "rotor_reaction", high=(0.5, 0.3), amplitude=(0.4, 0.25), offset=(0.2, 0.5)),
+}
+KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+COUNT = 2 * math.pi / 4096  # rad
+BENCH = Sensors(
+    {
+        **dict.fromkeys(("alpha_a", "alpha_p"), Channel(resolution=COUNT)),
+        **dict.fromkeys(("omega_a", "omega_p"), Channel(noise=20.0)),  # rpm
+    },
+    KNOWN,
+    disturbance=True,
+)
+NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
+NOISY = Sensors({name: Channel(noise=std) for name, std in zip(SIGNATURE.state_names, NOISE)}, KNOWN)
+GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
+COLUMNS = (
+    "case",
+    "plant",
+    "seed",
+    "plant_seconds",
+    "scenario",
+    "metric",
+    "azimuth",
+    "pitch",
+    "azimuth_worst",
+    "pitch_worst",
+    "return",
+    "updates",
+    "wall_seconds",
+    "cpu_seconds",
+    "commit",
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured.
+
+    Attributes:
+        episodes: Real episodes after the excitation.
+        oracle: Plan with the true plant as the model.
+        moving: Train on moving references and evaluate on the paper's sine and square.
+        sensors: What is measured of the plant, in the data and in flight; all states as they are if None.
+        longest_delay: Longest delay of the inputs that the fit looks for [s]; None where the data are to tell, as in
+            the commands.
+        detuned: Evaluate on a plant with other parameters, in a gust.
+        late: Control periods that inputs need to reach the plant in flight.
+        integral: Evaluate with integral action, too.
+        unseen: Evaluate in situations that nothing was tuned on.
+        variation: How imagined plants stray.
+        margin: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
+        updates: Gradient updates of the first planning phase; None for as many as suit the plant.
+        width: Error at which the imagined cost turns linear [rad].
+        hidden: Widths of the policy's hidden layers.
+        plants: Plants that it is measured on.
+    """
+
+    episodes: int = 0
+    oracle: bool = False
+    moving: bool = False
+    sensors: Sensors | None = None
+    longest_delay: float | None = 0.0
+    detuned: bool = False
+    late: int = 0
+    integral: bool = False
+    unseen: bool = False
+    variation: Variation = field(default_factory=Variation)
+    margin: float | None = None
+    updates: int | None = None
+    width: float = 0.02
+    hidden: tuple[int, ...] = (128, 128)
+    plants: tuple[str, ...] = ("xi", "tras")
+
+
+CASES = {
+    "step": Case(episodes=1),
+    "nominal": Case(episodes=1, variation=Variation(late=0.0), margin=0.0),  # planned on the model as it is
+    "small": Case(hidden=(64, 64)),
+    "oracle": Case(oracle=True),
+    "moving": Case(moving=True, updates=400),
+    "moving_long": Case(moving=True, updates=1000),
+    "moving_long_wide": Case(moving=True, updates=1000, width=0.1),
+    "noise": Case(episodes=3, sensors=NOISY, integral=True),
+    "noise_robust": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(noise=NOISE)),
+    "noise_members": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(members=4)),
+    "bench": Case(sensors=BENCH, longest_delay=None),
+    "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=None),
+    "late": Case(late=1),
+    "detuned": Case(detuned=True, integral=True, plants=("tras",)),
+    "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
+    "friction": Case(episodes=5, integral=True, plants=("trms33",)),
+    "friction_alone": Case(integral=True, plants=("trms33",)),  # the excitation and nothing else
+    "unseen": Case(unseen=True),  # the policies of `step` after 10 s and of `moving`, elsewhere
+    "unseen_moving": Case(unseen=True, moving=True, updates=400),
+}
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Measure cases, plants and seeds, and append a row per policy and scenario."""
+    torch.set_num_threads(1)
+    for case in arguments.cases:
+        for seed in arguments.seeds:
+            for plant in [name for name in CASES[case].plants if name in arguments.plants]:
+                if not any(_same(row, case, plant, seed) for row in read_rows(arguments.out)):
+                    append(arguments.out, measure(case, plant, seed))
+    print("\n".join(table(read_rows(arguments.out))))
+
+
+def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
+    """Run one case and return its rows, one per phase and scenario.
+
+    Args:
+        name: Name of the case.
+        plant: Name of the plant.
+        seed: Seed of the run.
+        **planning: Settings of `GradientPlanning` other than its defaults.
+    """
+    case, code = CASES[name], commit()
+    rows: list[Row] = []
+    watch = Watch()
+
+    def planned(updates: int) -> None:
+        """Judge the policy of a finished planning phase."""
+        watch.stop(updates)
+        seconds = parts.plant.dt * len(parts.replay.real)
+        for scenario, metric, values in judge(case, plant, parts, seed):
+            head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": seconds}
+            rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs(), "commit": code})
+        watch.start()
+
+    recipe = build_recipe(case, plant, seed, planning)
+    parts = recipe.build()
+    parts.planner = Watched(parts.planner, planned)
+    train(parts, recipe.train, Callback())
+    return rows
+
+
+def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) -> Recipe:
+    """Return the experiment of a case."""
+    facts = PLANTS[plant]
+    system = facts.build()
+    model = partial(Oracle, system=system) if case.oracle else partial(sparse_model, facts.library, case)
+    references: Reference = RandomStep(facts.low, facts.high)
+    if case.moving:
+        references = Mixture([RandomStep((-0.55, -0.55), (0.55, 0.55)), *_waves(random=True)])
+    reward = TrackingReward(error_shape="linear")
+    return Recipe(
+        system=system,
+        task=partial(Tracking, reference=references, reward=reward, observe_rate=case.moving),
+        env=partial(ControlEnv, dtype=torch.float64),
+        excitation=partial(Multisine, amplitude=facts.amplitude, offset=facts.offset, seed=seed),
+        world_model=model,
+        agent=partial(TD3, hidden=case.hidden),
+        replay=partial(DynaReplay, capacity=100_000, batch_size=256),
+        planning=partial(GradientPlanning, **{**_planning(case), **planning}),
+        gate=Gate(open_below=torch.inf, close_above=torch.inf),
+        train=Settings(episodes=case.episodes, updates_per_step=0),
+        sensors=case.sensors,
+        seed=seed,
+    )
+
+
+def _planning(case: Case) -> dict[str, Any]:
+    return {name: getattr(case, name) for name in ("variation", "margin", "updates", "width")}
+
+
+def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:
+    """Return the world model of the main job, which fits noisy samples by whole trajectories."""
+    return SindyModel(
+        signature,
+        library,
+        Regression(method="bic", tolerance=1e-4),
+        Refinement("integral" if case.sensors is None else "trajectory", longest_delay=case.longest_delay),
+        known=KNOWN,
+    )
+
+
+def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
+    """Yield scenario, metric and numbers of the policy on the real plant."""
+    facts = PLANTS[plant]
+    if case.unseen:
+        env, policy = parts.plant, parts.agent.deployed
+        if case.moving:
+            flights = following(env, policy, parts.sensing)
+        else:
+            flights = holding(env, policy, facts.low, facts.high, NOISE, seed, parts.sensing)
+        for name, metric, result, errors in flights:
+            yield name, metric, _numbers(result, errors)
+        return
+    steps = step_references(facts.low, facts.high, 64)
+    if case.moving:
+        for wave, seconds in zip(_waves(), (100.0, 200.0)):
+            name = "square" if float(wave.params[0, 4]) else "sine"
+            result = evaluate(parts.plant, parts.agent.deployed, Scenario(name, wave, 1, seconds))
+            yield name, "rmse", _numbers(result, result.metrics["rmse"])
+        return
+    env = parts.plant.with_system(detuned(seed)) if case.detuned else parts.plant
+    policies: dict[str, Policy] = {"": parts.agent.deployed}
+    if case.integral:
+        policies["_integral"] = IntegralAction(parts.agent.deployed, env)
+    for suffix, policy in policies.items():
+        if case.detuned:
+            gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
+            result = evaluate(env, policy, gust, parts.sensing)
+            yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
+        else:
+            result = evaluate(env, policy, Scenario("step", steps, 64, wrappers=_in_flight(case)), parts.sensing)
+            yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
+            if case.sensors is not None:
+                yield f"step{suffix}_inputs", "mean_abs_change_per_period_last_5s", _numbers(result, _changes(result))
+                yield f"step{suffix}_nis", "mean_nis", _numbers(result, _surprise(result))
+
+
+def detuned(seed: int) -> Tras:
+    """Return `tras` with every constant of its own off by up to 10 %."""
+    return Tras(constants=TrasConstants().detuned(0.1, 1000 + seed))
+
+
+def append(path: Path, rows: list[Row]) -> None:
+    """Append rows to a file and print them."""
+    append_rows(path, COLUMNS, rows)
+    for row in rows:
+        print(", ".join(f"{key} {row[key]}" for key in COLUMNS), flush=True)
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Return one line per case, plant, plant time and scenario: median and worst seed."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        key = ("case", "plant", "plant_seconds", "scenario")
+        groups.setdefault(tuple(str(row[name]) for name in key), []).append(row)
+    head = f"{'case':<15}{'plant':<6}{'data [s]':>9}  {'scenario':<22}{'seeds':>6}"
+    lines = [f"{head}  azimuth, pitch [rad]: median (worst)"]
+    for (case, plant, seconds, scenario), members in groups.items():
+        names = ("azimuth", "pitch", "wall_seconds", "return")
+        columns = [sorted(float(row[name]) for row in members) for name in names]
+        middle = [column[len(column) // 2] for column in columns]
+        lines.append(
+            f"{case:<15}{plant:<6}{float(seconds):>9.0f}  {scenario:<22}{len(members):>6}  "
+            f"{middle[0]:.4f} ({columns[0][-1]:.4f}), {middle[1]:.4f} ({columns[1][-1]:.4f}), "
+            f"return {middle[3]:.1f}, wall {middle[2]:.0f} ({columns[2][-1]:.0f}) s"
+        )
+    return lines
+
+
+def _waves(random: bool = False) -> list[Wave]:
+    """Return the paper's sine B and square C, or faster and larger random ones to train on."""
+    if random:
+        wide = (0.55, 0.55)
+        return [Wave(wide, (0.05, 0.05), shape, random=True) for shape in ("sine", "square")]
+    return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
+
+
+def _in_flight(case: Case) -> list[PolicyWrapper]:
+    """Return what lies between policy and plant."""
+    return [partial(DelayedActuator, periods=case.late)] if case.late else []
+
+
+def _changes(result: Evaluation) -> torch.Tensor:
+    """Return how much the inputs change per control period in the last 5 s, `(episodes, n_u)`."""
+    last = result.inputs[:, result.time >= result.seconds - STEADY_SECONDS - 1e-6]
+    return last.diff(dim=1).abs().mean(1)
+
+
+def _surprise(result: Evaluation) -> torch.Tensor:
+    """Return the mean normalised innovation squared of each flight, in both columns, `(episodes, 2)`."""
+    return result.trajectory["next", "observer", "nis"].nanmean(1).expand(-1, 2)
+
+
+def _after(result: Evaluation, second: float) -> torch.Tensor:
+    """Return the largest absolute error from a time on, `(episodes, n_r)` [rad]."""
+    error = (result.trajectory["reference"] - result.outputs).abs()
+    return error[:, result.time >= second].amax(1)
+
+
+def _numbers(result: Evaluation, errors: torch.Tensor) -> Row:
+    """Return mean and worst of errors `(episodes, 2)` and the mean return."""
+    mean, worst = errors.mean(0).tolist(), errors.amax(0).tolist()
+    names = ("azimuth", "pitch", "azimuth_worst", "pitch_worst")
+    numbers: Row = {name: round(value, 5) for name, value in zip(names, (*mean, *worst))}
+    return {**numbers, "return": round(float(result.returns.mean()), 3)}
+
+
+def _same(row: Row, case: str, plant: str, seed: int) -> bool:
+    return (row["case"], row["plant"], int(row["seed"])) == (case, plant, seed)
