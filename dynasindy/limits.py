@@ -1,9 +1,11 @@
-"""What a setting may ask for: memory that is there, and counts that end within a life."""
+"""What a setting may ask for: memory and a device that are there, and counts that end within a life."""
 
 from __future__ import annotations
 
 import os
 from typing import Annotated
+
+import torch
 
 Count = Annotated[int, range(1_000_001), "the limit is arbitrary: more would hardly end"]
 """A number of repetitions; configs are held to the limit, callers from Python are not."""
@@ -31,3 +33,20 @@ def check_memory(size: float, what: str) -> None:
             f"{what} would take {size / 1e9:.3g} GB; allowed is what the memory of this computer holds, "
             f"{memory() / 1e9:.3g} GB: lower them"
         )
+
+
+def device(name: torch.device | str) -> torch.device:
+    """Return the device of a name: `cpu`, or `cuda` where there is a GPU.
+
+    Raises:
+        ValueError: There is no such device here.
+    """
+    try:
+        named = torch.device(name)
+    except RuntimeError:
+        named = torch.device("meta")
+    there = torch.cuda.device_count() if named.type == "cuda" else 0
+    if named.type == "cpu" or (named.index or 0) < there:
+        return named
+    here = "cpu and cuda" if torch.cuda.is_available() else "cpu alone, as torch finds no GPU"
+    raise ValueError(f"device={name} is not to be had; on this machine there is {here}: choose one")

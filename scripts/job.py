@@ -2,7 +2,6 @@
 
 import shlex
 import subprocess
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
 from dynasindy.evaluation.given import refuse_links
-from dynasindy.together import Company, here
 
 
 @dataclass(frozen=True)
@@ -49,12 +47,11 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
         raise ValueError(f"threads must be a whole number >= 1, got {cfg.threads}; 1 unless the cores are idle")
     if cfg.resume is not None:
         cfg = _resumed(cfg)
-    device = _device(cfg.get("device", "cpu"))
     provenance = Provenance(settings_of(cfg), command_and_commit(HydraConfig.get()))
     torch.set_num_threads(cfg.threads)
-    names = [field.name for field in fields(Recipe) if field.name != "seed"]
+    names = [field.name for field in fields(Recipe) if field.name not in ("seed", "device")]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
-    recipe = Recipe(**parts, seed=cfg.seed)
+    recipe = Recipe(**parts, seed=cfg.seed, device=cfg.get("device", "cpu"))
     evaluating = Evaluating(
         instantiate(cfg.scenario, _convert_="all"),
         cfg.evaluation.every,
@@ -67,22 +64,10 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     own = packages(OmegaConf.to_container(cfg, resolve=True))
     trusting = (f"plugins=[{','.join(own)}]",) if own else ()
     saving = Saving(**cfg.checkpoint, again=" ".join([called("train"), *map(shlex.quote, trusting)]))
-    with device:
-        metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
+    metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
     usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
     controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
     return Done(recipe, metrics, known, usable and controlled, trusting)
-
-
-def _device(name: str) -> AbstractContextManager[None]:
-    """Return the context of a run on a device: the company of the sweep, one of its own, or none on the CPU.
-
-    Raises:
-        ValueError: There is no such device here.
-    """
-    if here() is not None or name == "cpu":
-        return nullcontext()
-    return Company(name).alone()
 
 
 def _resumed(cfg: DictConfig) -> DictConfig:

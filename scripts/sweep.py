@@ -31,7 +31,7 @@ PARTS = ("system", "task", "plant", "experiment", "setting")
 
 LOGGED = ("seed", "planning", "evaluation", "scenario", "threads")
 """Groups and settings in which jobs on a log may differ without reading it in different ways."""
-HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher", "Together")
+HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
 """Launchers whose jobs run on this machine."""
 
 
@@ -80,7 +80,7 @@ def _check_plant(config: DictConfig, hydra: DictConfig, different: set[str]) -> 
 def _check(config: DictConfig) -> None:
     from schema import check  # it imports torch; this module is imported before anything is shown
 
-    from dynasindy.together.company import found
+    from dynasindy.limits import device
 
     hydra = config.hydra
     launcher = hydra.launcher._target_.rpartition(".")[2]
@@ -101,7 +101,7 @@ def _check(config: DictConfig) -> None:
         del config.hydra
     check(config)
     if "device" in config and launcher in HERE and "device" not in different:
-        found(config.device)
+        device(config.device)
     if config.get("resume") is None:
         _check_plant(config, hydra, different)
     if "level" in config:

@@ -28,7 +28,6 @@ TIED = {
     other_pages.IDENTIFICATION: other_pages.identification,
     other_pages.BASELINES: other_pages.baselines,
     other_pages.SPEED: other_pages.speed,
-    other_pages.GPU: other_pages.gpu,
 }
 UNTIED = [*ablation_page.UNTIED, *results_page.UNTIED, *other_pages.UNTIED]
 SECTIONS = {results_page.PAGE: results_page.SECTIONS, "docs/algorithm.md": other_pages.COMPARED}

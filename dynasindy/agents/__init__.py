@@ -2,7 +2,7 @@
 
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import MLP, Actor, actor, critic
-from dynasindy.agents.noise import DecayingGaussian, Exploring
+from dynasindy.agents.noise import DecayingGaussian
 from dynasindy.agents.td3 import TD3, Hyperparameters
 
-__all__ = ["MLP", "TD3", "Actor", "DecayingGaussian", "Exploring", "Hyperparameters", "TD3Loss", "actor", "critic"]
+__all__ = ["MLP", "TD3", "Actor", "DecayingGaussian", "Hyperparameters", "TD3Loss", "actor", "critic"]

@@ -73,7 +73,7 @@ class TD3Loss(TorchRLTD3Loss):
         """
         observation = following.get("observation")
         action = self.actor.functional(self.target_actor_layers, observation)
-        noise = torch.empty_like(action).normal_(0.0, 1.0, generator=self.generator)
+        noise = torch.empty_like(action, device="cpu").normal_(0.0, 1.0, generator=self.generator).to(action.device)
         noise = noise.mul_(self.policy_noise).clamp_(-self.noise_clip, self.noise_clip)
         action = action.add_(noise).clamp_(-1.0, 1.0)
         value = self.critic.functional(self.target_critic_layers, observation, action).amin(0)

@@ -69,8 +69,9 @@ class MLP(nn.Module):
         self.squash = squash
 
     def forward(self, *inputs: Tensor) -> Tensor:
-        """Map inputs `(*batch, n_i)`, concatenated along the last dimension, to `(*batch, n_out)`."""
-        return self.functional(self.layers(), *inputs)
+        """Map inputs `(*batch, n_i)`, concatenated along the last dimension, to `(*batch, n_out)` on their device."""
+        there = next(self.parameters()).device
+        return self.functional(self.layers(), *(x.to(there) for x in inputs)).to(inputs[0].device)
 
     def layers(self, parameters: TensorDictBase | None = None) -> list[Layer]:
         """List the tensors of each layer, from `parameters` (a TensorDict of this module) or its own."""

@@ -4,12 +4,10 @@ from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-AT_ONCE = 16
-"""Normal numbers that torch draws at once on the CPU."""
 _QUIET = (ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE)
 
 
@@ -25,7 +23,6 @@ class DecayingGaussian(TensorDictModuleBase):
         decay: share of `sigma` lost per step [-].
         minimum: lower bound of `sigma` [-].
         seed: seed of the noise's own generator.
-        device: device of the actions.
 
     Raises:
         ValueError: a value lies outside its range.
@@ -40,7 +37,6 @@ class DecayingGaussian(TensorDictModuleBase):
         decay: float = 1e-3,
         minimum: float = 0.0,
         seed: int = 0,
-        device: torch.device | str = "cpu",
     ) -> None:
         if not (sigma >= 0 and minimum >= 0 and 0 <= decay < 1):
             raise ValueError(
@@ -49,11 +45,12 @@ class DecayingGaussian(TensorDictModuleBase):
             )
         super().__init__()
         self.sigma, self.decay, self.minimum = float(sigma), decay, minimum
-        self.generator = torch.Generator(device).manual_seed(seed)
+        # In the CPU's memory, so that a seed draws the same noise for every device.
+        self.generator = torch.Generator().manual_seed(seed)
 
     def sample(self, action: Tensor) -> Tensor:
         """Return `action (*batch, n_u)` plus noise, within [-1, 1]."""
-        noise = torch.randn(action.shape, generator=self.generator, device=action.device, dtype=action.dtype)
+        noise = torch.randn(action.shape, generator=self.generator, dtype=action.dtype).to(action.device)
         return (action + self.sigma * noise).clamp(-1.0, 1.0)
 
     def perturb(self, action: Tensor) -> Tensor:
@@ -74,21 +71,6 @@ class DecayingGaussian(TensorDictModuleBase):
         """
         return TensorDictModule(self.perturb, in_keys=["action"], out_keys=["action"])
 
-    def ahead(self, steps: int, shape: torch.Size, decays: bool) -> Tensor:
-        """Draw what so many calls would add, `(steps, *shape)`.
-
-        Args:
-            steps: Control steps.
-            shape: Shape of the actions of a step, `(*batch, n_u)`.
-            decays: Whether sigma decays with each step.
-        """
-        found, sigmas = torch.empty(steps, *shape), []
-        drawn(found, self.generator)
-        for _ in range(steps):
-            sigmas.append(self.sigma)
-            self.sigma = max(self.minimum, self.sigma * (1.0 - self.decay)) if decays else self.sigma
-        return found.mul_(torch.tensor(sigmas).view(-1, *[1] * len(shape)))
-
     def get_extra_state(self) -> dict[str, object]:
         """Return what `state_dict` keeps: the present sigma and the generator."""
         return {"sigma": self.sigma, "generator": self.generator.get_state()}
@@ -99,36 +81,3 @@ class DecayingGaussian(TensorDictModuleBase):
         assert isinstance(state["generator"], Tensor)
         self.sigma = state["sigma"]
         self.generator.set_state(state["generator"])
-
-
-def drawn(rooms: Tensor, generator: torch.Generator) -> None:
-    """Fill rooms `(count, ...)` with standard normal numbers, as so many draws of one after the other would.
-
-    Args:
-        rooms: In the CPU's memory, in one piece.
-        generator: Source of the numbers.
-    """
-    if rooms.numel() and rooms[0].numel() % AT_ONCE == 0:  # draws that torch takes in whole groups join without a seam
-        rooms.normal_(generator=generator)
-        return
-    for room in rooms.unbind():
-        room.normal_(generator=generator)
-
-
-class Exploring(TensorDictSequential):
-    """A policy and the noise on its actions.
-
-    Attributes:
-        policy: `observation` to `action`, deterministic.
-        noise: What is added.
-        decays: Whether each call is a control step of the real plant, after which the noise decays.
-
-    Args:
-        policy: See above.
-        noise: See above.
-        decays: See above.
-    """
-
-    def __init__(self, policy: TensorDictModule, noise: DecayingGaussian, decays: bool) -> None:
-        super().__init__(policy, noise if decays else noise.frozen())
-        self.__dict__.update(policy=policy, noise=noise, decays=decays)

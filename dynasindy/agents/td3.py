@@ -23,13 +23,14 @@ from typing import Annotated, Any
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 from torch.optim import Adam
 
 from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import actor, critic
-from dynasindy.agents.noise import DecayingGaussian, Exploring
+from dynasindy.agents.noise import DecayingGaussian
 from dynasindy.agents.steps import PRECISIONS, Steps
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
@@ -127,7 +128,7 @@ class TD3:
         n_obs: width of `observation`.
         n_u: width of `action`.
         seed: seed of the initial weights and of both noises.
-        device: device of all tensors.
+        device: device of all networks; random numbers are drawn on the CPU.
         **settings: fields of `Hyperparameters`.
 
     Raises:
@@ -156,7 +157,7 @@ class TD3:
             torch.manual_seed(seed)
             self.policy = actor(n_obs, n_u, s.hidden).to(device)
             critics = [critic(n_obs, n_u, s.hidden, s.layer_norm).to(device) for _ in range(s.critics)]
-        generator = torch.Generator(device).manual_seed(seed + 1)
+        generator = torch.Generator().manual_seed(seed + 1)
         self.loss = TD3Loss(
             self.policy,
             critics,
@@ -165,9 +166,9 @@ class TD3:
             noise_clip=s.noise_clip,
             generator=generator,
         )
-        self.noise = DecayingGaussian(s.exploration_noise, s.noise_decay, s.noise_min, seed + 2, device)
-        self.explore = Exploring(self.policy, self.noise, decays=True)
-        self.explore_imagined = Exploring(self.policy, self.noise, decays=False)
+        self.noise = DecayingGaussian(s.exploration_noise, s.noise_decay, s.noise_min, seed + 2)
+        self.explore = TensorDictSequential(self.policy, self.noise)
+        self.explore_imagined = TensorDictSequential(self.policy, self.noise.frozen())
         self.deployed = copy.deepcopy(self.policy).requires_grad_(False) if s.policy_average else self.policy
         self.target_updater = SoftUpdate(self.loss, tau=s.tau)
         self.actor_optimizer = self._optimizer(self.loss.actor_network_params, s.actor_lr)
@@ -246,7 +247,7 @@ class TD3:
             getattr(self, name).load_state_dict(state[name])
         self.deployed.load_state_dict(state["deployed"])
         self.loss.generator.set_state(state["generator"])
-        self.updates, self.actor_loss = state["updates"], state["actor_loss"]
+        self.updates, self.actor_loss = state["updates"], state["actor_loss"].to(self._device)
         self._made = None  # the optimisers have other tensors now
 
     _parts = ("loss", "noise", "target_updater", "actor_optimizer", "critic_optimizer")

@@ -4,7 +4,7 @@ TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample whi
 agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
@@ -153,7 +153,6 @@ class DynaReplay:
         self.real = self._buffer("real", capacity, keys)
         self.model = self._buffer("model", model_capacity, LEARN_KEYS)
         self._views: dict[str, tuple[int, list[Tensor]]] = {}
-        self._largest: dict[NestedKey, tuple[int, int, Tensor]] = {}
 
     def extend_real(self, rollout: TensorDictBase) -> None:
         """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
@@ -171,29 +170,15 @@ class DynaReplay:
         self.real.extend(rows)
 
     def real_in_order(self) -> TensorDict:
-        """Return a copy of the real rows, `(n,)`, the oldest first."""
-        return _in_order(self.real)
+        """Return a copy of the real rows, `(n,)`, the oldest first, in the CPU's memory."""
+        return _in_order(self.real).cpu()
 
     def real_as_stored(self) -> TensorDict:
         """Return the real rows, `(n,)`, the oldest first, to be read before the next write.
 
         They are a view of the storage, which may hold half a million rows, until the ring has come round.
         """
-        return self.real_in_order() if _round(self.real) else self.real.storage.get(slice(0, len(self.real)))
-
-    def largest(self, key: NestedKey) -> Tensor:
-        """Return the largest absolute value of each column of a key in the real rows; of new rows these are read."""
-        count, version, found = self._largest.get(key, (0, -1, None))
-        writer = self.real.writer
-        assert isinstance(writer, CheckedWriter)
-        if found is not None and version == writer.version:
-            return found
-        if len(self.real) == self.real.storage.max_size:
-            count, found = 0, None  # rows may be gone
-        newest: Tensor = self.real.storage.get(slice(count, len(self.real))).get(key).abs().amax(0)
-        found = newest if found is None else torch.maximum(found, newest)
-        self._largest[key] = len(self.real), writer.version, found
-        return found
+        return _in_order(self.real) if _round(self.real) else self.real.storage.get(slice(0, len(self.real)))
 
     def keep(self, keys: Sequence[NestedKey]) -> None:
         """Keep other keys of real rows from now on; the rows so far are forgotten.
@@ -203,7 +188,6 @@ class DynaReplay:
         """
         self.real = self._buffer("real", self.capacities[0], keys)
         self._views.clear()
-        self._largest.clear()
 
     def rewrite_newest(self, rows: TensorDictBase) -> None:
         """Replace the newest real rows, as by better estimates of their states.
@@ -221,7 +205,6 @@ class DynaReplay:
         places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
         self.real.storage.set(places, rows, set_cursor=False)
         writer.version += 1
-        self._largest.clear()
 
     def keep_imagined(self, newest: int) -> None:
         """Evict all imagined rows but the `newest`.
@@ -271,30 +254,6 @@ class DynaReplay:
         counts = zip((self.real, self.model), self.counts(), strict=True)
         return [(buffer, torch.randint(len(buffer), (k,), generator=self.generator)) for buffer, k in counts if k]
 
-    def draws(
-        self, batches: int, room: Callable[[tuple[int, int], torch.dtype], Tensor]
-    ) -> list[tuple[TensorDictReplayBuffer, Tensor]]:
-        """Draw which rows so many batches hold, as `draw` would one after the other.
-
-        Args:
-            batches: How many.
-            room: Returns room of a shape and a type in the CPU's memory.
-
-        Returns:
-            Storages and rows of them, `(batches, k)`, the real ones first.
-        """
-        counts = zip((self.real, self.model), self.counts(), strict=True)
-        found = [(buffer, room((batches, k), torch.int64)) for buffer, k in counts if k]
-        if len(found) == 1:
-            ((buffer, places),) = found
-            places.random_(len(buffer), generator=self.generator)
-            return found
-        sizes = [len(buffer) for buffer, _ in found]
-        for rows in zip(*(places.unbind() for _, places in found), strict=True):
-            for size, row in zip(sizes, rows, strict=True):
-                row.random_(size, generator=self.generator)
-        return found
-
     def columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
         """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""
         writer = buffer.writer
@@ -325,7 +284,6 @@ class DynaReplay:
                 buffer.storage.set(range(len(stored)), stored)
             buffer.writer.load_state_dict(state[name]["writer"])
         self._views.clear()
-        self._largest.clear()
 
     def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(

@@ -31,11 +31,9 @@ from dynasindy.dyna.nearby import Nearby, nearby
 from dynasindy.dyna.parts import Bench, Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
-from dynasindy.planning import ModelPrediction
 from dynasindy.planning.regulator import riccati
 from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
-from dynasindy.together import EPISODE, fly
 from dynasindy.told import tell
 
 BEYOND = 10.0
@@ -197,12 +195,7 @@ def interact(
 
 def explore(parts: Parts) -> TensorDict:
     """Let the agent explore on the real system for an episode, `(T,)`."""
-    steps = parts.model_env.task.max_steps
-    if parts.sensing is None and parts.bounds is None:
-        rollout = fly(parts.plant, parts.explore, parts.plant.reset, steps, EPISODE)
-        if rollout is not None:
-            return ModelPrediction(parts.model_env).beside(rollout)
-    return interact(parts.env, parts.explore, steps, parts.bounds)
+    return interact(parts.env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
 
 
 class Loop:

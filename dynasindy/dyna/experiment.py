@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 
@@ -14,11 +13,11 @@ from dynasindy.dyna.parts import Parts, Settings, seen
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import check_memory
+from dynasindy.limits import device as device_of
 from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import System
 from dynasindy.tasks import Task
-from dynasindy.together import here
 from dynasindy.world_models import WorldModel
 
 
@@ -32,13 +31,14 @@ class Recipe:
         env: Builder of the real environment, called with `system`, `task` and `seed`.
         excitation: Builder of the excitation, called with `n_u` and `dt`.
         world_model: Builder of the world model, called with `signature`.
-        agent: Builder of the agent, called with `n_obs`, `n_u` and `seed`.
-        replay: Builder of the storages, called with `seed`.
+        agent: Builder of the agent, called with `n_obs`, `n_u` and `seed`, and on a GPU with `device`.
+        replay: Builder of the storages, called with `seed`, and on a GPU with `device`.
         planning: Builder of the planner, called with `env`, `agent`, `replay` and `seed`.
         gate: Trust in the model.
         train: Lengths of the loop.
         sensors: What is measured of the plant; None sees all states as they are.
         seed: Seed of everything; each part draws its own from it.
+        device: Where the agent learns and imagines, and its storages lie: `cpu`, or `cuda` for a GPU.
     """
 
     system: System
@@ -53,13 +53,14 @@ class Recipe:
     train: Settings
     sensors: Sensors | None = None
     seed: int = 0
+    device: str = "cpu"
 
     def build(self) -> Parts:
         """Build the parts; nothing is written and no step is taken.
 
         Raises:
-            ValueError: A part refuses its settings, the excitation is longer than an episode, or the storages do not
-                fit into memory.
+            ValueError: A part refuses its settings, there is no such device, the excitation is longer than an episode,
+                or the storages do not fit into memory.
         """
         seeds = torch.randint(2**31, (6,), generator=torch.Generator().manual_seed(self.seed)).tolist()
         signature = self.system.signature
@@ -67,9 +68,12 @@ class Recipe:
         plant.check_plant()
         world_model = self.world_model(signature=signature)
         model_env = plant.with_model(world_model, torch.float32, seed=seeds[1])
-        agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2])
+        device = device_of(self.device)
+        there = {} if device.type == "cpu" else {"device": device}
+        agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2], **there)
         sensing = self._sensing(plant, world_model, seeds[5])
-        replay = self.replay(seed=seeds[3], **self._storing(sensing, world_model))
+        keys = {} if sensing is None else {"keys": MEASURED_KEYS}
+        replay = self.replay(seed=seeds[3], **keys, **there)
         _check_storages(replay, plant)
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         excitation.check_gain(signature.state_names)
@@ -90,17 +94,6 @@ class Recipe:
             gate=self.gate,
             sensing=sensing,
         )
-
-    def _storing(self, sensing: Sensing | None, world_model: WorldModel) -> dict[str, Any]:
-        """Return which rows the storages keep of a plant behind sensors, and where they lie.
-
-        They lie in the CPU's memory where fits read them all: a model that is refined may also find a delay.
-        """
-        if sensing is not None:
-            return {"keys": MEASURED_KEYS}
-        company, planner = here(), getattr(self.planning, "func", self.planning)
-        elsewhere = company is not None and world_model.additive and getattr(planner, "on_device", False)
-        return {"device": company.device} if company is not None and elsewhere else {}
 
     def _sensing(self, plant: ControlEnv, world_model: WorldModel, seed: int) -> Sensing | None:
         if self.sensors is None:

@@ -19,8 +19,7 @@ from dynasindy.dyna.excite import excite, explore
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
-from dynasindy.together import learn
-from dynasindy.told import tell
+from dynasindy.told import counted, tell
 
 
 def train(parts: Parts, settings: Settings, callback: Callback, place: Place | None = None) -> TensorDictModuleBase:
@@ -59,7 +58,9 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         cost.real_steps += rollout.numel()
         # Policy learning.
         updates = round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0
-        learn(agent, replay, updates)
+        for _ in counted("policy learning", range(updates), updates, "updates"):
+            agent.update(replay.sample())
+        agent.check()
         cost.updates += updates
         # Planning: after every N episodes, on the updated model if it is trusted.
         error, refitted = replay_error(parts.model_env, rollout), None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import math
 import shutil
@@ -207,7 +208,7 @@ class Recorder(Callback):
         with whole(self.folder / "model.json") as path:
             self.parts.world_model.save(path)
         with whole(self.folder / "policy.pt") as path:
-            torch.save(self.parts.agent.deployed.state_dict(), path)
+            torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), path)
         self._write_controller()
         write_json(self.folder / "metrics.json", metrics)
         return metrics

@@ -57,7 +57,7 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
         Diverged: What the model has learnt is not finite.
     """
     tell("fit")
-    rows = parts.replay.real_in_order().cpu()
+    rows = parts.replay.real_in_order()
     if settings.recent_steps is not None:
         rows = rows[-settings.recent_steps :]
     if held_out is not None:

@@ -193,20 +193,19 @@ class ControlEnv(EnvBase):
         """Begin episodes at given states, with fresh references.
 
         Args:
-            states: Initial states, `(*batch, n_x)`.
+            states: Initial states, `(*batch, n_x)`; the episodes happen on their device.
 
         Returns:
             What `reset` returns, batch `(*batch,)`; pass it to `rollout(..., auto_reset=False)`.
         """
-        batch = states.shape[:-1]
+        batch, device = states.shape[:-1], states.device
         states = states.to(self.float_type)
-        params = self.task.sample(batch, self.rng).to(self.float_type)
-        steps = torch.zeros(*batch, 1, dtype=torch.int64)
+        params = self.task.sample(batch, self.rng).to(states)
+        steps = torch.zeros(*batch, 1, dtype=torch.int64, device=device)
         out = self._observed(states, params, steps)
         out["samples"] = states.unsqueeze(-2).expand(*batch, self.substeps, states.shape[-1]).clone()
-        out["at_stop"] = torch.zeros(*batch, 1, dtype=torch.bool)
-        for key in ("done", "terminated", "truncated"):
-            out[key] = torch.zeros(*batch, 1, dtype=torch.bool)
+        for key in ("at_stop", "done", "terminated", "truncated"):
+            out[key] = torch.zeros(*batch, 1, dtype=torch.bool, device=device)
         return TensorDict(out, batch_size=batch, device=self.device)
 
     def _observed(self, x: Tensor, params: Tensor, steps: Tensor) -> dict[str, Tensor]:

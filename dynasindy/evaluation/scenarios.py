@@ -9,7 +9,6 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import torch
@@ -18,7 +17,6 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents import Exploring
 from dynasindy.data.sound import require_finite, sound_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
@@ -30,7 +28,6 @@ from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Diverged, Signature, System, steps_needed
 from dynasindy.systems.angles import turn_of
 from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
-from dynasindy.together import fly
 from dynasindy.told import tell
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
@@ -306,14 +303,10 @@ def _run(
     def _told(env: EnvBase, step: TensorDictBase) -> None:
         tell(phase, int(step["step_count"].max()), total, "control periods")
 
-    for k, (steps, disturbed) in enumerate(_phases(scenario, calm.dt)):
+    for steps, disturbed in _phases(scenario, calm.dt):
         plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
         env = plant if sensing is None else sensing.around(plant)
-        part: TensorDictBase | None = None
-        if sensing is None and not isinstance(policy, Exploring):
-            part = fly(plant, policy, partial(start.clone), steps, f"{scenario.name}, part {k}")
-        if part is None:
-            part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
+        part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
     tell(phase, total, total, "control periods")  # of the last step the environment tells no more

@@ -30,8 +30,6 @@ class Planner(ABC):
         ValueError: `every` is not positive.
     """
 
-    on_device: bool = False
-    """Whether the storages may lie where the runs are batched, as on a GPU; else they stay in the CPU's memory."""
     learns_by_td3: bool = True
     """Whether TD3 updates the actor after each episode; False where planning alone trains it."""
 

@@ -103,20 +103,15 @@ class Bounds:
         if not all(value is None or value > 0 for value in (self.reach, self.distance, self.disagreement)):
             raise ValueError(f"bounds of the model must be positive or null, got {self}; mend planning.bounds")
 
-    def masks(
-        self, env: ControlEnv, real: TensorDictBase, generator: torch.Generator, largest: Tensor | None = None
-    ) -> list[Mask]:
+    def masks(self, env: ControlEnv, real: TensorDictBase, generator: torch.Generator) -> list[Mask]:
         """Return the masks that real data give.
 
         Args:
             env: Imagined environment.
             real: All real control periods in the order of time, `(n,)`.
             generator: Source of the choice of real transitions.
-            largest: Largest absolute value of each state at the ends of the real periods, `(n_x,)`; looked for in them
-                if omitted.
         """
-        largest = real["next", "state"].abs().amax(0) if largest is None else largest
-        masks: list[Mask] = [Within(self.reach * largest)]
+        masks: list[Mask] = [Within(self.reach * real["next", "state"].abs().amax(0))]
         if self.distance is not None:
             rows = torch.randint(len(real), (NEAR,), generator=generator)
             masks.append(Near(real["state"][rows], real["action"][rows], self.distance))

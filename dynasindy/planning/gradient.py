@@ -129,7 +129,7 @@ class GradientPlanning(Planner):
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
         _require_memory(env.system.signature, rollouts, window or UNTOLD)
-        self.agent, self.replay, self.network = agent, replay, _network(agent)
+        self.agent, self.replay, self.network = agent, replay, _on_cpu(_network(agent.policy))
         self.more_updates, self.more_lr, self.searches = more_updates, more_lr, searches
         self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
@@ -156,6 +156,8 @@ class GradientPlanning(Planner):
         if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
         tell("planning")
+        if (actor := _network(self.agent.policy)) is not self.network:
+            self.network.load_state_dict(actor.state_dict())
         rests, was_afar = rests_of(self.env), self.pace.afar
         self.pace = pace = dataclasses.replace(pace_of(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
@@ -293,9 +295,10 @@ class GradientPlanning(Planner):
         )
 
     def _deploy(self) -> None:
-        """Let an agent that deploys a running average of its actor deploy the planned actor."""
-        if self.agent.deployed is not self.agent.policy:
-            self.agent.deployed.load_state_dict(self.agent.policy.state_dict())
+        """Give the planned actor to an agent on a GPU, and to one that deploys a running average of its actor."""
+        for policy in (self.agent.policy, self.agent.deployed):
+            if (network := _network(policy)) is not self.network:
+                network.load_state_dict(self.network.state_dict())
 
 
 def _require_memory(signature: Signature, rollouts: int, window: int) -> None:
@@ -319,9 +322,13 @@ def _optimizer(network: nn.Module, lr: float) -> torch.optim.Adam:
     return torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
 
 
-def _network(agent: TD3 | Actor) -> nn.Module:
-    """Return the bare network of the actor; tensors need no tensordict."""
-    policy = agent.policy
+def _on_cpu(network: nn.Module) -> nn.Module:
+    """Return a network itself, or its copy in the CPU's memory, where machine code moves the model."""
+    return network if next(network.parameters()).is_cpu else copy.deepcopy(network).cpu()
+
+
+def _network(policy: nn.Module) -> nn.Module:
+    """Return the bare network of an actor; tensors need no tensordict."""
     assert isinstance(policy, TensorDictModule)
     network = policy.module
     assert isinstance(network, nn.Module)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -15,7 +14,6 @@ from torchrl.envs import Transform
 from dynasindy.data.replay import LEARN_KEYS
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.bounds import Mask
-from dynasindy.together import fly
 
 
 class Imagination(Transform):
@@ -63,17 +61,15 @@ class Imagination(Transform):
         """Roll the policy out in the model from given states.
 
         Args:
-            states: Start states, `(*batch, n_x)`.
+            states: Start states, `(*batch, n_x)`, on the device where it happens.
 
         Returns:
             Imagined transitions with `LEARN_KEYS`, flat, at most `batch * horizon` of them.
         """
-        starts = partial(self.env.start_from, states.reshape(-1, states.shape[-1]).cpu())
-        rollout = fly(self.env, self.policy, starts, self.horizon, "imagined rollouts", home=False)
-        if rollout is None:
-            rollout = self.env.rollout(
-                self.horizon, self.policy, auto_reset=False, tensordict=starts(), break_when_any_done=False
-            )
+        start = self.env.start_from(states.reshape(-1, states.shape[-1]))
+        rollout = self.env.rollout(
+            self.horizon, self.policy, auto_reset=False, tensordict=start, break_when_any_done=False
+        )
         finite = _finite(rollout)
         self.diverged = len(finite) - int(finite[:, 0].sum())
         kept, last = _kept(finite, rollout, self.masks)

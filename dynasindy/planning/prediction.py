@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
 from dynasindy.envs import ControlEnv
-from dynasindy.together import replay
 
 
 class ModelPrediction(Transform):
@@ -30,17 +29,6 @@ class ModelPrediction(Transform):
         next_tensordict["predicted_state"] = predicted["state"].to(next_tensordict["state"])
         next_tensordict["predicted_reward"] = predicted["reward"]
         return next_tensordict
-
-    def beside(self, rollout: TensorDict) -> TensorDict:
-        """Return a rollout of the real environment, `(T,)`, with the predictions beside each of its steps."""
-        x, params, begun, u = (rollout[key] for key in ("state", "task_params", "step_count", "action"))
-        found = replay(self.model_env, x, params, begun.squeeze(-1), u.unsqueeze(0), "prediction")
-        if found is None:
-            self._step(rollout, rollout["next"])
-        else:
-            rollout["next", "predicted_state"] = found[0].squeeze(0).to(x)
-            rollout["next", "predicted_reward"] = found[1].squeeze(0).unsqueeze(-1).float()
-        return rollout
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         tensordict_reset["predicted_state"] = tensordict_reset["state"].clone()

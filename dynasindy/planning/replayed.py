@@ -26,8 +26,6 @@ class NoPlanning(Planner):
         **parts: What other planners are built from; not used.
     """
 
-    on_device = True
-
     def __init__(self, **parts: object) -> None:
         super().__init__()
 
@@ -62,8 +60,6 @@ class ImaginedReplay(Planner):
     Raises:
         ValueError: A number is out of range.
     """
-
-    on_device = True
 
     # Departure: the paper adds imagined transitions to one buffer for good; here those of the newest `generations`
     # of the model are kept, since the models that made the others are gone.
@@ -115,8 +111,7 @@ class ImaginedReplay(Planner):
         recent = min(self.recent_steps or len(real), len(real))
         rows = len(real) - 1 - torch.randint(recent, (self.rollouts,), generator=self.generator)
         self.imagination.horizon = self.horizons(len(self.made))
-        largest = self.replay.largest(("next", "state"))
-        self.imagination.masks = self.bounds.masks(self.env, real, self.generator, largest)
+        self.imagination.masks = self.bounds.masks(self.env, real, self.generator)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
         self.made.append(len(self.replay.model.extend(starts)))
         if self.imagination.diverged == self.rollouts:

@@ -11,7 +11,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.together import replay
 
 Bound = Annotated[float, math.inf]
 """A limit, infinite where there is none."""
@@ -56,8 +55,7 @@ def replay_error(
     scale = torch.tensor(model_env.system.signature.x_scale, dtype=x.dtype)
     places = torch.arange(len(episode) if length is None else length).unsqueeze(-1) + starts
     u = u[places]
-    found = replay(model_env, x, params, starts, u, "replay")
-    following, reward = found or model_env.judged(x, u, model_env.follow(x, u), params, starts)
+    following, reward = model_env.judged(x, u, model_env.follow(x, u), params, starts)
     differences = (reward - reward_real[places].squeeze(-1)).abs() / model_env.task.unit
     squares = ((following - x_real[places]) / scale).square().mean(-1)
     errors = torch.stack([differences.mean(), squares.mean().sqrt()])

@@ -197,7 +197,7 @@ class System(nn.Module, ABC):
             require_step(own, type(self).__name__)
         self.signature = signature
         self.stops = stops
-        self._machines: dict[tuple[torch.dtype, bool], Machine | None] = {}
+        self._machines: dict[torch.dtype, Machine | None] = {}
 
     @property
     def step(self) -> float | None:
@@ -222,20 +222,17 @@ class System(nn.Module, ABC):
             x, u, lambda dtype: Machine(replace(program(self.forward, n_x, n_u), step=self.step), dtype)
         )
 
-    def _machine(
-        self, x: Tensor, u: Tensor, make: Callable[[torch.dtype], Machine], whole: bool = False
-    ) -> Machine | None:
+    def _machine(self, x: Tensor, u: Tensor, make: Callable[[torch.dtype], Machine]) -> Machine | None:
         """Return machine code for such states and inputs; what cannot be made is not tried again before a change.
 
         Args:
             x: States, `(*batch, n_x)`.
             u: Inputs, `(*batch, n_u)`.
             make: Makes the code for a precision.
-            whole: Which of two codes of a precision it is.
         """
         if "forward" in vars(self) or self._forward_hooks or self._forward_pre_hooks:
             return None  # its class does not say what it does
-        if (x.dtype, whole) not in self._machines:
+        if x.dtype not in self._machines:
             code = None
             try:
                 code = make(x.dtype)
@@ -248,8 +245,8 @@ class System(nn.Module, ABC):
                 ) from error
             except (ValueError, OSError) as error:
                 warnings.warn(f"{type(self).__name__} stays torch code, which is slower: {error}", stacklevel=3)
-            self._machines[x.dtype, whole] = code
-        found = self._machines[x.dtype, whole]
+            self._machines[x.dtype] = code
+        found = self._machines[x.dtype]
         return found if found is not None and found.fits(x, u) else None
 
     def __getattr__(self, name: str) -> Any:

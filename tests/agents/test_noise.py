@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents.noise import DecayingGaussian, drawn
+from dynasindy.agents.noise import DecayingGaussian
 
 
 def zeros(n=20000):
@@ -100,25 +100,3 @@ def test_the_edges_of_the_ranges_are_allowed(edge):
 def test_all_quiet_kinds_of_exploration_are_quiet(quiet):
     with set_exploration_type(quiet):
         assert not DecayingGaussian(sigma=1.0)(zeros(8))["action"].any()
-
-
-@pytest.mark.parametrize("shape", [(1, 2), (8, 2), (12, 2), (100, 3), (800, 2), (0, 2)])
-@pytest.mark.parametrize("decays", [False, True])
-def test_noise_drawn_ahead_is_that_of_so_many_calls(shape, decays):
-    one, other = (DecayingGaussian(sigma=0.2, decay=0.3, minimum=0.05, seed=4) for _ in range(2))
-    found = one.ahead(9, torch.Size(shape), decays)
-    for row in found:
-        action = TensorDict({"action": torch.zeros(shape)}, [shape[0]])
-        wanted = other(action)["action"] if decays else other.perturb(action["action"])
-        torch.testing.assert_close(row.clamp(-1.0, 1.0), wanted, rtol=1e-6, atol=0)
-    assert one.sigma == other.sigma
-    assert torch.equal(one.generator.get_state(), other.generator.get_state())
-
-
-@pytest.mark.parametrize("shape", [(6, 16, 2), (6, 12, 2), (6, 5, 3), (6, 1)])
-def test_many_draws_at_once_are_those_of_one_after_the_other(shape):
-    one, other = (torch.Generator().manual_seed(2) for _ in range(2))
-    rooms = torch.empty(shape)
-    drawn(rooms, one)
-    wanted = torch.stack([torch.randn(shape[1:], generator=other) for _ in range(shape[0])])
-    assert torch.equal(rooms, wanted) and torch.equal(one.get_state(), other.get_state())

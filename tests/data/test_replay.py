@@ -48,18 +48,6 @@ def test_every_batch_holds_the_exact_real_share(real_ratio, expected):
         assert int((batch["next", "reward"] < 10_000).sum()) == expected
 
 
-@pytest.mark.parametrize("given", [{}, {"model": 0}, {"real": 0}, {"real_ratio": None}])
-def test_many_batches_drawn_at_once_are_those_of_one_after_the_other(given):
-    one, other = (filled(**given, seed=7) for _ in range(2))
-    found = one.draws(9, lambda shape, dtype: torch.full(shape, -1, dtype=dtype))
-    for batch in range(9):
-        for (buffer, places), (_, wanted) in zip(found, other.draw(), strict=True):
-            assert torch.equal(places[batch], wanted)
-            assert int(places.max()) < len(buffer)
-    assert [buffer for buffer, _ in found] == [buffer for buffer in (one.real, one.model) if len(buffer)]
-    assert torch.equal(one.generator.get_state(), other.generator.get_state())
-
-
 def test_without_a_ratio_the_share_is_that_of_a_single_buffer():
     assert filled(None, real=200, model=600).counts() == (12, 38)
 
@@ -219,37 +207,6 @@ def test_rows_as_stored_are_those_in_order(written):
         replay.extend_real(rows(1, number))
     expected = [*range(written)][-5:]
     assert replay.real_as_stored()["next", "reward"].flatten().tolist() == expected
-
-
-def test_the_largest_values_are_those_of_the_rows_that_are_there():
-    key = ("next", "reward")
-    replay, written = DynaReplay(5, 2, keys=LEARN_KEYS), [3.0, -7.0, 1.0, 2.0, 4.0, 0.5, 0.25, -6.0]
-    for number, value in enumerate(written):
-        replay.extend_real(rows(1, value))
-        there = written[: number + 1][-5:]
-        for _ in range(2):
-            assert replay.largest(key).tolist() == [max(map(abs, there))]
-    stored = replay.real_in_order()[-1:]
-    stored[key] = torch.tensor([[-9.0]])
-    replay.rewrite_newest(stored)
-    assert replay.largest(key).tolist() == [9.0]
-    other = DynaReplay(5, 2, keys=LEARN_KEYS)
-    other.extend_real(rows(1, 100.0))
-    assert other.largest(key).tolist() == [100.0]
-    other.load_state_dict(replay.state_dict())
-    assert other.largest(key).tolist() == [9.0]
-    other.keep(LEARN_KEYS)
-    other.extend_real(rows(2, -2.0))
-    assert other.largest(key).tolist() == [2.0]
-
-
-def test_the_largest_values_are_those_that_are_there_also_when_the_ring_ends_where_it_began():
-    key = ("next", "reward")
-    replay = DynaReplay(4, 2, keys=LEARN_KEYS)
-    for value in (9.0, 8.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0):  # two of four rows at a time
-        replay.extend_real(torch.full_like(rows(2, value), value))
-        there = replay.real_in_order()[key]
-        assert replay.largest(key).tolist() == [float(there.max())]
 
 
 def test_large_numbers_whose_sum_is_none_are_finite():

@@ -60,7 +60,7 @@ def ties(text: str) -> Iterator[Tie]:
     yield Tie(PAGE, "Its fifteen runs lasted {} minutes, added up", (f"{took / 60:.1f}",))
     yield from _controls(text)
     yield from _paper(text)
-    yield from _paper_in_lockstep()
+    yield from _paper_on_gpu()
     yield from _paper_in_full()
     yield from _paper_with_our_library()
     yield from _tuning()
@@ -122,7 +122,7 @@ def lockstep(name: str, episode: int) -> str:
     return ", ".join(short(error, 3) for error in worst)
 
 
-def _paper_in_lockstep() -> Iterator[Tie]:
+def _paper_on_gpu() -> Iterator[Tie]:
     for name in SETTINGS:
         words = {"rollouts_0": "none"}.get(name, name.removeprefix("rollouts_"))
         figures = tuple(lockstep(name, episode) for episode in (60, 180, 300, 600))

@@ -13,19 +13,7 @@ from dynasindy.world_models.models.follower import TIMES
 from dynasindy.world_models.refinement.trajectory import WORSE
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
-SPEED, GPU = "docs/speed.md", "docs/gpu.md"
-
-
-def gpu(text: str) -> Iterator[Tie]:
-    """Yield what docs/gpu.md must say of the paper's experiment in lockstep."""
-    runs = rows("ablation.csv", system="xi", experiment="paper")
-    episodes, seconds = {row["episodes"] for row in runs}, max(numbers(runs, "wall_seconds"))
-    yield Tie(GPU, "went through {} episodes in {} s on one NVIDIA H100", (*episodes, f"{seconds:.1f}"))
-    yield Tie(GPU, "{} runs of the paper's experiment", ({9: "Nine"}[len(runs)],))
-    hidden, batch = (setting(key, "experiment=paper") for key in ("agent.hidden", "replay.batch_size"))
-    each = seconds / len(runs) / float(*episodes)
-    yield Tie(GPU, "That is {} s per episode of a run.", (f"{each:.2f}",))
-    yield Tie(GPU, "{} by {} units and batches of {},", (*map(str, hidden), str(batch)))
+SPEED = "docs/speed.md"
 
 
 def readme(text: str) -> Iterator[Tie]:
@@ -289,11 +277,6 @@ SIZES = "size of a download, which differs from day to day"
 MUJOCO = "docs/gymnasium.md"
 NOT_KEPT = "a trial whose rows were not kept; the page says so"
 UNTIED = [
-    Untied(GPU, "took 1.72 ms in float32 and 1.03 ms in TF32, and 2.73 ms and 1.65 ms where", NOT_KEPT),
-    Untied(GPU, "(800c4d72, a single trial", "a commit"),
-    Untied(GPU, "it spent 1.3 s on the random numbers of the batches, 0.4 s on exploration noise", NOT_KEPT),
-    Untied(GPU, "0.9 s on refits, and 0.5 s on checks and copies of weights", NOT_KEPT),
-    Untied(GPU, "The updates on the GPU took 0.5 s", NOT_KEPT),
     Untied(MUJOCO, "stayed at errors of 31 and 37 % (one seed", NOT_KEPT),
     Untied(MUJOCO, "speeds Reacher's joints up to 200 rad/s", "gear over damping in MuJoCo's reacher.xml"),
     Untied(README, "Python 3.11, 3.12 and 3.13", "versions, as in pyproject.toml"),

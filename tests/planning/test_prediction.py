@@ -1,5 +1,3 @@
-from contextlib import nullcontext
-
 import pytest
 import torch
 from torchrl.envs import TransformedEnv
@@ -9,8 +7,6 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import ModelPrediction
 from dynasindy.systems import Tras, Xi
 from dynasindy.tasks import Step, Tracking, Wave
-from dynasindy.together import Company
-from dynasindy.world_models import SindyModel
 
 
 def predicted_by(model):
@@ -48,19 +44,6 @@ def test_a_prediction_is_one_step_of_the_model_from_the_real_state_with_its_rewa
         reward = env.task.reward(row["state"], x, row["task_params"], t, torch.tensor(False))
         torch.testing.assert_close(row["next", "predicted_state"], x)
         assert row["next", "predicted_reward"].item() == pytest.approx(reward.item(), rel=1e-6)
-
-
-def test_predictions_of_a_run_in_company_are_those_of_a_run_alone():
-    plant, model = Tras(), SindyModel(Tras().signature)
-    model.set_coefficients(1e-3 * torch.randn(model.coefficients.shape, generator=torch.Generator().manual_seed(1)))
-    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
-    predicted = ModelPrediction(env.with_system(model, torch.float64))
-    rollout, found = env.rollout(5), {}
-    for name in ("alone", "together"):
-        with Company().alone() if name == "together" else nullcontext():
-            found[name] = predicted.beside(rollout.clone())["next"]
-    for key in ("predicted_state", "predicted_reward"):
-        torch.testing.assert_close(found["together"][key], found["alone"][key], rtol=1e-6, atol=1e-9)
 
 
 def test_after_a_reset_the_predictions_repeat_what_is():

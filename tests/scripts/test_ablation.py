@@ -88,45 +88,6 @@ def test_the_jobs_of_a_cluster_are_gathered_too(tmp_path):
     assert rows(tmp_path) == [("direct", "1"), ("rollouts_400", "1")]
 
 
-@pytest.mark.slow
-def test_jobs_in_lockstep_come_to_what_they_come_to_one_after_the_other(tmp_path):
-    folders = {name: tmp_path / name for name in ("basic", "together")}
-    for name, folder in folders.items():
-        folder.mkdir()
-        run(*SMALL, f"hydra/launcher={name}", cwd=folder)
-    assert rows(folders["together"]) == [("direct", "1"), ("rollouts_400", "1")]
-    for alone, among in zip(*map(jobs, folders.values()), strict=True):
-        wanted, found = (json.loads(file.read_text()) for file in (alone, among))
-        assert found["cost"]["imagined_transitions"] == wanted["cost"]["imagined_transitions"]
-        told = {key: value for key, value in wanted["evaluation"].items() if value is not None}
-        assert {key: found["evaluation"][key] for key in told} == pytest.approx(told, rel=1e-3)
-    assert "finished before" in run(*SMALL, "hydra/launcher=together", cwd=folders["together"])
-
-
-@pytest.mark.slow
-def test_a_job_in_lockstep_that_fails_does_not_end_the_others(tmp_path):
-    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "agent.critics=2,1"]
-    done = forked.run(command, cwd=tmp_path, timeout=600)
-    assert done.returncode == 2
-    assert "agent.critics is 1" in done.stderr
-    assert "2 jobs failed; error.txt says why" in done.stderr
-    assert len(jobs(tmp_path)) == 2
-
-
-@pytest.mark.slow
-def test_a_job_in_lockstep_that_diverges_under_way_leaves_its_word_and_the_others_end(tmp_path):
-    words = ("setting=rollouts_400", "agent.critic_lr=1e19,1e-3,1e-4", "train.updates_per_step=1")
-    given = [word for word in SMALL if not word.startswith(("setting=", "train.updates"))]
-    command = [sys.executable, str(SCRIPT), *given, *words, "hydra/launcher=together"]
-    done = forked.run(command, cwd=tmp_path, timeout=600)
-    assert done.returncode == 2
-    assert "1 jobs failed; error.txt says why" in done.stderr
-    (word,) = (tmp_path / "runs").rglob("error.txt")
-    assert "critic_lr-1e" in str(word) and "policy learning" in word.read_text()
-    assert not (word.parent / "metrics.json").exists()
-    assert len(jobs(tmp_path)) == 2
-
-
 GATHER = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -209,20 +170,10 @@ def test_a_run_that_cannot_be_read_at_the_end_is_a_line_and_no_warning(tmp_path)
     assert not (tmp_path / "results").exists()
 
 
-@pytest.mark.parametrize("launcher", ["together", "basic"])
-def test_a_device_that_is_not_there_costs_one_line_and_leaves_nothing(tmp_path, launcher):
-    command = [sys.executable, str(SCRIPT), *SMALL, f"hydra/launcher={launcher}", "device=tpu"]
+def test_a_device_that_is_not_there_costs_one_line_and_leaves_nothing(tmp_path):
+    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=basic", "device=tpu"]
     done = forked.run(command, cwd=tmp_path, timeout=600)
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
     assert line.startswith("error: device=tpu is not to be had; on this machine there is")
     assert not list(tmp_path.iterdir())
-
-
-def test_jobs_in_lockstep_that_name_several_devices_are_refused_in_one_line(tmp_path):
-    command = [sys.executable, str(SCRIPT), *SMALL, "hydra/launcher=together", "device=cpu,cuda"]
-    done = forked.run(command, cwd=tmp_path, timeout=600)
-    assert done.returncode == 2
-    told = "error: device=cpu,cuda: jobs in lockstep share one device; name one, or choose another hydra/launcher"
-    assert done.stderr.splitlines()[-1] == told and "Traceback" not in done.stderr
-    assert not jobs(tmp_path)

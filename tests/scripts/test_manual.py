@@ -111,7 +111,7 @@ def test_a_word_that_is_neither_a_group_nor_a_setting_is_refused_with_the_groups
 @pytest.mark.parametrize("name", COMMANDS)
 def test_launchers_are_offered_where_jobs_are_swept_and_all_that_are_installed(module, name):
     page = module.manual(name, ["--help"])
-    there = {"basic", "together"}  # of Hydra and of this package
+    there = {"basic"}
     for plugin, brought in (("joblib", {"joblib"}), ("submitit", {"submitit_local", "submitit_slurm"})):
         with suppress(ModuleNotFoundError):
             import_module(f"hydra_plugins.hydra_{plugin}_launcher")

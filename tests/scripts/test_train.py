@@ -152,7 +152,7 @@ def test_a_search_that_cannot_find_anything_costs_one_line_and_leaves_nothing(tm
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("hydra/launcher=together", "hydra/launcher=together is for many jobs, and this command is one; add -m, "),
+        ("hydra/launcher=joblib", "hydra/launcher=joblib is for many jobs, and this command is one; add -m, "),
         ("seed=0,1", "seed=0,1 gives several values; add -m for a job with each of them, or write 'seed=[0,1]' for"),
     ],
 )

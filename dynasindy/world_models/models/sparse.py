@@ -44,20 +44,12 @@ class SparseModel(WorldModel):
         """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self._written()(x, u)
 
-    def compiled(self, x: Tensor, u: Tensor, whole: bool = False) -> Machine | None:
-        """Return the model as machine code for such states and inputs, in the memory of the CPU.
-
-        Args:
-            x: States, `(*batch, n_x)`.
-            u: Inputs, `(*batch, n_u)`.
-            whole: Whether functions that no equation has are computed, too. One code then serves the models of many
-                runs, whatever functions each has; where one of them is infinite, the rates are no numbers, though the
-                equations need not have it.
-        """
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
+        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
         if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SparseModel.forward:
             return None
         self._forget()
-        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype, whole), whole)
+        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
 
     def _written(self) -> Field:
         """Return the equations as torch code, written anew where they have changed."""

@@ -10,31 +10,27 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
-from dynasindy.systems.machine import WIDTH, Machine, Program
+from dynasindy.systems.machine import Machine, Program
 from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.functions import function
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.writers.infix import InfixWriter
 
-FEW = 8
-"""Rows that are handled at once where there are few, as those of an episode and of its windows."""
 
-
-def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32, whole: bool = False) -> Machine:
+def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32) -> Machine:
     """Return the sparse model dx/dt = Xi' Theta(x, u), compiled.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
         dtype: precision, see `Machine`.
-        whole: whether zeros are computed, too, a few rows at a time: one code then serves all models of a library.
 
     Raises:
         ValueError: a function has no formula, the model has too many terms, or the compiler refuses the text.
         FileNotFoundError: there is no compiler.
     """
     values = coefficients.flatten().tolist()
-    kinds = tuple(value if value in (0.0, 1.0) and not whole else None for value in values)
+    kinds = tuple(value if value in (0.0, 1.0) else None for value in values)
     # A name may be registered anew, for another function.
     names = {factor.function for feature in library.features for factor in feature.factors}
     formulas = tuple((name, function(name).formula) for name in sorted(names))
@@ -42,7 +38,7 @@ def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.f
     constants = (number if place is None else values[place] for place, number in written.constants)
     n_x, n_u = library.signature.n_x, library.signature.n_u
     program = Program(n_x, n_u, written.lines, written.results, tuple(constants), library.step)
-    return Machine(program, dtype, FEW if whole else WIDTH)
+    return Machine(program, dtype)
 
 
 class _Written(NamedTuple):

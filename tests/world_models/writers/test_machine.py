@@ -131,17 +131,6 @@ def test_other_numbers_in_the_same_functions_need_no_compiler(monkeypatch):
     torch.testing.assert_close(samples, reference(changed, 2 * xi, x, u, 0.1, 1)[0].float(), rtol=1e-5, atol=1e-6)
 
 
-def test_one_code_serves_all_models_of_a_library(monkeypatch):
-    library, xi = made([A, B, U, A * B, of("sin", "a")])
-    whole = machine(library, xi, torch.float64, whole=True)
-    monkeypatch.setattr(compiling, "build", lambda *_: pytest.fail("compiled again"))
-    x, u = (part.double() for part in drawn(19))
-    for changed in (xi, -xi, torch.where(xi > 0, xi, 0.0), torch.ones_like(xi), torch.zeros_like(xi)):
-        found = machine(library, changed, torch.float64, whole=True).integrate(x, u, 0.1, 2)[0]
-        torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
-    assert not torch.equal(whole.integrate(x, u, 0.1, 2)[0], found)
-
-
 def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
     library, xi = made([A, B, U, A * B, of("sin", "a", frequency=3.0)])
     x, u = (part.double() for part in drawn(7))
@@ -162,19 +151,6 @@ def test_a_name_that_is_registered_anew_is_the_new_function():
         found = machine(library, xi, torch.float64).integrate(x, u, 0.1, 1)[0]
         torch.testing.assert_close(found, reference(library, xi, x, u, 0.1, 1)[0], rtol=1e-13, atol=1e-14)
     unregister_function("twice_test")
-
-
-@pytest.mark.parametrize("rows", [1, 8, 11])
-def test_whole_models_fly_as_sparse_ones(rows):
-    library, xi = made([A, B, U, A * B, of("sin", "a")])
-    model = SindyModel(SIGNATURE, library)
-    model.set_coefficients(torch.where(xi > 0.5, xi, 0.0))
-    x, u = drawn(rows)
-    held = u.expand(4, *u.shape)
-    found, _ = model.compiled(x, u, whole=True).flight(x, held, 0.1, 2)
-    sparse = model.compiled(x, u)
-    assert model.compiled(x, u, whole=True) is not sparse and model.compiled(x, u) is sparse
-    torch.testing.assert_close(found, model.compiled(x, u).flight(x, held, 0.1, 2)[0], rtol=1e-5, atol=1e-6)
 
 
 def test_a_function_without_a_formula_is_refused():

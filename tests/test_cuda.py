@@ -1,0 +1,183 @@
+"""Runs on a GPU, and torch code in its place on the CPU where there is none."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import train
+from dynasindy.dyna.parts import Settings
+from dynasindy.dyna.run import Evaluating, Provenance, run
+from dynasindy.dyna.stopped import Stopped
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.excitation import Multisine
+from dynasindy.limits import device
+from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.systems import Xi
+from dynasindy.tasks import RandomStep, Step, Tracking
+from dynasindy.world_models import Regression, SindyModel
+
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+PLANNERS = {
+    "none": NoPlanning,
+    "dyna": partial(ImaginedReplay, rollouts=16, horizon=5),
+    "gradient": partial(GradientPlanning, updates=4, more_updates=2, rollouts=8, window=5, check_every=2, searches=0),
+}
+KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+
+
+class Plug(Xi):
+    """A plant that is unplugged after some calls."""
+
+    left = None
+
+    def forward(self, x, u):
+        if Plug.left is not None:
+            Plug.left -= 1
+            if Plug.left == 0:
+                Plug.left = None
+                raise KeyboardInterrupt
+        return super().forward(x, u)
+
+
+class NoCode(SindyModel):
+    """A model that is moved by torch code."""
+
+    def compiled(self, x, u):
+        return None
+
+
+def recipe(planning, where="cpu", model=SindyModel, system=Xi, **agent):
+    return Recipe(
+        system=system(),
+        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=30),
+        env=partial(ControlEnv, dt=0.1, substeps=2, dtype=torch.float64),
+        excitation=partial(Multisine, duration=3.0),
+        world_model=partial(model, known=KNOWN, regression=Regression("bic")),
+        agent=partial(TD3, hidden=(32, 24), policy_average=0.1, **agent),
+        replay=partial(DynaReplay, 500, 64, 0.5),
+        planning=PLANNERS[planning],
+        gate=Gate(),
+        train=Settings(2, 0.5, held_out=0),
+        seed=3,
+        device=where,
+    )
+
+
+class Listener:
+    """Take no note of anything but the returns."""
+
+    def __init__(self):
+        self.returns = []
+
+    def fitted(self, report, excited, cost):
+        pass
+
+    def reached(self, place):
+        pass
+
+    def episode(self, episode, cost):
+        self.returns.append(float(episode.rollout["next", "reward"].sum()))
+
+
+def trained(*given, **settings):
+    """Return the parts of a run that has ended, and its returns."""
+    one = recipe(*given, **settings)
+    parts, listener = one.build(), Listener()
+    train(parts, one.train, listener)
+    return parts, torch.tensor(listener.returns)
+
+
+def tensors(parts):
+    """Return the networks, and what learning keeps beside them."""
+    agent = parts.agent
+    found = {name: value for name, value in agent.loss.state_dict().items() if isinstance(value, torch.Tensor)}
+    for name in ("actor_optimizer", "critic_optimizer"):
+        for number, state in getattr(agent, name).state_dict()["state"].items():
+            found |= {f"{name}.{number}.{key}": state[key] for key in ("exp_avg", "exp_avg_sq")}
+    return found | {f"deployed.{name}": value for name, value in agent.deployed.state_dict().items()}
+
+
+def assert_close(one, other):
+    """Compare runs that differ by rounding alone: their returns, networks and imagined transitions."""
+    (parts, returns), (others, wanted) = one, other
+    torch.testing.assert_close(returns, wanted, rtol=1e-3, atol=1e-3)
+    found, expected = tensors(parts), tensors(others)
+    assert found.keys() == expected.keys()
+    for name, value in found.items():
+        torch.testing.assert_close(value.cpu(), expected[name], rtol=2e-2, atol=2e-4, msg=lambda m, n=name: f"{n}: {m}")
+    assert len(parts.replay.model) == len(others.replay.model)
+    if len(parts.replay.model):
+        for key in ("observation", "action", ("next", "observation"), ("next", "reward")):
+            a, b = (each.replay.model[:][key].cpu() for each in (parts, others))
+            torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("planning", ["none", "dyna"])
+def test_torch_code_learns_and_imagines_what_machine_code_does(planning):
+    plain = trained(planning, model=NoCode, machine_code=False)
+    assert_close(plain, trained(planning))
+    assert planning == "none" or len(plain[0].replay.model) > 100
+
+
+def test_another_discount_differs_by_more_than_rounding():
+    one, (others, _) = trained("dyna"), trained("dyna", gamma=0.9)
+    assert max(float((a - b).abs().max()) for a, b in zip(tensors(one[0]).values(), tensors(others).values())) > 1e-2
+
+
+@pytest.mark.parametrize("name", ["tpu", "cuda:99", "meta"])
+def test_a_device_that_is_not_there_is_refused(name):
+    with pytest.raises(ValueError, match=f"device={name} "):
+        device(name)
+    with pytest.raises(ValueError, match=f"device={name} "):
+        replace(recipe("none"), device=name).build()
+
+
+@needs_gpu
+@pytest.mark.parametrize("planning", PLANNERS)
+def test_a_run_on_a_gpu_is_the_run_on_the_cpu_up_to_rounding(planning):
+    there = trained(planning, "cuda")
+    parts = there[0]
+    assert {value.device.type for value in tensors(parts).values()} == {"cuda"}
+    assert parts.replay.real[:]["observation"].is_cuda and parts.replay.sample()["next", "reward"].is_cuda
+    if planning == "dyna":
+        assert parts.replay.model[:]["observation"].is_cuda
+    assert parts.replay.real_in_order()["state"].is_cpu
+    assert_close(there, trained(planning))
+
+
+@needs_gpu
+def test_a_network_on_a_gpu_answers_where_it_is_asked():
+    agent = TD3(4, 2, hidden=(8,), device="cuda")
+    x = torch.ones(3, 4)
+    here, there = agent.policy.module(x), agent.policy.module(x.cuda())
+    assert here.is_cpu and there.is_cuda
+    torch.testing.assert_close(here, there.cpu())
+
+
+def go(folder, left=None, where="cuda"):
+    Plug.left = left
+    one = recipe("dyna", where, system=Plug)
+    evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=3.0))
+    return run(one, evaluating, folder, Provenance("a: 1\n"), progress=False)
+
+
+@needs_gpu
+def test_a_run_that_was_stopped_on_a_gpu_ends_as_the_one_that_was_not(tmp_path):
+    whole = go(tmp_path / "whole")
+    with pytest.raises(Stopped):
+        go(tmp_path / "parts", left=30 * 8 * 4 + 20)  # within the first episode
+    parts = go(tmp_path / "parts")
+    assert parts["cost"]["updates"] == whole["cost"]["updates"] == 30
+    assert parts["evaluation"] == pytest.approx(whole["evaluation"], rel=1e-3, nan_ok=True)
+    saved = [torch.load(tmp_path / name / "policy.pt") for name in ("whole", "parts")]
+    for name, value in saved[0].items():
+        assert value.is_cpu
+        torch.testing.assert_close(saved[1][name], value, rtol=1e-3, atol=1e-5)
+    assert json.loads((tmp_path / "parts" / "metrics.json").read_text())["cost"]["updates"] == 30
