@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.progress import reporting_as
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import telling
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.stepwise import stepwise
@@ -115,7 +115,7 @@ def refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> l
         member.initial, member.initial_delay = model.coefficients.clone(), 0.0
         if member.refinement is not None:
             member.refinement = replace(member.refinement, longest_delay=0.0)
-        with telling(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
+        with reporting_as(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
             member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
         member.delay = model.delay
         found.append(member)

@@ -10,8 +10,8 @@ from typing import Literal
 from torch import Tensor
 
 from dynasindy.limits import Count
+from dynasindy.progress import report_progress
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement import one_step
@@ -335,7 +335,7 @@ class Refinement:
         """
         if not bool(found[1].any()):
             return delay
-        tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
+        report_progress("fit", note=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:
