@@ -13,7 +13,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.evaluation.given import folder_for
     from dynasindy.export.write import Exported, write
-    from dynasindy.progress import say
+    from dynasindy.terminal import say
 
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:

@@ -15,9 +15,8 @@ def main(cfg: DictConfig) -> None:
     """Save runs if asked to, then build the report from all that is saved."""
     import torch
 
-    from dynasindy.progress import say
-    from dynasindy.viz.report.build import build
-    from dynasindy.viz.report.sources import Results
+    from dynasindy.terminal import say
+    from dynasindy.viz.report import Results, build
 
     torch.set_num_threads(cfg.threads)
     results = Path(cfg.results)
@@ -29,12 +28,13 @@ def main(cfg: DictConfig) -> None:
             "they are, or save=RUN, which saves a run there first: a run folder, or runs/ablation"
         )
     settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
-    found = Results(results, settings)
-    files = build(found, Path(cfg.output), list(cfg.formats))
+    saved = Results(results, settings)
+    files = build(saved, Path(cfg.output), list(cfg.formats))
     print(f"{files[0]} and {files[1]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
     for name in kept:
-        if name not in found.asked:
-            say(f"note: no section of the report reads a run called {name}; it reads {', '.join(sorted(found.asked))}")
+        if name not in saved.requested:
+            read = ", ".join(sorted(saved.requested))
+            say(f"note: no section of the report reads a run called {name}; it reads {read}")
 
 
 def keep(cfg: DictConfig, target: Path) -> list[str]:

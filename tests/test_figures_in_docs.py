@@ -17,9 +17,6 @@ from ties import REPOSITORY, Tie, figures, flat, left_over, paragraphs, read
 
 from dynasindy.evaluation.ablation import Level, read_rows, to_markdown
 from dynasindy.evaluation.rows import read_rows as read_cells
-from dynasindy.viz.report import document
-from dynasindy.viz.report.build import TITLE, pages
-from dynasindy.viz.report.sources import Results
 
 TIED = {
     ablation_page.PAGE: ablation_page.ties,
@@ -85,20 +82,6 @@ def test_the_table_of_the_ablation_is_that_of_its_rows():
 def test_the_tables_of_controllers_are_those_of_their_rows():
     shown = (RESULTS / "baselines.md").read_text().partition(f"{baselines.MARK}\n\n")[2]
     assert shown == "\n\n".join(baselines.tables(read_cells(RESULTS / "baselines.csv"))) + "\n"
-
-
-def test_the_report_is_that_of_the_saved_results(tmp_path, monkeypatch):
-    from omegaconf import OmegaConf
-
-    monkeypatch.setattr(
-        document, "write_figure", lambda figure, name, path: path
-    )  # words and tables only: drawing takes a minute
-    files = RESULTS.glob("runs/*/config.yaml")
-    settings = {file.parent.name: OmegaConf.to_container(OmegaConf.load(file)) for file in files}
-    document.write_markdown(TITLE, pages(Results(RESULTS, settings)), tmp_path / "report.md", ["svg"], "report.html")
-    shown = (REPOSITORY / "docs/report/report.md").read_text()
-    assert (tmp_path / "report.md").read_text() == shown, "run: python scripts/report.py"
-    assert "a column of" not in shown  # a caption names commits
 
 
 ORIGINS = sorted(RESULTS.rglob("origin.json"))

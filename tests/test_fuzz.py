@@ -88,8 +88,7 @@ def judged(use, command: str, *names: str) -> str:
 
 def build(cfg: DictConfig) -> None:
     check(cfg)
-    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
-    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
+    parts = {f.name: instantiate(cfg[f.name], _convert_="all") for f in fields(Recipe) if f.name != "seed"}
     instantiate(cfg.scenario, _convert_="all")
     Recipe(**parts, seed=cfg.seed).build()
 
@@ -104,7 +103,7 @@ def build_identify(cfg: DictConfig) -> None:
 
 OPTIONS = (
     ("system=xi", "excitation=chirp", "planning=dyna"),
-    ("system=trms33", "excitation=held_random", "planning=nominal", "task=sine"),
+    ("system=trms33", "excitation=held_random", "planning=dyna_gradient", "task=sine"),
     ("system=pendulum", "excitation=multisine", "scenario=square", "agent=td3_paper"),
     ("experiment=paper", "excitation=prbs", "world_model=pysindy_default", "scenario=noise"),
     ("excitation=sphs", "world_model=oracle", "scenario=delay", "task=square", "planning=none"),

@@ -13,7 +13,7 @@ from torch import Tensor
 from dynasindy.checking.linear import Array, Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.settling import settling
-from dynasindy.progress import report_progress, track
+from dynasindy.told import counted, tell
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.writers.tables import change_of
 
@@ -153,7 +153,7 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
     rests, slopes = [], []
-    several = track(PHASE, r.double() if count else [], len(r), "targets")
+    several = counted(PHASE, r.double() if count else [], len(r), "targets")
     for k, target in enumerate(several):
         start = nominal.select(torch.full((count,), k))
         say = partial(_said, k, len(r))
@@ -179,4 +179,4 @@ def _closing(loop: Loop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, 
 
 def _said(target: int, targets: int, known: int, words: str) -> None:
     """Tell how many plants are known to rest at a target."""
-    report_progress(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")
+    tell(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")

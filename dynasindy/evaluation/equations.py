@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dynasindy.durations import in_words
 from dynasindy.evaluation.before_fit import known_word
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import format_duration
 from dynasindy.world_models import FitReport, SindyModel
 from dynasindy.world_models.libraries.features import Feature
 from dynasindy.world_models.libraries.functions import QUOTIENTS
@@ -29,7 +29,7 @@ def late(delay: float) -> str:
     Args:
         delay: Delay of the inputs [s].
     """
-    return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else format_duration(delay)} late"
+    return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else in_words(delay)} late"
 
 
 def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[str]:

@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.durations import MANY
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.evaluation.symptoms import resolutions, resolutions_by
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import MANY
 from dynasindy.world_models import SindyModel
 from dynasindy.world_models.refinement.delay import delayed
 from dynasindy.world_models.refinement.measured import at_rest, rates_known, reconstruct

@@ -31,9 +31,9 @@ from dynasindy.planning.rests import Rests
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Variation
 from dynasindy.planning.window import Network, backward, imagine
-from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.tasks import Task, Tracking
+from dynasindy.told import tell
 
 FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held", "margin")
 """Settings that follow the plant where they are not given."""
@@ -136,11 +136,14 @@ class GradientPlanning(Planner):
         self.learns_by_td3 = rollouts == 0
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
         self.variation, self.others = variation or Variation(), list(others)
+        self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
         self.env.stops = env.stops
+        if self.variation.members and replay is None:
+            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
         self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.finest, self.phase = env.substeps, 0
+        self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
@@ -152,7 +155,7 @@ class GradientPlanning(Planner):
         first, self.phase = self.phase == 0, self.phase + 1
         if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
-        report_progress("planning")
+        tell("planning")
         if (actor := _network(self.agent.policy)) is not self.network:
             self.network.load_state_dict(actor.state_dict())
         rests, was_afar = rests_of(self.env), self.pace.afar
@@ -184,7 +187,7 @@ class GradientPlanning(Planner):
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
-            report_progress("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
+            tell("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
             optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:
@@ -236,7 +239,7 @@ class GradientPlanning(Planner):
         rows, task = self.held_out, self.env.task
         policy: Network = network or self.network
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
-        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps)
+        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, self.rng)
         return rewards(self.env, rows, whole).mean().item()
 
     def _held(self, rests: Rests) -> Begun:
@@ -257,7 +260,7 @@ class GradientPlanning(Planner):
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.pace.window)
+        window = imagine(self.env, system, self.network, rows, self.pace.window, self.rng)
         optimizer.zero_grad()
         backward(self.env, system, self.network, rows, window)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)

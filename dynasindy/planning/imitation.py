@@ -21,8 +21,8 @@ from dynasindy.planning.paths import NEAR, STILL, WEIGHTS, Paths
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rests import Rests
 from dynasindy.planning.window import Network, Rows, imagine
-from dynasindy.progress import track
 from dynasindy.tasks import Tracking
+from dynasindy.told import counted
 
 LADDER = (0.003, 0.03, 0.3, 3.0, 30.0, 300.0)
 """Weights of the tracked states that are tried; a plant of many poles is caught by gentle laws alone."""
@@ -113,7 +113,7 @@ def arrives(pilot: Network, env: ControlEnv, rests: Rests, rng: torch.Generator)
     x = task.initial_state(batch, rng).float()
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, torch.zeros(ROWS, 1))
     rows.reach = _reach(task, x)
-    whole = imagine(env, env.system, pilot, rows, task.max_steps)
+    whole = imagine(env, env.system, pilot, rows, task.max_steps, rng)
     return bool((regulator.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
 
 
@@ -130,7 +130,7 @@ def imitate(
         lessons: How often episodes are imagined, and the updates after each time.
     """
     (rounds, steps), seen, told = lessons, [], []
-    for k in track("imitation of a regulator", range(rounds), rounds, "rounds"):
+    for k in counted("imitation of a regulator", range(rounds), rounds, "rounds"):
         pilot: Network = network if k else _trembling(law, env.task.limit, rng)
         seen.append(_visited(pilot, law, env, rng))
         told.append(law(seen[-1]))
@@ -168,9 +168,9 @@ def _visited(pilot: Network, law: Law, env: ControlEnv, rng: torch.Generator) ->
     x[::2] = law.near(other, rng)[::2]
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, zero)
     rows.reach = _reach(task, x)
-    whole = imagine(env, env.system, pilot, rows, min(PERIODS, task.max_steps))
+    whole = imagine(env, env.system, pilot, rows, min(PERIODS, task.max_steps), rng)
     alive = whole.alive[:-1]
-    observed = task.observation(whole.states[:-1], params.expand(len(alive), *params.shape), whole.times[:-1])
+    observed = task.observation(whole.seen, params.expand(len(alive), *params.shape), whole.times[:-1])
     return observed[alive].float()
 
 

@@ -37,6 +37,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.trms33 import Trms33
 from dynasindy.world_models import Refinement, Regression, SindyModel
 from dynasindy.world_models.libraries import paper_table
+from dynasindy.world_models.models.diagnosis import Missing, diagnose
 from dynasindy.world_models.models.prediction import one_step_error
 from dynasindy.world_models.regression.sensitivity import Parameters
 
@@ -193,7 +194,7 @@ def xi_noisy(logs: int) -> certainty.Logs:
     return paper_table(Xi().signature), true_table(), data
 
 
-def rig(plant: System, library: str, excitation: Excitation, goal: str) -> list[Row]:
+def rig(plant: System, library: str, excitation: Excitation, goal: str) -> tuple[list[Row], list[Missing]]:
     """Identify a first-principles plant from 20 s and predict unseen episodes open loop."""
     data = record(plant, excitation.samples(0.01), 0.01, 10)
     model = SindyModel(plant.signature, library, Regression("bic", tolerance=1e-4), Refinement(), known=KNOWN)
@@ -208,23 +209,25 @@ def rig(plant: System, library: str, excitation: Excitation, goal: str) -> list[
     each = ", ".join(f"{n} {100 * e:.1g}" for n, e in zip(names, one.tolist(), strict=True))
     what = f"{len(states)} episodes, 400 steps open loop, NRMSE [%]"
     method = f"ours, {library}"
-    return [
+    rows = [
         row(method, f"{what}, worst state", f"{100 * float(whole.max()):.2g}", goal),
         row(method, what, per_state),
         row(method, "one-step error of 0.05 s [% of deviation]", each),
     ]
+    return rows, diagnose(model, data, 1e-4)
 
 
 def tras(seeds: int) -> list[Row]:
     """Identify `tras` from 20 s."""
-    return rig(Tras(), "rotor", Chirp(2, 20.0, amplitude=(0.4, 0.2), offset=(-0.11, 0.25)), "<= 2")
+    return rig(Tras(), "rotor", Chirp(2, 20.0, amplitude=(0.4, 0.2), offset=(-0.11, 0.25)), "<= 2")[0]
 
 
 def trms33(seeds: int) -> list[Row]:
     """Identify `trms33` from 20 s; its Coulomb friction and the products of its inertias are in no library."""
     excitation = HeldRandom(2, 20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
-    rows = rig(Trms33(), "rotor_reaction", excitation, "best honest figure")
-    return [*rows, rig(Trms33(), "rotor", excitation, "")[0]]
+    rows, missing = rig(Trms33(), "rotor_reaction", excitation, "best honest figure")
+    plain, _ = rig(Trms33(), "rotor", excitation, "")
+    return [*rows, *(row("report", "what is missing", str(m)) for m in missing), plain[0]]
 
 
 def pysindy_rows(seeds: int) -> list[Row]:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.cascaded_tanks import (
+    FINE,
     FIRST,
     linear_tanks,
     pysindy_tanks,
@@ -37,6 +38,7 @@ from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
+from dynasindy.world_models.models.bounded import stays_near
 from dynasindy.world_models.models.sindy import SindyModel
 from dynasindy.world_models.refinement.refine import Refinement
 from dynasindy.world_models.regression.regression import Regression
@@ -320,6 +322,8 @@ def tanks(folder: Path) -> Found:
         ),
         logs["train"][0],
     )
+    if not stays_near(model, logs["train"][0], torch.tensor([10.0, 1.0, 6.0, 6.0], dtype=torch.float64), FINE):
+        print("under an input of the training log that is held, this model runs away", flush=True)
     others = {"ours": (model, facts), "linear": _fitted(linear_tanks(), states_of(logs["train"][0], [0, -1]))}
     others["pysindy"] = (pysindy_tanks(*logs["train"]), {})
     rows: list[Row] = []

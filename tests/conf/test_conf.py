@@ -34,8 +34,7 @@ def composed(*overrides):
 
 def build(*overrides):
     cfg = composed(*overrides)
-    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
-    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
+    parts = {f.name: instantiate(cfg[f.name], _convert_="all") for f in fields(Recipe) if f.name != "seed"}
     instantiate(cfg.scenario, _convert_="all")
     return cfg, Recipe(**parts, seed=cfg.seed).build()
 

@@ -23,9 +23,9 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
-from dynasindy.progress import listening
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
+from dynasindy.told import hearing
 from dynasindy.world_models import Oracle, SindyModel
 
 
@@ -57,7 +57,7 @@ def record(folder, tensorboard=False):
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
     recorder = Recorder(folder, parts, scenario, every=2, episodes=3, tensorboard=tensorboard)
     recorder.heard = []
-    with listening(recorder.heard.append):
+    with hearing(recorder.heard.append):
         recorder.begin()
     train(parts, recipe.train, recorder)
     return folder, parts, recorder

@@ -16,20 +16,21 @@ from dynasindy.dyna.stopped import Stopped
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
-from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning, Variation
+from dynasindy.planning import Bounds, Gate, GradientPlanning, GradientThenReplay, ImaginedReplay, NoPlanning, Variation
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
 from dynasindy.world_models import Refinement, Regression, SindyModel
 
-REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2)
+REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2, bounds=Bounds(distance=2.0))
 GRADIENT = partial(
     GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, searches=0,
-    variation=Variation(parameters=0.1),
+    variation=Variation(parameters=0.1, noise=[1e-3] * 6),
 )  # fmt: skip
 PLANNERS = {
     "none": NoPlanning,
     "replay": REPLAYED,
     "gradient": GRADIENT,
+    "both": partial(GradientThenReplay, gradient=GRADIENT, replayed=REPLAYED, critic_updates=3),
 }
 PROVENANCE = Provenance("a: 1\n", {"command": "train", "commit": "abc"})
 
@@ -263,7 +264,7 @@ def test_only_a_fit_with_others_after_it_is_called_the_first(tmp_path, kept, wor
     assert "the inputs act" not in told and "Observer" not in told
 
 
-@pytest.mark.parametrize("name", ["replay", "gradient"])
+@pytest.mark.parametrize("name", ["replay", "gradient", "both"])
 def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     Plug.last = None
     made = recipe(PLANNERS[name], 1)

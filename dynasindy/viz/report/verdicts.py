@@ -1,4 +1,4 @@
-"""What the paper's control figures show, against ours: each statement with our numbers and whether it holds."""
+"""Verdicts on the paper's statements: each with our numbers, and whether it holds by the thresholds of `paper`."""
 
 from __future__ import annotations
 
@@ -8,61 +8,80 @@ import numpy as np
 import torch
 
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
-from dynasindy.viz.report.document import Finding, Statement
-from dynasindy.viz.report.sources import SETTINGS
-from dynasindy.viz.report.thresholds import (
-    EARLY,
-    FINE,
-    FOLLOWS,
-    LEVEL,
-    NEAR,
-    SEEDS,
-    SETTLED,
-    SOON,
-    TRANSIENT,
-    judged,
-)
+from dynasindy.viz.report import paper
+from dynasindy.viz.report.document import Finding, Statement, Verdict
+from dynasindy.viz.report.results import MANY, NONE, SOME
 from dynasindy.viz.style import Array
 
-NONE, SOME, MANY = SETTINGS.values()
-AXES = ("azimuth", "pitch")
-SOONER = "Planning on the model lets the policy learn from fewer real episodes."
-EXACT = "With planning the policy holds a reference more exactly than without."
-WAVES = "With the model, sines and square waves are followed."
+Coefficients = Mapping[str, Mapping[str, float]]
 Score = Mapping[str, float | None]
-REWARDS = (
-    Statement("rewards are low at first and rise"),
-    Statement("planning has the greater rewards early", SOONER),
-    Statement("planning reaches the required level sooner", SOONER),
-    Statement(f"800 rollouts converge sooner than 400, there in about {SOON.value:g} episodes", SOONER),
-    Statement(f"all settings end nearly the same (returns within {100 * NEAR.value:g} % of the rise, errors alike)"),
-)
-STEPS = {
-    axis: (
-        Statement(f"{axis}: without planning it settles further from the reference than with it{offset}", EXACT),
-        Statement(f"{axis}: 400 rollouts overshoot more than no planning"),
-        Statement(f"{axis}: 800 rollouts have the smallest steady-state error", EXACT),
-    )
-    for axis, offset in zip(AXES, (" (there by about 0.08 rad)", ""), strict=True)
-}
-SINE = {
-    axis: (
-        Statement(f"{axis}: with the model the sine is followed (RMSE under {100 * FOLLOWS.value:g} % of it)", WAVES),
-        Statement(f"{axis}: without the model the sine is followed too, with more oscillation"),
-    )
-    for axis in AXES
-}
-SQUARE = {
-    axis: (
-        Statement(f"{axis}: with the model each level is held with little steady-state error", WAVES),
-        Statement(f"{axis}: without the model the steady-state error is larger, and the spikes are smaller"),
-    )
-    for axis in AXES
-}
-"""What the figures of the paper show, by axis where they do so of both."""
 
 
-def rewards_agree(
+def verdict(holds: bool | None, better: bool = False) -> Verdict:
+    """Return the verdict on a statement.
+
+    Args:
+        holds: Whether ours is as the paper says; None where it is not measured.
+        better: Whether ours, though not as the paper says, is better in the sense of the statement.
+    """
+    if holds is None:
+        return Verdict.UNKNOWN
+    return Verdict.AS if holds else Verdict.BETTER if better else Verdict.SHORT
+
+
+def judge_learning(case: str, episode: Array, error: Array, opened: Array, below: float) -> Finding:
+    """Judge the course of the reward error of the model.
+
+    Args:
+        case: Plant and experiment.
+        episode: `(n,)` numbers of the episodes.
+        error: `(n,)` reward error per period of each; not finite where the replay ran away, which is not below.
+        opened: Episodes in which the model was trusted.
+        below: Error at which it becomes trusted.
+    """
+    trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
+    fallen = bool(error[-1] < paper.FALL.value * error[0] and error[-1] < below)
+    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+    first, last, most = (
+        f"{one:.2g} per period" if np.isfinite(one) else "the model ran away" for one in error[[0, -1, worst]]
+    )
+    ours = (
+        f"{first} in episode 1, {last} in episode {episode[-1]:.0f}, at worst {most} in episode {episode[worst]:.0f}; "
+        f"trusted below {below:g} on held-out windows, {trusted}"
+    )
+    return Finding(paper.FALLS, case, ours, verdict(fallen, bool((error < below).all())))
+
+
+def judge_first_model(case: str, errors: Mapping[str, float]) -> list[Finding]:
+    """Judge the model of the excitation alone by the RMSE of each state [% of its range]."""
+    rotors, beam = ({k: v for k, v in errors.items() if k.startswith("omega_") == turning} for turning in (True, False))
+    close = paper.CLOSE.value
+    not_well = verdict(max(beam.values()) >= close, max(errors.values()) < close)
+    return [
+        Finding(paper.ROTORS, case, _percent(rotors), verdict(max(rotors.values()) < close)),
+        Finding(paper.BEAM, case, _percent(beam), not_well),
+    ]
+
+
+def judge_last_model(case: str, statement: Statement, errors: Mapping[str, float]) -> Finding:
+    """Judge the model at the end by the RMSE of each state [% of its range]."""
+    return Finding(statement, case, _percent(errors), verdict(max(errors.values()) < paper.CLOSE.value))
+
+
+def judge_coefficients(case: str, model: Coefficients, truth: Coefficients) -> Finding:
+    """Judge identified coefficients, by equation and function, against published ones."""
+    true = {(state, name): value for state, row in truth.items() for name, value in row.items()}
+    ours = {(state, name): value for state, row in model.items() for name, value in row.items()}
+    hit, false = [key for key in true if key in ours], [key for key in ours if key not in true]
+    worst = 100 * max((abs(ours[key] / true[key] - 1) for key in hit), default=np.inf)
+    small = max((abs(model[s][name]) / max(map(abs, model[s].values())) for s, name in false), default=0.0)
+    words = f"{len(hit)} of them found, the worst {worst:.2g} % off; {len(false)} functions besides"
+    words += f", the largest {small:.1g} of the largest in its equation" if false else ""
+    right = len(hit) == len(true) and not false and worst < paper.COEFFICIENT.value
+    return Finding(paper.TABLE_2, case, words, verdict(right))
+
+
+def judge_rewards(
     case: str,
     curves: Mapping[str, Array],
     to_level: Mapping[str, Sequence[float]],
@@ -71,143 +90,133 @@ def rewards_agree(
     """Judge the average rewards.
 
     Args:
-        case: What they are of, in words.
+        case: Plant and experiment.
         curves: Evaluated return per setting, `(n_seeds, n_evaluations)`.
         to_level: Real episodes to the required level per setting and seed, infinite where never reached; settings that
             have no curve here are other agents without a model, all of which planning has to be ahead of.
         errors: Steady-state error at the end per setting and seed [rad], as far as it is known.
     """
     mean = {name: _middle(returns.T) for name, returns in curves.items()}
-    early = {name: float(values[: max(1, int(EARLY.value * len(values)))].mean()) for name, values in mean.items()}
-    ends = {name: (float(values[0]), float(values[-1])) for name, values in mean.items()}
+    first = {name: float(values[0]) for name, values in mean.items()}
+    last = {name: float(values[-1]) for name, values in mean.items()}
+    early = {
+        name: float(values[: max(1, int(paper.EARLY.value * len(values)))].mean()) for name, values in mean.items()
+    }
     level = {name: float(_middle(np.array(values))) for name, values in to_level.items()}
-    rise = max(last for _, last in ends.values()) - min(first for first, _ in ends.values())
-    last = {name: pair[1] for name, pair in ends.items()}
+    rise = max(last.values()) - min(first.values())
     planned = [name for name in (SOME, MANY) if name in mean]
-    both = planned == [SOME, MANY]
-    compared = NONE in mean and bool(planned)
-    modelless = [episodes for name, episodes in level.items() if name not in planned]
-    sooner = compared and max(level[name] for name in planned) < min(modelless)
-    apart, told = _ends(errors or {})
-    rises, greater, level_sooner, converges, alike = REWARDS
-    return [
-        rises.of(
-            case,
-            "; ".join(f"{name} {first:.4g} to {final:.4g}" for name, (first, final) in ends.items()),
-            judged(all(final > first for first, final in ends.values())),
-        ),
-        greater.of(
-            case,
-            f"mean of the first {100 * EARLY.value:g} %: {_listed(early)}",
-            judged(all(early[name] > early[NONE] for name in planned) if compared else None),
-        ),
-        level_sooner.of(
-            case,
-            f"real episodes to the level: {_listed(level)}",
-            judged(sooner if compared else None),
-        ),
-        converges.of(
-            case,
-            f"real episodes to the level: {_listed(level, planned)}",
-            judged(level[MANY] < level[SOME], max(level[MANY], level[SOME]) <= SOON.value) if both else judged(None),
-        ),
-        alike.of(
-            case,
-            f"final return: {_listed(last)}; the rise is {rise:.4g}{told}",
-            judged(max(last.values()) - min(last.values()) <= NEAR.value * rise and not apart if compared else None),
-        ),
-    ]
+    greater = sooner = converges = alike = None
+    apart, ends = _ends(errors or {})
+    if NONE in mean and planned:
+        greater = all(early[name] > early[NONE] for name in planned)
+        model_free = [episodes for name, episodes in level.items() if name not in planned]
+        sooner = max(level[name] for name in planned) < min(model_free)
+        alike = max(last.values()) - min(last.values()) <= paper.NEAR.value * rise and not apart
+    if len(planned) == 2:
+        converges = level[MANY] < level[SOME]
+    soon = bool(converges is not None and max(level[MANY], level[SOME]) <= paper.SOON.value)
+    ours = (
+        "; ".join(f"{name} {first[name]:.4g} to {last[name]:.4g}" for name in mean),
+        f"mean of the first {100 * paper.EARLY.value:g} %: {_listed(early)}",
+        f"real episodes to the level: {_listed(level)}",
+        f"real episodes to the level: {_listed({name: level[name] for name in planned})}",
+        f"final return: {_listed(last)}; the rise is {rise:.4g}{ends}",
+    )
+    verdicts = (
+        verdict(all(last[name] > first[name] for name in mean)),
+        verdict(greater),
+        verdict(sooner),
+        verdict(converges, soon),
+        verdict(alike),
+    )
+    return [Finding(what, case, words, found) for what, words, found in zip(paper.REWARDS, ours, verdicts, strict=True)]
 
 
-def steps_agree(case: str, scores: Mapping[str, Score]) -> list[Finding]:
+def judge_steps(case: str, scores: Mapping[str, Score]) -> list[Finding]:
     """Judge step tracking of the three settings by `steady_state_error/<axis>` [rad] and `overshoot/<axis>` [%]."""
     findings = []
-    for axis, name in zip(AXES, ("alpha_a", "alpha_p"), strict=True):
+    level = paper.LEVEL.value
+    for name, axis in paper.AXES.items():
         error = {setting: _number(score[f"steady_state_error/{name}"]) for setting, score in scores.items()}
         above = {setting: _number(score[f"overshoot/{name}"]) for setting, score in scores.items()}
-        planned, held = max(error[SOME], error[MANY]), error[SOME] <= LEVEL.value
+        planned, held = max(error[SOME], error[MANY]), error[SOME] <= level
         defined = bool(np.isfinite([above[SOME], above[NONE]]).all())  # there may be no step
-        settles, overshoots, smallest = STEPS[axis]
+        least = min(error[NONE], error[SOME])
+        settles, overshoots, smallest = paper.STEPS[axis]
+        both = {setting: above[setting] for setting in (NONE, SOME)}
         findings += [
-            settles.of(
+            Finding(
+                settles,
                 case,
-                f"steady-state error [rad]: {_listed(error, none='not finite')}",
-                judged(LEVEL.value >= planned < error[NONE]),
+                f"steady-state error [rad]: {_listed(error, 'not finite')}",
+                verdict(level >= planned < error[NONE]),
             ),
-            overshoots.of(
+            Finding(
+                overshoots,
                 case,
-                f"overshoot [%]: {_listed(above, (NONE, SOME), 'not finite')}; steady-state error with 400 rollouts "
+                f"overshoot [%]: {_listed(both, 'not finite')}; steady-state error with 400 rollouts "
                 f"{error[SOME]:.3g} rad",
-                judged(held and above[SOME] > above[NONE] if defined else None, held),
+                verdict(held and above[SOME] > above[NONE] if defined else None, held),
             ),
-            smallest.of(
+            Finding(
+                smallest,
                 case,
-                f"{error[MANY]:.3g} rad against {min(error[NONE], error[SOME]):.3g} rad",
-                judged(LEVEL.value >= error[MANY] < min(error[NONE], error[SOME]), planned <= FINE.value),
+                f"{error[MANY]:.3g} rad against {least:.3g} rad",
+                verdict(level >= error[MANY] < least, planned <= paper.FINE.value),
             ),
         ]
     return findings
 
 
-def sine_agrees(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
+def judge_sine(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
     """Judge a sine, `(T, 2)` each: the reference, and the outputs with and without the model [rad]."""
-    late = time >= TRANSIENT.value
-    size = np.abs(target).max(0)
+    late = time >= paper.TRANSIENT.value
+    size = paper.FOLLOWS.value * np.abs(target).max(0)
     ours, other = (np.sqrt(np.mean((y - target)[late] ** 2, axis=0)) for y in (model, direct))
-    sway, other_sway = (_sway(time, y, target)[late[1:]].mean(0) for y in (model, direct))
+    speed = [np.abs(np.diff(y, axis=0)) / np.diff(time)[:, None] for y in (model, direct, target)]
+    motion, other_motion = ((one - speed[2])[late[1:]].mean(0) for one in speed[:2])
     findings = []
-    for k, axis in enumerate(AXES):
-        followed, without = SINE[axis]
-        findings += [
-            followed.of(
-                case,
-                f"RMSE after {TRANSIENT.value:g} s: {ours[k]:.3g} rad of {size[k]:.3g} rad",
-                judged(bool(ours[k] < FOLLOWS.value * size[k])),
-            ),
-            without.of(
-                case,
-                f"RMSE {other[k]:.3g} rad; motion beyond the reference's {other_sway[k]:.3g} against "
-                f"{sway[k]:.3g} rad/s",
-                judged(bool(other[k] < FOLLOWS.value * size[k] and other_sway[k] > sway[k])),
-            ),
-        ]
+    for k, axis in enumerate(paper.AXES.values()):
+        words = (
+            f"RMSE after {paper.TRANSIENT.value:g} s: {ours[k]:.3g} rad of {np.abs(target).max(0)[k]:.3g} rad",
+            f"RMSE {other[k]:.3g} rad; motion beyond the reference's {other_motion[k]:.3g} against {motion[k]:.3g} "
+            "rad/s",
+        )
+        holds = (bool(ours[k] < size[k]), bool(other[k] < size[k] and other_motion[k] > motion[k]))
+        findings += [Finding(what, case, w, verdict(h)) for what, w, h in zip(paper.SINE[axis], words, holds)]
     return findings
 
 
-def square_agrees(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
+def judge_square(case: str, time: Array, target: Array, model: Array, direct: Array) -> list[Finding]:
     """Judge a square wave, `(T, 2)` each: the reference, and the outputs with and without the model [rad]."""
     findings = []
     size = np.abs(target).max(0)
-    for k, axis in enumerate(AXES):
+    for k, axis in enumerate(paper.AXES.values()):
         (error, spike), (other, other_spike) = (_levels(time, target[:, k], y[:, k]) for y in (model, direct))
-        held = error < FOLLOWS.value * size[k]
-        levels, without = SQUARE[axis]
+        held = bool(error < paper.FOLLOWS.value * size[k])
+        levels, without = paper.SQUARE[axis]
+        words = f"{error:.3g} rad over the last {paper.SETTLED.value:g} s of each level of {size[k]:.3g} rad"
+        others = (
+            f"error {other:.3g} against {error:.3g} rad; beyond the level after a jump {other_spike:.3g} against "
+            f"{spike:.3g} rad"
+        )
+        larger = held and other > error
         findings += [
-            levels.of(
-                case,
-                f"{error:.3g} rad over the last {SETTLED.value:g} s of each level of {size[k]:.3g} rad",
-                judged(held),
-            ),
-            without.of(
-                case,
-                f"error {other:.3g} against {error:.3g} rad; beyond the level after a jump {other_spike:.3g} against "
-                f"{spike:.3g} rad",
-                judged(held and other > error and other_spike < spike, held and other > error),
-            ),
+            Finding(levels, case, words, verdict(held)),
+            Finding(without, case, others, verdict(larger and other_spike < spike, larger)),
         ]
     return findings
 
 
 def _ends(errors: Mapping[str, Sequence[float]]) -> tuple[bool, str]:
-    """Return whether errors at the end are told apart, and what is known of them in words.
+    """Return whether errors at the end differ, and what is known of them in words.
 
-    They are if no error lies within the 95 % intervals over seeds of all settings.
+    They do if no error lies within the 95 % intervals over seeds of all settings.
     """
     found = {name: np.array(values) for name, values in errors.items() if np.isfinite(values).all()}
     if not found:
         return False, ""
-    few = min(map(len, found.values())) < SEEDS.value
-    if few:
+    if min(map(len, found.values())) < paper.SEEDS.value:
         words = ", ".join(f"{name} {' and '.join(f'{v:.3g}' for v in values)}" for name, values in found.items())
         return False, f"; error at the end [rad]: {words}, too few seeds to tell apart"
     intervals = {
@@ -224,16 +233,10 @@ def _levels(time: Array, target: Array, y: Array) -> tuple[float, float]:
     starts = [0, *(np.flatnonzero(np.diff(target)) + 1).tolist(), len(target)]
     errors, spikes = [], []
     for first, end in zip(starts, starts[1:], strict=False):
-        late = np.arange(first, end)[time[first:end] > time[end - 1] - SETTLED.value]
+        late = np.arange(first, end)[time[first:end] > time[end - 1] - paper.SETTLED.value]
         errors.append(np.abs(y[late] - target[first]).mean())
         spikes.append(np.max(np.sign(target[first] - y[first]) * (y[first:end] - target[first])))
     return float(np.mean(errors)), float(max(0.0, *spikes))
-
-
-def _sway(time: Array, y: Array, target: Array) -> Array:
-    """Return the speed of an output beyond that of its reference, `(T - 1, 2)` [rad/s]."""
-    speed, wanted = (np.abs(np.diff(x, axis=0)) / np.diff(time)[:, None] for x in (y, target))
-    return speed - wanted
 
 
 def _middle(values: Array) -> Array:
@@ -241,9 +244,12 @@ def _middle(values: Array) -> Array:
     return interquartile_mean(torch.as_tensor(np.asarray(values, dtype=np.float64))).numpy()
 
 
-def _listed(values: Mapping[str, float], names: Sequence[str] | None = None, none: str = "never") -> str:
-    chosen = {name: values[name] for name in names or values if name in values}
-    return ", ".join(f"{name} {none if np.isinf(value) else f'{value:.4g}'}" for name, value in chosen.items())
+def _listed(values: Mapping[str, float], infinite: str = "never") -> str:
+    return ", ".join(f"{name} {infinite if np.isinf(value) else f'{value:.4g}'}" for name, value in values.items())
+
+
+def _percent(errors: Mapping[str, float]) -> str:
+    return "RMSE in % of range: " + ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
 
 
 def _number(value: float | None) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.text import did_you_mean
+from dynasindy.nearest import did_you_mean
 from dynasindy.world_models.libraries.library import Library
 
 

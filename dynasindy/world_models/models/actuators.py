@@ -15,8 +15,8 @@ from itertools import chain
 import torch
 from torch import Tensor
 
-from dynasindy.progress import report_progress
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.libraries.features import Feature, of, variable
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.models.sindy import SindyModel
@@ -105,7 +105,7 @@ def find_actuator(model: SindyModel, data: Transitions) -> Found:
     best: tuple[Tensor, Actuator, Estimate] | None = None
     for place, name in enumerate(names):
         for kind in WANTED:
-            report_progress("actuators", note=f"{kind} of {name}")
+            tell("actuators", words=f"{kind} of {name}")
             actuator = bench.size(place, kind)
             judged = None if actuator is None else bench.judged(library, support, actuator)
             if actuator and judged and (best is None or float(judged[0].sum()) < float(best[0].sum())):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.progress import report_progress
+from dynasindy.told import tell
 from dynasindy.world_models.refinement.flow import Estimate, Flow
 from dynasindy.world_models.refinement.plainer import plainer
 from dynasindy.world_models.refinement.repeated import repetition
@@ -97,7 +97,7 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
         active, others = flow.parameters, Parameters.where(free & ~support & ~failed)
         if not len(others):
             break
-        report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
+        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
         wider = replace(flow, parameters=active + others)
         model = linearise(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
@@ -201,7 +201,7 @@ def settled(
     model = model or linearise(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
     for k in range(max_rounds):
-        report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
+        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
         candidate = move(flow, model, torch.arange(len(model.scale)), damping)
         trial = Flow.of(candidate, parameters, windows)
         cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf

@@ -7,9 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from dynasindy.progress import report_progress
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.flow import MOST_STEPS, turn_of
 from dynasindy.world_models.refinement.windows import ENOUGH, spread
@@ -70,7 +70,7 @@ def refine_one_step(
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
-        report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
+        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
         rows, target, scale = linear_model(library, xi, active + others, data, floor)
         triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
@@ -95,7 +95,7 @@ def _descend(
         if not len(parameters):
             break
         what = f"{len(parameters)} coefficients, by single steps between {len(data)} samples"
-        report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
+        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
         rows, target, scale = linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
         kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))

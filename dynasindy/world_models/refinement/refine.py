@@ -10,8 +10,8 @@ from typing import Literal
 from torch import Tensor
 
 from dynasindy.limits import Count
-from dynasindy.progress import report_progress
 from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
 from dynasindy.world_models.libraries.constraints import Constraints
 from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement import one_step
@@ -56,7 +56,7 @@ ALIKE = 0.01
 SEVERAL = 10
 """Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "coloured", "prediction")
+ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
 STEPWISE = (
     "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
@@ -84,9 +84,10 @@ class Refinement:
             0 takes the inputs as they are. None looks within ten samples where a regression clearly tells a delay,
             farther where it is longer; else within two control periods or 0.05 s, or, without noise, not at all.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
-            is new in such errors, as they last from sample to sample (`coloured`), or of windows that begin anew
-            (`prediction`), for plants that are pushed at random or unstable; `auto` takes windows that begin anew
-            where they leave over much less than a trajectory, and keeps the latter aside.
+            is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
+            (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
+            such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes windows that begin
+            anew where they leave over much less than a trajectory, and keeps the latter aside.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
             of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
@@ -102,7 +103,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float | None = 0.0
-    error: Literal["auto", "simulation", "coloured", "prediction"] | None = None
+    error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
     correlated: bool | None = None
 
     def __post_init__(self) -> None:
@@ -254,6 +255,7 @@ class Refinement:
             "simulation": descent,
             "coloured": replace(descent, coloured=True),
             "prediction": replace(descent, joined=False, correlated=self.correlated is not False),
+            "innovation": replace(descent, joined=False, pushed=True),
         }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":
@@ -333,7 +335,7 @@ class Refinement:
         """
         if not bool(found[1].any()):
             return delay
-        report_progress("fit", note=f"trying delays of the inputs up to {self._longest:g} s")
+        tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,11 +18,14 @@ from torch import Tensor
 
 from dynasindy.world_models.refinement.coloured import remaining
 from dynasindy.world_models.refinement.flow import EXACT, Estimate, Flow, white
+from dynasindy.world_models.refinement.pushes import Noise, estimated, whiten
 from dynasindy.world_models.refinement.scale import free_scales, holding
 from dynasindy.world_models.refinement.windows import Windows
 from dynasindy.world_models.regression.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.world_models.regression.sensitivity import Parameters
 
+LARGEST = 500.0
+"""Logarithm of the largest factor on a cost."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 
@@ -37,12 +41,14 @@ class Linearised:
     Attributes:
         triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
         scale: norms of the columns.
-        cost: sum of squared errors and of squared gaps between windows, both weighted. What is unlikely of the
-            coefficients counts as squared errors do.
+        cost: sum of squared errors and of squared gaps between windows, both weighted; of whitened errors times the
+            geometric mean of their variances, so that its logarithm is that of the likelihood. What is unlikely of
+            the coefficients counts as squared errors do.
         unlikely: sum of squared coefficients over their variances before the recording tells them.
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
-        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`.
+        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
+            how the plant is pushed.
     """
 
     triangle: Tensor
@@ -200,8 +206,14 @@ def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
 
 def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
-    every = white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
-    return every, float(every[..., -1].square().sum()) + _unlikely(flow)
+    spread, windows = 1.0, flow.windows
+    if windows.noise is None:
+        every = white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
+    else:
+        every, half = whiten(every, seen, flow.steps[..., : every.shape[2]], windows.noise, windows.dt)
+        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
+        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
+    return every, spread * (float(every[..., -1].square().sum()) + _unlikely(flow))
 
 
 def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
@@ -235,6 +247,23 @@ def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
     held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
     held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
     return held
+
+
+def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
+    """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+        pushed: states whose rates may be pushed, bool `(n_x,)`.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow)
+    rows, seen = _every(flow)
+    n_x = estimate.xi.shape[1]
+    rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    return estimated(rows, seen, flow.steps[..., :n_x], pushed, spread, windows.dt)
 
 
 def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
@@ -332,10 +361,13 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
 
 
 def left_over(model: Linearised, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states.
+    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together.
 
-    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign.
+    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign; the
+    cost of whitened errors has it in it.
     """
     counts, sigma = windows.mask.sum((0, 1)), model.sigma
+    if windows.noise is not None:
+        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
     seen = sigma > EXACT
     return float((counts * sigma.log())[seen].sum()) + 0.5 * model.unlikely

@@ -23,7 +23,7 @@ from dynasindy.world_models.libraries.library import Library
 from dynasindy.world_models.refinement.choosing import Limits, converge, descend, price, search, settled
 from dynasindy.world_models.refinement.descent import Descent
 from dynasindy.world_models.refinement.flow import COARSE, EXACT, FINE, Estimate, Flow, growth, substeps_for, turn_of
-from dynasindy.world_models.refinement.shooting import lasting_of, left_over
+from dynasindy.world_models.refinement.shooting import lasting_of, left_over, noise_of
 from dynasindy.world_models.refinement.windows import ENOUGH, Windows, spread
 from dynasindy.world_models.regression.prior import likely
 from dynasindy.world_models.regression.sensitivity import Parameters
@@ -87,10 +87,11 @@ def refine_trajectory(
     joined = descent.joined
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
+    weighed = descent.pushed or descent.coloured
     first = Estimate(library, xi, guess[some])
-    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
-    if descent.coloured:
-        return _refine_coloured(found, free, windows, (data, guess), limits, descent)
+    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if weighed else COARSE)
+    if weighed:
+        return _refine_weighed(found, free, windows, (data, guess), limits, descent)
     may_begin_anew = joined is None
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
@@ -128,14 +129,15 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> 
     return descend(found, support, windows, limits)[0], windows
 
 
-def _refine_coloured(
+def _refine_weighed(
     found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
 ) -> Fitted:
-    """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
+    """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
     data, guess = whole
-    found = search(found, free, windows, limits)  # errors of a first guess last whatever the plant does
+    if descent.coloured:  # errors of a first guess last whatever the plant does
+        found = search(found, free, windows, limits)
     for _ in range(TURNS):
-        windows = replace(windows, lasting=lasting_of(found, windows))
+        windows = _weighed(found, free, windows, descent)
         last, found = found, search(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
@@ -144,9 +146,16 @@ def _refine_coloured(
     if len(data) > ENOUGH:
         support = (found.xi != 0) & free
         found, windows = _grown(replace(found, nodes=guess), support, data, descent)
-        windows = replace(windows, lasting=lasting_of(found, windows))
+        windows = _weighed(found, free, windows, descent)
         found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted.of(found, free, windows)
+
+
+def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:
+    """Return the recording with what makes the errors of an estimate white."""
+    if descent.pushed:
+        return replace(windows, noise=noise_of(found, windows, free.any(0)))
+    return replace(windows, lasting=lasting_of(found, windows))
 
 
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:

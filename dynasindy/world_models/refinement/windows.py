@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.transitions import Transitions
+from dynasindy.world_models.refinement.pushes import Noise
 
 ENOUGH = 10_000
 """Rows of a recording on which functions are chosen; the coefficients are fitted on all."""
@@ -28,6 +29,8 @@ class Windows:
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in an interval.
+        noise: sizes of noise and of pushes, by which errors of windows on their own are weighed; without, every state
+            is weighed by its own errors, as if nothing pushed the plant.
         lasting: part of an error of each state that is left a sample later, `(n_x,)`; without, errors are taken for
             white.
         likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
@@ -42,6 +45,7 @@ class Windows:
     joined: Tensor
     dt: float
     substeps: int = 1
+    noise: Noise | None = None
     lasting: Tensor | None = None
     likely: Tensor | None = None
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.report.published import XI
-from dynasindy.viz.report.sources import Results
+from dynasindy.viz.report import Results
+from dynasindy.viz.report.paper import XI
 from dynasindy.world_models import SindyModel
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
@@ -84,11 +84,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     ends = [f"evaluated_steady_state_error/{name}" for name in STATES[:2]]
     rows = [[*row, ERRORS[row[2]] * (1 + 0.001 * row[3]), 0.5 * ERRORS[row[2]]] for row in rows]
     table(folder / "ablation_curves.csv", [*key, "episode", "evaluated_return", *ends], rows)
-    table(folder / "speed.csv", ["what", "ms"], [["ours", 1.0]])
-    lines = [
-        f"| [{name}]({name}) | `python scripts/y.py` | 1a2b3c4 | words |\n" for name in ("ablation.csv", "speed.csv")
-    ]
-    (folder / "README.md").write_text("".join(lines))
     return Results(folder, {f"xi_dyna_{name}": SETTINGS for name in ERRORS})
 
 
