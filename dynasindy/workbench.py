@@ -59,13 +59,13 @@ from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.pace import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.ensemble import refits
+from dynasindy.sindy.named_libraries import LibraryBuilder
+from dynasindy.sindy.reconstruction import rates_known
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.libraries import LibraryBuilder
-from dynasindy.world_models.models.ensemble import refits
-from dynasindy.world_models.refinement.measured import rates_known
 
 FINE = 5
 """Runge-Kutta steps of a predicted control period."""
@@ -139,7 +139,7 @@ def identify(
 
     Args:
         log: What `read` returned.
-        library: Candidate functions: a name of `dynasindy.world_models.libraries.NAMED`, or functions in words.
+        library: Candidate functions: a name of `dynasindy.sindy.named_libraries.NAMED`, or functions in words.
             `auto_rig` is quadratic polynomials and sines of states in rad, or for angles in rad and their rates in
             rad/s the functions of mechanics, and dry friction of every rate.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that

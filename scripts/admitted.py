@@ -18,10 +18,10 @@ from dynasindy.evaluation.given import DamagedFileError, read_text, understood
 
 LARGEST, DEEPEST = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
-ROOMS = ("systems", "tasks", "envs", "excitation", "world_models", "planning", "agents", "sensing", "data.replay")
+ROOMS = ("systems", "tasks", "envs", "excitation", "sindy", "planning", "agents", "sensing", "data.replay")
 BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.parts")
 BUILDERS = (
-    "dynasindy.world_models.libraries.named",
+    "dynasindy.sindy.named_libraries",
     "dynasindy.evaluation.scenarios.step_references",
     "dynasindy.tasks.signals",
 )

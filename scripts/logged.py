@@ -27,11 +27,11 @@ from dynasindy.evaluation.quiet import quiet_targets
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning
+from dynasindy.sindy import SindyModel
 from dynasindy.terminal import say
 from dynasindy.viz.controllers import named
 from dynasindy.viz.evaluation import draw_evaluation
 from dynasindy.workbench import damped, rates_of
-from dynasindy.world_models import SindyModel
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.world_models import Oracle, SindyModel
+from dynasindy.sindy import Oracle, SindyModel
 
 TWIN_ROTORS = ("dynasindy.systems.Tras", "dynasindy.systems.Trms33", "dynasindy.systems.Xi")
 """Plants of which the paper says signals and noise, which runs of earlier versions do not hold."""

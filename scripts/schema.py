@@ -16,9 +16,9 @@ from dynasindy.evaluation.ablation import Level
 from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
+from dynasindy.sindy.functions import register_formula
 from dynasindy.systems import System
 from dynasindy.tasks.signals import Signal
-from dynasindy.world_models.libraries.formulas import register_formula
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}

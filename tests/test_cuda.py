@@ -19,9 +19,9 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.limits import device
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
+from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
-from dynasindy.world_models import Regression, SindyModel
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 PLANNERS = {

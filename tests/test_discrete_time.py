@@ -10,9 +10,9 @@ import torch
 
 import dynasindy
 from dynasindy.control import load, save
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import Refinement, Regression, SindyModel
 
 DT = 0.25
 LIBRARY = ["1", "p", "v", "force", "cos(3 p)", "sin(3 p)", "v cos(3 p)"]

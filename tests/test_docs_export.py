@@ -15,10 +15,10 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import Pace
 from dynasindy.export import controller_sources
 from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import STRICT, compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "export.md").read_text()

@@ -23,8 +23,8 @@ from schema import check
 from dynasindy.data.columns import infer
 from dynasindy.data.csv import CsvLog
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.writers.files import load
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.model_file import load
 
 CONF = mistakes.CONF
 VALUES = (

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from dynasindy.checking.flights import TOLERANCE, fly
 from dynasindy.checking.loop import Loop
-from dynasindy.world_models import SindyModel
+from dynasindy.sindy import SindyModel
 
 GAINS = torch.linspace(1.0, 4.0, 25, dtype=torch.float64)
 """Factors on the effect of the inputs that are tried, that of the model first."""

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.control.controller import Pace
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops, integrate, steps_needed
 from dynasindy.systems.steps import Rates
-from dynasindy.world_models import SindyModel
 
 FINE = 1e-6
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""

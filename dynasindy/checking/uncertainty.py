@@ -13,9 +13,9 @@ from torch import Tensor
 from dynasindy.checking.linear import Array, Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.settling import settling
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.equations import change_of
 from dynasindy.told import counted, tell
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.writers.tables import change_of
 
 SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""

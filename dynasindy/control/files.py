@@ -32,9 +32,9 @@ from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.given import DamagedFileError, read_record, understood
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 FORMAT = "dynasindy controller 1"
 NAME = "controller.json"

@@ -16,9 +16,9 @@ from dynasindy.limits import check_memory
 from dynasindy.limits import device as device_of
 from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sindy import WorldModel
 from dynasindy.systems import System
 from dynasindy.tasks import Task
-from dynasindy.world_models import WorldModel
 
 
 @dataclass(frozen=True)

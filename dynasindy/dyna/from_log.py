@@ -19,10 +19,10 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
 from dynasindy.sensing import Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.tasks import Tracking
 from dynasindy.terminal import say, width
 from dynasindy.workbench import foretell, plan
-from dynasindy.world_models import SindyModel
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from torch import Tensor
 
 from dynasindy.data.recording import transitions
 from dynasindy.dyna.parts import Bench
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.systems import Diverged
-from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.libraries.named import polynomial
 
 NEAR = 1.0
 """Ranges around the start within which the linear model is fitted."""

@@ -19,8 +19,8 @@ from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
 from dynasindy.planning import Gate, ModelPrediction, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sindy import WorldModel
 from dynasindy.tasks import Tracking
-from dynasindy.world_models import WorldModel
 
 
 @dataclass(kw_only=True)

@@ -33,8 +33,8 @@ from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, summarise
 from dynasindy.planning.rests import states_that_matter
+from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.tasks import Tracking
-from dynasindy.world_models import FitReport, SindyModel
 
 GATE_COLUMNS = (
     "episode",

@@ -13,10 +13,10 @@ from torch import Tensor
 from dynasindy.data.recording import Logged, measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
+from dynasindy.sindy import WorldModel
 from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell
-from dynasindy.world_models import WorldModel
 
 WINDOW = 20
 """Control periods of a held-out window: an imagined rollout."""

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 
 from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.evaluation.source import Source
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.named_libraries import auto, auto_rig
+from dynasindy.sindy.reconstruction import moving_on, rates_known
+from dynasindy.sindy.shape_parameters import of_one_angle
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.angles import TURNS
 from dynasindy.systems.base import Signature
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries import auto, auto_rig
-from dynasindy.world_models.refinement.measured import rates_known
-from dynasindy.world_models.refinement.order import moving_on
-from dynasindy.world_models.refinement.quotient import of_one_angle
 
 PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
 """Plants whose library and known equations `system=NAME` takes."""

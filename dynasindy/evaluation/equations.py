@@ -6,12 +6,12 @@ import numpy as np
 
 from dynasindy.durations import in_words
 from dynasindy.evaluation.before_fit import known_word
+from dynasindy.sindy import FitReport, SindyModel
+from dynasindy.sindy.functions import QUOTIENTS
+from dynasindy.sindy.input_nonlinearity import Bend, bends_in
+from dynasindy.sindy.library import Feature
+from dynasindy.sindy.reconstruction import rates_known
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.libraries.features import Feature
-from dynasindy.world_models.libraries.functions import QUOTIENTS
-from dynasindy.world_models.models.bends import Bend, bends_in
-from dynasindy.world_models.refinement.measured import rates_known
 
 LATE = "the inputs act"
 """First words of the line that tells a delay."""

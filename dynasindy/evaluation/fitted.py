@@ -16,13 +16,48 @@ from dynasindy.evaluation.equations import hidden_states
 from dynasindy.evaluation.horizons import LOST, Forecasts, forecast
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
+from dynasindy.sindy.delay import arrived
+from dynasindy.sindy.fit_report import FitReport, Refined
+from dynasindy.sindy.lag_states import Trial, trials
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.reconstruction import moving_on
+from dynasindy.sindy.refinement import Refinement
 from dynasindy.systems import Signature
+from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
-from dynasindy.world_models import FitReport, Refinement, SindyModel
-from dynasindy.world_models.models.aside import aside
-from dynasindy.world_models.models.follower import Trial, trials
-from dynasindy.world_models.refinement.delay import arrived
-from dynasindy.world_models.refinement.order import moving_on
+
+
+@dataclass(frozen=True, kw_only=True)
+class Taken(Refinement):
+    """Return what was found before, at no cost.
+
+    Attributes:
+        found: what it was.
+    """
+
+    found: Refined
+
+    def run(self, *of: object, **given: object) -> Refined:
+        """Return it, whatever the data are."""
+        return self.found
+
+
+def aside(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
+    """Return the model that a fit has set aside, and the report of it.
+
+    What it is fitted to later, as parts of the log are, it is fitted to as a whole, too: by one simulation.
+
+    Args:
+        model: what was fitted; it stays as it is.
+        found: what the fit set aside.
+        data: the recording that it was fitted to.
+    """
+    other, settings = copy.deepcopy(model), model.refinement or Refinement()
+    other.refinement = Taken(**vars(settings), found=found)
+    report = other.fit(data)
+    other.refinement = replace(settings, error="simulation")
+    return other, report
+
 
 BETTER = 0.7
 """Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""

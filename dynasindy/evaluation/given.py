@@ -47,7 +47,7 @@ def understood(source: Path | str) -> Iterator[None]:
         raise DamagedFileError(f"{source} cannot be read: {error.strerror}; check what it is") from error
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error) as error:
         # It imports torch, which commands that only print their help do without.
-        from dynasindy.world_models.libraries.functions import FunctionError
+        from dynasindy.sindy.functions import FunctionError
 
         if isinstance(error, FunctionError):
             raise

@@ -22,10 +22,10 @@ from torch import Tensor
 from dynasindy.durations import MANY
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.evaluation.symptoms import resolutions, resolutions_by
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.delay import delayed
+from dynasindy.sindy.reconstruction import at_rest, rates_known, reconstruct
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.refinement.delay import delayed
-from dynasindy.world_models.refinement.measured import at_rest, rates_known, reconstruct
 
 STARTS = 200
 """Start times, at most; as many tell, on the data of the fit, on how many samples start states are best estimated."""

@@ -24,16 +24,15 @@ from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
+from dynasindy.sindy import FitReport, SindyModel
+from dynasindy.sindy.actuators import Found, find_actuator
+from dynasindy.sindy.delay import arrived, delayed
+from dynasindy.sindy.input_nonlinearity import Bend, missing_bend
+from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop
+from dynasindy.sindy.reconstruction import moving_on, rates_known
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import tell, telling
-from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.models.actuators import Found, find_actuator
-from dynasindy.world_models.models.bends import Bend, missing_bend
-from dynasindy.world_models.models.prediction import nrmse, one_step_error, open_loop
-from dynasindy.world_models.refinement.delay import arrived, delayed
-from dynasindy.world_models.refinement.measured import rates_known
-from dynasindy.world_models.refinement.order import moving_on
 
 ExcitationBuilder = Callable[..., Excitation]
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.sindy.prediction import variance
+from dynasindy.sindy.regression import least_squares
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.models.prediction import variance
-from dynasindy.world_models.regression.regression import least_squares
 
 ORDERS = (1, 2, 4, 8, 16)
 """Numbers of past samples to choose from."""

@@ -15,11 +15,11 @@ from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.oscillation import fastest_doubling, fastest_oscillation
 from dynasindy.planning.pace import LONGEST, TIME_CONSTANTS, settles
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.lag_states import begins
+from dynasindy.sindy.reconstruction import rates_known, reconstruct
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.follower import begins
-from dynasindy.world_models.refinement.measured import rates_known, reconstruct
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""

@@ -12,11 +12,11 @@ import torch
 from dynasindy.data.csv import Recording
 from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.arguments import as_arguments
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.lag_states import completed, widened
+from dynasindy.sindy.reconstruction import ranged, rates_known
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.follower import completed, widened
-from dynasindy.world_models.refinement.measured import ranged, rates_known
 
 VALIDATION_SHARE = 0.25
 """Part of a log, at its end, that is kept to judge on."""

@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.delay import arrived
+from dynasindy.sindy.noise import sensor_noise
+from dynasindy.sindy.reconstruction import best_length, filled, local_cubic
+from dynasindy.sindy.regression import least_squares
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.refinement.delay import arrived
-from dynasindy.world_models.refinement.measured import best_length, filled, local_cubic
-from dynasindy.world_models.refinement.noisy import sensor_noise
-from dynasindy.world_models.regression.regression import least_squares
 
 Array = NDArray[np.float64]
 LAGS = 10

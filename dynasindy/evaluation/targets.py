@@ -12,9 +12,9 @@ from torch.quasirandom import SobolEngine
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.rests import PERIOD, find_rests
+from dynasindy.sindy import SindyModel
 from dynasindy.systems.angles import turn_of
 from dynasindy.systems.base import Signature
-from dynasindy.world_models import SindyModel
 
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""

@@ -12,10 +12,10 @@ from torch import Tensor
 from dynasindy.durations import in_words
 from dynasindy.evaluation.horizons import LOST, Forecasts
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.library import Factor, Feature
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries.features import Factor, Feature
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""

@@ -11,10 +11,10 @@ from dynasindy.evaluation import verdict
 from dynasindy.evaluation.equations import bend_hint, found_in_model, idle
 from dynasindy.evaluation.identification import Identified
 from dynasindy.evaluation.source import Source
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.actuators import behind
+from dynasindy.sindy.equations import to_csv, to_latex, to_text, with_errors
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.actuators import behind
-from dynasindy.world_models.writers.tables import to_csv, to_latex, to_text, with_errors
 
 BEHIND = "model_with_actuator.json"
 """File of a model one of whose states is an actuator, which no sensor sees."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from dynasindy.export.expressions import Formulas, right_sides
 from dynasindy.export.names import comment, identifiers, module_name, number
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
-from dynasindy.world_models import SindyModel
 
 _HELPERS = {
     "sign": "/* -1, 0 or 1. */\nstatic double sign(double a)\n{\n    return (double)((a > 0.0) - (a < 0.0));\n}\n",

@@ -1,6 +1,6 @@
 """The equations of a sparse model as plain formulas, which C, NumPy and CasADi read alike.
 
-They are written by the very code that writes them for torch, `dynasindy.world_models.writers.fast_field`: what several
+They are written by the very code that writes them for torch, `dynasindy.sindy.codegen`: what several
 terms share is computed once. Operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
 """
 
@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from dynasindy.export.names import number
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries.functions import FORMULA_FUNCTIONS
-from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.writers.infix import InfixWriter
-from dynasindy.world_models.writers.tables import mapping
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.codegen import InfixWriter
+from dynasindy.sindy.equations import mapping
+from dynasindy.sindy.functions import FORMULA_FUNCTIONS
+from dynasindy.sindy.library import Library
 
 _OPERATOR = re.compile(r" [-+*/] |-(?=square)")
 _CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")

@@ -10,9 +10,9 @@ from dynasindy.control.files import require_states
 from dynasindy.export.names import number, reach
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import NUDGE, UNKNOWN
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 from dynasindy.systems.steps import Steps
-from dynasindy.world_models import SindyModel
 
 NO_STEPS = Steps(0.0, 0, False)
 

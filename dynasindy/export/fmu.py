@@ -26,9 +26,9 @@ from dynasindy.export.filter import stop_words
 from dynasindy.export.fmi_names import answers
 from dynasindy.export.names import module_name, number
 from dynasindy.export.templates import fill
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, build, compiler
-from dynasindy.world_models import SindyModel
 
 REFERENCES = {2: "unsigned int", 3: "uint32_t"}
 """Versions of FMI that are written, and what their value references are in C."""

@@ -1,6 +1,6 @@
 """The model for other tools: Python source for CasADi, LaTeX, a NumPy function and a system of python-control.
 
-SymPy expressions are in `dynasindy.world_models.models.interchange.to_sympy`.
+SymPy expressions are in `dynasindy.sindy.pysindy_interchange.to_sympy`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from dynasindy.export.expressions import Formulas, formulas, right_sides
 from dynasindy.export.names import comment, identifiers, module_name
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.writers.tables import equations_to_latex
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.equations import equations_to_latex
 
 NumpyField = Callable[[Any, Any], NDArray[np.float64]]
 

@@ -17,9 +17,9 @@ from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx_controller import controller_onnx
 from dynasindy.export.onnx_policy import policy_onnx
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import compiler
-from dynasindy.world_models import SindyModel
 
 STEP = 0.01
 """Longest Runge-Kutta step of the plant's FMU, whatever the steps of a controller [s]."""

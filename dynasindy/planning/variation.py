@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.limits import Count
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.ensemble import bag
 from dynasindy.systems import Altered, System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.ensemble import bag
 
 
 @dataclass(frozen=True)

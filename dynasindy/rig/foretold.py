@@ -11,9 +11,9 @@ from dynasindy import workbench
 from dynasindy.control import Controller
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig.shown import LAST
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Diverged
 from dynasindy.tasks import Step
-from dynasindy.world_models import SindyModel
 
 
 def foretold(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:

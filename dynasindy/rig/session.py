@@ -28,11 +28,11 @@ from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
 from dynasindy.rig.foretold import foretold
 from dynasindy.rig.log import heading
 from dynasindy.rig.shown import Shown
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries import LibraryBuilder
 
 Tell = Callable[[str], None]
 WARM = 3

@@ -1,6 +1,6 @@
 """Derivatives of formulas: from straight-line code of values to straight-line code of values and slopes.
 
-Formulas are in operators, numbers and `functions.FORMULA_FUNCTIONS`, as `dynasindy.world_models.writers.machine`
+Formulas are in operators, numbers and `functions.FORMULA_FUNCTIONS`, as `dynasindy.sindy.codegen`
 writes them. Every value carries the derivatives that are not zero, by the variables that it depends on (forward mode).
 They call one function more: `exceeds(a, b)` is 1 where a > b, else 0.
 """

@@ -5,12 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.sindy.shooting import Estimate, Flow, linearise
+from dynasindy.sindy.windows import Windows
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.flow import Estimate, Flow
-from dynasindy.world_models.refinement.shooting import linearise
-from dynasindy.world_models.refinement.windows import Windows
-from dynasindy.world_models.regression.sensitivity import Parameters
 
 
 def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tensor) -> Tensor:

@@ -12,11 +12,11 @@ from scipy.optimize import least_squares
 
 from benchmarks.open_loop import simulated
 from benchmarks.rivals import pysindy_of
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.refine import Refinement
-from dynasindy.world_models.regression.regression import Regression
 
 Array = NDArray[np.float64]
 FIRST = 20

@@ -18,14 +18,11 @@ from benchmarks.textbook import CASES
 from dynasindy.data.simulated import disturb, record_all
 from dynasindy.evaluation.rows import Row
 from dynasindy.excitation import HeldRandom
+from dynasindy.sindy.library import Library, variable
+from dynasindy.sindy.shooting import Descent, Flow, certainty, linearise
+from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.libraries.features import variable
-from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.refinement.descent import Descent
-from dynasindy.world_models.refinement.flow import Flow
-from dynasindy.world_models.refinement.shooting import certainty, linearise
-from dynasindy.world_models.refinement.trajectory import refine_trajectory
 
 LOGS = 2
 """Logs of each plant, for each seed that is asked for."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.base import Signature, System
-from dynasindy.world_models.models.sindy import SindyModel
 
 MASS, VISCOUS, DRY, PUSH = 95.1089, 203.5034, 20.3935, -3.1648
 """Mass [kg], friction [N s/m] and [N], and push against the axis [N]: Janot, Gautier and Brunot, EMPS, 2019."""

@@ -35,11 +35,11 @@ from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Variation
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Channel, Sensors
+from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import System, Tras, Trms33, Xi
 from dynasindy.systems.tras import TrasConstants
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.tasks import Mixture, RandomStep, Reference, Tracking, TrackingReward, Wave
-from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
 
 Pair = tuple[float, float]
 

@@ -32,14 +32,14 @@ from benchmarks.rivals import (
 from dynasindy.data.simulated import disturb, record, record_all
 from dynasindy.evaluation.rows import Row, read_rows, write_rows
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.diagnosis import Missing, diagnose
+from dynasindy.sindy.named_libraries import paper_table
+from dynasindy.sindy.prediction import one_step_error
+from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems import System, Tras, Xi, integrate
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.trms33 import Trms33
-from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.libraries import paper_table
-from dynasindy.world_models.models.diagnosis import Missing, diagnose
-from dynasindy.world_models.models.prediction import one_step_error
-from dynasindy.world_models.regression.sensitivity import Parameters
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
@@ -333,7 +333,7 @@ def _fitted(plant: System, library: str, amplitude: tuple[float, float]) -> Sind
 
 
 def _pysindy_speed(model: SindyModel) -> Row:
-    from dynasindy.world_models.models.interchange import to_pysindy
+    from dynasindy.sindy.pysindy_interchange import to_pysindy
 
     theirs, t = to_pysindy(model), np.arange(0, 1.05, 0.05)
     u = np.full((len(t), 2), 0.1)

@@ -28,8 +28,8 @@ from dynasindy.data.units import in_radians
 from dynasindy.evaluation.files import write_csv
 from dynasindy.evaluation.rows import Row
 from dynasindy.sensing import Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import integrate
-from dynasindy.world_models import SindyModel
 
 COLUMNS = (
     *("plant", "seed", "foretold", "foretold_percent", "output", "error_percent", "worst_percent"),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from dynasindy.sindy.delay import delayed
 from dynasindy.systems.base import System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.refinement.delay import delayed
 
 
 def simulated(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy.delay import delayed
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.refinement.delay import delayed
 
 STEP = 2 * math.pi / 2048
 """Resolution of both encoders [rad]."""

@@ -35,13 +35,13 @@ from benchmarks.open_loop import simulated
 from benchmarks.qube import PublishedQube, ahead
 from benchmarks.rivals import pysindy_of
 from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.prediction import stays_near
+from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
-from dynasindy.world_models.models.bounded import stays_near
-from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.refine import Refinement
-from dynasindy.world_models.regression.regression import Regression
 
 Array = NDArray[np.float64]
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")

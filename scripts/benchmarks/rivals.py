@@ -12,11 +12,11 @@ import torch
 from scipy.signal import savgol_filter
 from torch import Tensor
 
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.reconstruction import Seen, rates_known, reconstruct
+from dynasindy.sindy.regression import Rows, integral_form, simpson_form
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.models.sindy import SindyModel
-from dynasindy.world_models.refinement.measured import Seen, rates_known, reconstruct
-from dynasindy.world_models.regression.regression import Rows, integral_form, simpson_form
 
 Score = tuple[int, int, float]
 THRESHOLDS = (0.1, 0.3, 0.9, 3.0, 10.0, 30.0, 100.0, 300.0)

@@ -32,9 +32,9 @@ from benchmarks.stopwatch import cpu_seconds
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.evaluation.rows import Row, read_rows, write_rows
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import System
 from dynasindy.systems.compiler import forget
-from dynasindy.world_models import SindyModel
 
 COLUMNS = ["job", "cpu_seconds", "beside", "beside_cpu_seconds", "ratio", "commit"]
 STEPS, REPEATS = 1000, 7

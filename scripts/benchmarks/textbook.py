@@ -15,13 +15,13 @@ from benchmarks.rivals import Score, best_threshold, score, smoothed_rows, stlsq
 from dynasindy.data.simulated import disturb, record_all
 from dynasindy.evaluation.rows import Row
 from dynasindy.excitation import HeldRandom
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.named_libraries import polynomial
+from dynasindy.sindy.regression import Rows
+from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.libraries import polynomial
-from dynasindy.world_models.libraries.library import Library
-from dynasindy.world_models.regression.regression import Rows
-from dynasindy.world_models.regression.sensitivity import Parameters
 
 LEVELS = (0.01, 0.05, 0.1, 0.2)
 """Standard deviation of the noise, relative to that of each state."""

@@ -5,10 +5,9 @@ import pytest
 import torch
 from benchmarks.bound import cramer_rao
 
+from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.libraries.features import CONSTANT, variable
-from dynasindy.world_models.libraries.library import Library
 
 
 def test_the_slope_of_a_line_is_known_as_well_as_least_squares_can():

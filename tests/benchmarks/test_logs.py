@@ -17,9 +17,9 @@ from dynasindy import Controller
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import Pace
 from dynasindy.sensing import Channel
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 
 def test_a_log_has_the_measured_states_alone(tmp_path):

@@ -6,9 +6,9 @@ import pytest
 import torch
 from benchmarks.open_loop import simulated
 
+from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models.models.sindy import SindyModel
 
 
 def test_a_simulation_takes_inputs_when_they_take_effect():

@@ -5,8 +5,8 @@ import pytest
 import torch
 from benchmarks.rigs import Log, _ahead_rows, _axis_errors, _columns, course, replayed
 
+from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
-from dynasindy.world_models import SindyModel
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():

@@ -6,8 +6,8 @@ import torch
 from benchmarks import identify, rivals
 from benchmarks.rivals import best_threshold, given_rows, own_rows, score, stlsq
 
+from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.systems import Xi
-from dynasindy.world_models.libraries import paper_table
 
 
 def test_scores_count_true_and_false_terms():
@@ -17,7 +17,7 @@ def test_scores_count_true_and_false_terms():
 
 
 def test_given_rows_hold_the_law_of_the_plant_a_hundred_times_closer_than_the_trapezoidal_rule():
-    from dynasindy.world_models.regression.regression import integral_form
+    from dynasindy.sindy.regression import integral_form
 
     library, truth, data = paper_table(Xi().signature), identify.true_table(), identify.xi_recording(4.0, 0.05, 0)
     misses = [

@@ -8,10 +8,10 @@ from benchmarks import speed
 from benchmarks.arguments import parsed
 
 from dynasindy.evaluation.rows import read_rows, write_rows
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import System, Tras
 from dynasindy.systems import compiler as compiling
 from dynasindy.systems.compiler import compiler
-from dynasindy.world_models import SindyModel
 
 HEAD = ["job", "cpu_seconds", "beside", "beside_cpu_seconds", "ratio", "commit"]
 OLD = (("environment", 1, "torch code", 2, 2, "a"), ("start-up", 9, "import torch", 9, 1, "a"))

@@ -11,9 +11,9 @@ from dynasindy.checking.plant import Plant
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
 DT = 0.1

@@ -13,8 +13,8 @@ from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear import covariance_at
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.record import number, record
+from dynasindy.sindy import SindyModel
 from dynasindy.told import hearing
-from dynasindy.world_models import SindyModel
 
 SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 

@@ -10,7 +10,7 @@ import torch
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.flown import GAINS, LATEST, flown, rubs
 from dynasindy.checking.verdict import verdict
-from dynasindy.world_models import SindyModel
+from dynasindy.sindy import SindyModel
 
 START = torch.tensor([[-0.2, 0.0], [0.2, 0.0]], dtype=torch.float64)
 TARGETS = -START[:, :1]

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from dynasindy.checking.loop import Loop
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate
-from dynasindy.world_models import SindyModel
 
 
 def flown(loop, x, r, periods):

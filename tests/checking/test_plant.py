@@ -8,8 +8,8 @@ import torch
 
 from dynasindy.checking.plant import FINE, Plant, step_for
 from dynasindy.control.controller import Pace
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
-from dynasindy.world_models import SindyModel
 
 
 def test_a_spring_swings_as_a_cosine(carts):

@@ -8,10 +8,10 @@ import torch
 
 from dynasindy.checking.linear import rest
 from dynasindy.checking.uncertainty import Spread, spread, variants
+from dynasindy.sindy import Refinement, SindyModel
+from dynasindy.sindy.covariance import Covariance
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import Refinement, SindyModel
-from dynasindy.world_models.regression.covariance import Covariance
 
 
 def test_each_coefficient_of_the_data_is_moved_and_no_other(carts):

@@ -14,9 +14,9 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature, System
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
-from dynasindy.world_models import SindyModel
 
 WORDS = ["u", "Omega", "sin(theta)"]
 COUNT = 2 * math.pi / 4096

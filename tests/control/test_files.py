@@ -14,9 +14,9 @@ from dynasindy.control.controller import Pace
 from dynasindy.control.files import network
 from dynasindy.evaluation.given import DamagedFileError
 from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.world_models import Oracle, SindyModel
 
 SIGNATURE = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 

@@ -12,9 +12,9 @@ from dynasindy.dyna.loop import Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, NoPlanning
+from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Tracking
-from dynasindy.world_models import Oracle
 
 
 def recipe(seed=0):

@@ -12,10 +12,10 @@ from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, rep
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
+from dynasindy.sindy import Oracle, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step
 from dynasindy.workbench import tracking
-from dynasindy.world_models import Oracle, Regression, SindyModel
 
 LIBRARY = ["1", "u", "Omega", "sin(theta)"]
 

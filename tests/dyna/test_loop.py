@@ -15,9 +15,9 @@ from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ImaginedReplay, NoPlanning, Planned, Planner
+from dynasindy.sindy import Oracle
 from dynasindy.systems import Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking
-from dynasindy.world_models import Oracle
 
 
 class Recording(Planner):

@@ -17,9 +17,9 @@ from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import LateEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, ImaginedReplay
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Pendulum
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.world_models import Refinement, Regression, SindyModel
 
 
 @pytest.mark.parametrize(

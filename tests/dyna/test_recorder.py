@@ -23,10 +23,10 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
+from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
 from dynasindy.told import hearing
-from dynasindy.world_models import Oracle, SindyModel
 
 
 @pytest.fixture(scope="module")

@@ -18,9 +18,9 @@ from dynasindy.dyna.refit import _acting, first_fit, fit, held_out_windows, refi
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
+from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Tracking
-from dynasindy.world_models import Oracle, SindyModel
 
 
 class Scaled(Oracle):

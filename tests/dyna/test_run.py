@@ -17,9 +17,9 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Bounds, Gate, GradientPlanning, GradientThenReplay, ImaginedReplay, NoPlanning, Variation
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
-from dynasindy.world_models import Refinement, Regression, SindyModel
 
 REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2, bounds=Bounds(distance=2.0))
 GRADIENT = partial(

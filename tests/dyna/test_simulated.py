@@ -8,8 +8,8 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.sensing import Sensors
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Signature, System
-from dynasindy.world_models import Refinement, Regression, SindyModel
 
 CHIRP = partial(Chirp, duration=None, band=None, amplitude=0.4)
 

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from dynasindy.evaluation.arguments import as_arguments, as_warning
-from dynasindy.world_models.libraries.functions import FunctionError, function
+from dynasindy.sindy.functions import FunctionError, function
 
 
 @pytest.mark.parametrize(

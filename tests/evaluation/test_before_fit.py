@@ -14,8 +14,8 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.identification import Logged
 from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
-from dynasindy.world_models import SindyModel
 
 EXCITATION = partial(Chirp, duration=5.0)
 

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from dynasindy.evaluation.equations import bend_hint, found_in_model, hidden_states, idle
+from dynasindy.sindy import FitReport, SindyModel
+from dynasindy.sindy.input_nonlinearity import Bend
+from dynasindy.sindy.regression import RunningSums
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import FitReport, SindyModel
-from dynasindy.world_models.models.bends import Bend
-from dynasindy.world_models.regression.regression import RunningSums
 
 
 def test_delay_friction_and_springs_of_a_model_are_said_in_words():

@@ -15,11 +15,11 @@ from dynasindy.evaluation.horizons import Forecasts, forecast
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.fit_report import Refined
+from dynasindy.sindy.lag_states import Trial
 from dynasindy.systems import Diverged, Pendulum, Signature, System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import Refinement, Regression, SindyModel
-from dynasindy.world_models.models.follower import Trial
-from dynasindy.world_models.refinement.refined import Refined
 
 
 @pytest.fixture

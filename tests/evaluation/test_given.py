@@ -16,7 +16,7 @@ from dynasindy.evaluation.given import (
     read_text,
     understood,
 )
-from dynasindy.world_models.libraries.functions import FunctionError, function
+from dynasindy.sindy.functions import FunctionError, function
 
 
 def test_text_records_and_tables_are_read_as_they_stand(tmp_path):

@@ -8,9 +8,9 @@ import torch
 
 from dynasindy.evaluation.horizons import _length, characteristic, estimate, forecast
 from dynasindy.evaluation.linear import LinearModel
+from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
 
 SIGNATURE = Signature(("q", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
 DT, OMEGA = 0.02, 3.0

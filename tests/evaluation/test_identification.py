@@ -16,13 +16,12 @@ from dynasindy.evaluation.identification import Logged, identify
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.written import to_words
 from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
+from dynasindy.sindy.actuators import Actuator, Found
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 from dynasindy.told import hearing
-from dynasindy.world_models import Oracle, Refinement, Regression, SindyModel
-from dynasindy.world_models.models.actuators import Found
-from dynasindy.world_models.refinement.actuator import Actuator
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 

@@ -14,9 +14,9 @@ from dynasindy.evaluation.period import as_planned, nearest_period, other_period
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, System
 from dynasindy.workbench import tracking
-from dynasindy.world_models import SindyModel
 
 NAMES = ["p", "v", "u"]
 

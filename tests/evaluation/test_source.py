@@ -7,9 +7,9 @@ import torch
 
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.source import Source
+from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
 
 SIGNATURE = Signature(("q", "p"), ("rad", "-"), ("u",), (1.0, 1.0))
 

@@ -6,9 +6,9 @@ import torch
 
 from dynasindy.evaluation import symptoms as module
 from dynasindy.evaluation.symptoms import closed_loop, resolution, resolutions, resolutions_by, saturated, step_of
+from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
 
 T = 0.01 * np.arange(3000)
 

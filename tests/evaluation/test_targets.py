@@ -8,9 +8,9 @@ import torch
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, logged_range, require_radians, targets_like
+from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
 
 NONE = {"outputs": None, "low": None, "high": None}
 

@@ -20,12 +20,11 @@ from dynasindy.evaluation.verdict import (
     unmoved,
     unresolved,
 )
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.library import Library, of, variable
 from dynasindy.systems import Pendulum
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries.features import of, variable
-from dynasindy.world_models.libraries.library import Library
 
 SIGNATURE = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
 

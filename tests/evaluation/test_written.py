@@ -11,9 +11,9 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.identification import identify
 from dynasindy.evaluation.written import anew, to_words, write
 from dynasindy.excitation import Chirp
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
 from dynasindy.systems.transitions import Transitions
-from dynasindy.world_models import Refinement, Regression, SindyModel
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 

@@ -7,12 +7,11 @@ from dynasindy.agents.networks import actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.library import Library, of, variable
+from dynasindy.sindy.named_libraries import rotor
 from dynasindy.systems import Signature, Stops, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries import rotor
-from dynasindy.world_models.libraries.features import of, variable
-from dynasindy.world_models.libraries.library import Library
 
 PENDULUM = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
 

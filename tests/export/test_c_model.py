@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from dynasindy.export import model_sources
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import build, compiler
-from dynasindy.world_models import SindyModel
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 WORDS = ["1", "a", "a |a| b", "sign(b)", "exp(-(2 a)^2)", "sqrt(b - 0.3)", "max(0, a - -0.2)", "b /(1 + 3 cos(a)^2)"]

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from dynasindy.export.expressions import formulas
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.functions import FORMULA_FUNCTIONS, register_function
 from dynasindy.systems import Signature
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.libraries.functions import FORMULA_FUNCTIONS, register_function
 
 SIGNATURE = Signature(("a", "b"), ("-", "-"), ("c",), (1.0, 1.0))
 WORDS = [

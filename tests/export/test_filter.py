@@ -6,8 +6,8 @@ import pytest
 
 from dynasindy.export import controller_sources
 from dynasindy.export.filter import Filter, stop_words
+from dynasindy.sindy import Oracle
 from dynasindy.systems import Stops
-from dynasindy.world_models import Oracle
 
 
 def numbers(words):

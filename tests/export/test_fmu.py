@@ -13,9 +13,9 @@ from dynasindy import __version__
 from dynasindy.export import controller_sources, fmu
 from dynasindy.export.compiler import Native
 from dynasindy.export.fmu import controller_fmu, plant_fmu
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate
 from dynasindy.systems.compiler import compiler
-from dynasindy.world_models import SindyModel
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynasindy.export.formats import casadi_source, control_system, latex_source, numpy_field
-from dynasindy.world_models.models.interchange import to_sympy
+from dynasindy.sindy.pysindy_interchange import to_sympy
 
 POINTS = np.random.default_rng(3).uniform(-1, 1, (10, 3))
 

@@ -9,8 +9,8 @@ from tables import cell, middle, numbers, pair, record, rows, setting, short, ta
 from ties import Tie, Untied
 
 from dynasindy.evaluation.fitted import BETTER
-from dynasindy.world_models.models.follower import TIMES
-from dynasindy.world_models.refinement.trajectory import WORSE
+from dynasindy.sindy.lag_states import TIMES
+from dynasindy.sindy.trajectory_fit import WORSE
 
 README, IDENTIFICATION, BASELINES = "README.md", "docs/identification.md", "docs/results/baselines.md"
 SPEED = "docs/speed.md"

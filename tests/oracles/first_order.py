@@ -5,9 +5,8 @@ import math
 import numpy as np
 import torch
 
+from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.systems.base import Signature
-from dynasindy.world_models.libraries.features import CONSTANT, variable
-from dynasindy.world_models.libraries.library import Library
 
 SIGNATURE = Signature(("y",), ("-",), ("u",), (1.0,))
 LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("y", 2)])

@@ -8,9 +8,9 @@ from dynasindy.excitation import Multisine
 from dynasindy.planning import Bounds
 from dynasindy.planning.bounds import Agreeing, Near, Within
 from dynasindy.planning.variation import Members
+from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import System, Xi
 from dynasindy.tasks import Step, Tracking
-from dynasindy.world_models import Oracle, SindyModel
 
 
 def steps(states, actions):

@@ -12,8 +12,8 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.planning import improve as module
 from dynasindy.planning.improve import Floor, OnTop, better, improve, rewards, starts
 from dynasindy.planning.window import Rows, imagine
+from dynasindy.sindy import OwnReward
 from dynasindy.systems import Signature, System
-from dynasindy.world_models import OwnReward
 
 HERE, THERE, PERIODS = -0.3, 1.0, 40
 

@@ -9,9 +9,9 @@ from dynasindy.data.simulated import record
 from dynasindy.excitation import HeldRandom
 from dynasindy.planning import Variation, Varied
 from dynasindy.planning.variation import Members
+from dynasindy.sindy import Oracle, Regression, SindyModel
+from dynasindy.sindy.ensemble import bag
 from dynasindy.systems import Signature, Tras, Xi, integrate
-from dynasindy.world_models import Oracle, Regression, SindyModel
-from dynasindy.world_models.models.ensemble import bag
 
 ALL = torch.ones(5, dtype=torch.bool)
 

@@ -20,9 +20,9 @@ from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.rig import FastClock, Fault, Flights, Guard, InProcessRig, RigEnv, Wiring
 from dynasindy.rig.env import WARM
 from dynasindy.sensing import Observer, Sensing, Sensors, Wired
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Xi, rk4
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 PLANT, SAFE = Pendulum(), np.array([0.25])
 SPECS = ("observation_spec", "action_spec", "reward_spec", "done_spec", "state_spec")

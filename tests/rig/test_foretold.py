@@ -10,9 +10,9 @@ from tensordict.nn import TensorDictModule
 from dynasindy import Controller
 from dynasindy.control.controller import Pace
 from dynasindy.rig.foretold import foretold
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 DT = 0.05
 

@@ -19,9 +19,9 @@ from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Diverged, Pendulum, Signature, Unknown
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 COUNT = 2 * np.pi / 4096
 KNOWLEDGE = Knowledge(

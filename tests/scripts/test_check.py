@@ -14,9 +14,9 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import Pace
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.world_models import SindyModel
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "check.py"
 SMALL = ("points=1", "grid=2", "draws=1", "seconds=3")

@@ -18,8 +18,8 @@ from omegaconf import OmegaConf
 import dynasindy
 from dynasindy.data.simulated import record
 from dynasindy.excitation import Multisine
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.world_models import SindyModel
 
 ROOT = Path(__file__).parents[2]
 TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.world_models import SindyModel
+from dynasindy.sindy import SindyModel
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

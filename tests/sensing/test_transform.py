@@ -23,9 +23,9 @@ from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sindy import Oracle
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, Wave
-from dynasindy.world_models import Oracle
 
 COUNT = 2 * math.pi / 4096
 BENCH = {

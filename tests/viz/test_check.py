@@ -7,10 +7,10 @@ import torch
 from dynasindy.checking import Check, Loop, Plant, Settings, check
 from dynasindy.control import Controller
 from dynasindy.control.controller import Pace
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
 from dynasindy.viz.check import Tracked, coefficients, draw, nyquist, recovery, steps
-from dynasindy.world_models import SindyModel
 
 CART = Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0))
 

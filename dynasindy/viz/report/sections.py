@@ -11,6 +11,8 @@ import torch
 from dynasindy.evaluation.metrics import MIN_STEP
 from dynasindy.evaluation.rows import read_rows
 from dynasindy.evaluation.table import over_seeds
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.prediction import open_loop
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import named
@@ -50,8 +52,6 @@ from dynasindy.viz.report.verdicts import (
 from dynasindy.viz.response import step_response, tracking
 from dynasindy.viz.run import periods, stacked
 from dynasindy.viz.style import Array
-from dynasindy.world_models import SindyModel
-from dynasindy.world_models.models.prediction import open_loop
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 OURS = [(plant, "dyna") for plant in PLANTS]

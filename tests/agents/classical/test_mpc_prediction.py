@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from dynasindy.agents.classical.mpc_prediction import Predictor
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Tras
 from dynasindy.systems.integrators import rk4
-from dynasindy.world_models import SindyModel
 
 pytest.importorskip("casadi")
 

@@ -8,8 +8,8 @@ import torch
 from torch.autograd.functional import jacobian
 
 from dynasindy.agents.classical import symbolic
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras, Trms33, Xi
-from dynasindy.world_models import SindyModel
 
 casadi = pytest.importorskip("casadi")
 

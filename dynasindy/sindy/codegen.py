@@ -1,0 +1,359 @@
+"""A sparse model as code: torch, formulas with infix operators, machine code; it computes active functions only."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple, Self
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.functions import function
+from dynasindy.sindy.library import Factor, Feature, Library
+from dynasindy.systems.base import Signature
+from dynasindy.systems.machine import Machine, Program
+
+Field = Callable[[Tensor, Tensor], Tensor]
+
+
+def generate(library: Library, coefficients: Tensor) -> Field:
+    """Write and compile dx = Xi' Theta(x, u).
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+
+    Returns:
+        `(x, u) -> dx`, `(*batch, n_x)`, with the library's `step` as an attribute.
+
+    Raises:
+        ValueError: a coefficient is not finite, or the model has more functions than can be written.
+    """
+    refuse_not_finite(library, coefficients)
+    try:
+        writer = FieldWriter(library, coefficients)
+    except RecursionError as error:
+        raise ValueError(f"the model has too many terms of {len(library)}; remove some: raise the threshold") from error
+    scope: dict[str, object] = {"torch": torch, "constants": Constants(writer.constants), **writer.functions}
+    exec(compile(writer.source(), "<sparse model>", "exec"), scope)
+    field: Field = scope["field"]  # type: ignore[assignment]
+    field.__doc__ = writer.source()
+    field.__dict__["step"] = library.step
+    return field
+
+
+def refuse_not_finite(library: Library, coefficients: Tensor) -> None:
+    """Refuse to write a model whose coefficients, `(n_features, n_x)`, are not all finite.
+
+    Raises:
+        ValueError: one is not.
+    """
+    if bool(coefficients.isfinite().all()):
+        return
+    wrong = (~coefficients.isfinite()).nonzero()
+    k, i = wrong[0].tolist()
+    raise ValueError(
+        f"{len(wrong)} coefficients are not finite, such as {coefficients[k, i].item()} of {library.names[k]} in "
+        f"{library.signature.state_names[i]}'; allowed are finite ones: fit on data that excite this function, or "
+        "leave it out of the library"
+    )
+
+
+class Constants:
+    """Keep numbers as tensors of the dtype and device in use: an operation then need not make them each time."""
+
+    def __init__(self, values: list[float]) -> None:
+        self.values = values
+        self.kept: dict[tuple[torch.dtype, torch.device], tuple[Tensor, ...]] = {}
+
+    def __call__(self, x: Tensor) -> tuple[Tensor, ...]:
+        """Return the numbers in the dtype and on the device of `x`."""
+        key = (x.dtype, x.device)
+        if key not in self.kept:
+            self.kept[key] = tuple(torch.tensor(v, dtype=x.dtype, device=x.device) for v in self.values)
+        return self.kept[key]
+
+
+Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and the coefficient
+
+
+class Writer:
+    """Collect lines of code; every value is written once.
+
+    Args:
+        signature: names of the states and inputs, which are `z[0]`, `z[1]`, ... in the code.
+    """
+
+    def __init__(self, signature: Signature) -> None:
+        self.lines: list[str] = []
+        self.written: dict[object, str] = {}
+        self.functions: dict[str, object] = {}
+        self.constants: list[float] = []
+        names = (*signature.state_names, *signature.input_names)
+        self.variable = {name: self._variable(place) for place, name in enumerate(names)}
+
+    def _variable(self, place: int) -> str:
+        return f"z[{place}]"
+
+    def _line(self, key: object, expression: str) -> str:
+        if key not in self.written:
+            self.written[key] = f"v{len(self.written)}"
+            self.lines.append(f"{self.written[key]} = {expression}")
+        return self.written[key]
+
+    def _constant(self, value: float) -> str:
+        self.constants.append(value)
+        return f"k[{len(self.constants) - 1}]"
+
+    def _product(self, powers: dict[Factor, int]) -> str:
+        value, key = "", frozenset[tuple[Factor, int]]()
+        for factor, power in powers.items():
+            key = key | {(factor, power)}
+            one = self._power(factor, power)
+            value = self._line(key, f"{value} * {one}") if value else one
+        return value
+
+    def _power(self, factor: Factor, power: int) -> str:
+        if power < 0:
+            return self._line((factor, power), f"1 / {self._power(factor, -power)}")
+        if power == 1:
+            return self._value(factor)
+        half = power // 2
+        return self._line((factor, power), f"{self._power(factor, power - half)} * {self._power(factor, half)}")
+
+    def _value(self, factor: Factor) -> str:
+        args = self._scaled(factor)
+        if factor.function == "id":
+            return args[0]
+        return self._line(factor, self._call(factor.function, args))
+
+    def _call(self, name: str, args: list[str]) -> str:
+        """Write an elementary function of arguments that are written."""
+        self.functions[f"f_{name}"] = function(name).compute
+        return f"f_{name}({', '.join(args)})"
+
+    def _scaled(self, factor: Factor) -> list[str]:
+        """Write the arguments of a factor's function."""
+        args = [self.variable[v] for v in factor.variables]
+        if function(factor.function).parametric:
+            return [*args, self._constant(factor.frequency)]
+        if factor.frequency == 1:
+            return args
+        frequency = self._constant(factor.frequency)
+        return [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
+
+
+class FieldWriter(Writer):
+    """Write the sums of a sparse model.
+
+    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.export.expressions`.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+
+    Attributes:
+        lines: values, each written once, in the order in which they are computed.
+        results: dx/dt of each state, in terms of these.
+    """
+
+    def __init__(self, library: Library, coefficients: Tensor) -> None:
+        super().__init__(library.signature)
+        signature = library.signature
+        table = coefficients.tolist()
+        powers = [{f.base: f.power for f in feature.factors} for feature in library.features]
+        rows = [[(p, table[k][i]) for k, p in enumerate(powers) if table[k][i]] for i in range(signature.n_x)]
+        self.results = [self._sum(row) if row else self._zero() for row in rows]
+
+    def source(self) -> str:
+        """Return the text of the function."""
+        body = "".join(f"    {line}\n" for line in self.lines)
+        return (
+            "def field(x, u):\n    k, z = constants(x), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
+            f"{body}    return torch.stack(({', '.join(self.results)},), 0).movedim(0, -1)\n"
+        )
+
+    def _sum(self, terms: list[Term]) -> str:
+        """Write a sum; terms that share a function are summed before they are multiplied by it."""
+        shared = self._shared(terms)
+        if shared is None:
+            return self._plain_sum(terms)
+        group = [(p, c) for p, c in terms if shared in p]
+        rest = [(p, c) for p, c in terms if shared not in p]
+        power = min(p[shared] for p, _ in group)
+        inner = self._sum([(_divided(p, shared, power), c) for p, c in group])
+        factor = self._power(shared, power)
+        if not rest:
+            return self._line((inner, "*", factor), f"{inner} * {factor}")
+        total = self._sum(rest)
+        return self._line((total, inner, factor), self._plus_product(total, inner, factor))
+
+    @staticmethod
+    def _shared(terms: list[Term]) -> Factor | None:
+        """Choose the function to take out of the brackets; none where a plain sum of powers is as short."""
+        uses = Counter(f for p, _ in terms for f in p)
+        if len(uses) < 2:
+            return None
+        # The most frequent function, cos(alpha_p) as a rule, stays inside: all brackets share its powers.
+        powers = {f: len({p.get(f, 0) for p, _ in terms}) for f in uses}
+        _, *others = sorted(uses, key=lambda f: (uses[f], powers[f]), reverse=True)
+        repeated = [f for f in others if uses[f] > 1]
+        return repeated[0] if repeated else None
+
+    def _plain_sum(self, terms: list[Term]) -> str:
+        constant = sum(c for p, c in terms if not p)
+        products = [(self._product(p), c) for p, c in terms if p]
+        if constant or not products:
+            total = self._constant(constant)
+            if not products:
+                return self._line(("constant", constant), f"{self._zero()} + {total}")
+        else:
+            value, c = products.pop(0)
+            total = value if c == 1 else self._line((value, c), f"{value} * {self._constant(c)}")
+        for value, c in products:
+            total = self._line((total, value, c), self._plus_scaled(total, value, c))
+        return total
+
+    def _zero(self) -> str:
+        return "torch.zeros_like(z[0])"
+
+    def _plus_product(self, total: str, a: str, b: str) -> str:
+        return f"torch.addcmul({total}, {a}, {b})"
+
+    def _plus_scaled(self, total: str, value: str, c: float) -> str:
+        return f"torch.add({total}, {value}, alpha={c!r})"
+
+
+def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Factor, int]:
+    """Divide a product by a power of one of its functions."""
+    left = {**powers, factor: powers[factor] - power}
+    return {f: n for f, n in left.items() if n}
+
+
+class InfixWriter(FieldWriter):
+    """Write sums with infix operators; what is called are `functions.FORMULA_FUNCTIONS` alone.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+
+    Raises:
+        ValueError: a function has no formula.
+    """
+
+    def __init__(self, library: Library, coefficients: Tensor) -> None:
+        self._n_x = library.signature.n_x
+        super().__init__(library, coefficients)
+
+    @classmethod
+    def of(cls, library: Library, coefficients: Tensor) -> Self:
+        """Write a model.
+
+        Args:
+            library: candidate functions.
+            coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+
+        Raises:
+            ValueError: a function has no formula, or the model has too many terms.
+        """
+        try:
+            return cls(library, coefficients)
+        except RecursionError as error:
+            raise ValueError(
+                f"the model has too many terms of {len(library)}; remove some: raise the threshold"
+            ) from error
+
+    @property
+    def named(self) -> tuple[tuple[str, str], ...]:
+        """Name and formula of each value, in the order in which they are computed."""
+        return tuple((name, text) for name, _, text in (line.partition(" = ") for line in self.lines))
+
+    def _variable(self, place: int) -> str:
+        return f"x[{place}]" if place < self._n_x else f"u[{place - self._n_x}]"
+
+    def _call(self, name: str, args: list[str]) -> str:
+        if not (formula := function(name).formula):
+            raise ValueError(
+                f"the model uses the function '{name}', which has no formula; give one: "
+                f"register_function('{name}', ..., formula='1 / (1 + square({{0}}))')"
+            )
+        return formula.format(*args)
+
+    def _zero(self) -> str:
+        return "0.0"
+
+    def _plus_product(self, total: str, a: str, b: str) -> str:
+        return f"{total} + {a} * {b}"
+
+
+def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32) -> Machine:
+    """Return the sparse model dx/dt = Xi' Theta(x, u), compiled.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+        dtype: precision, see `Machine`.
+
+    Raises:
+        ValueError: a function has no formula, the model has too many terms, or the compiler refuses the text.
+        FileNotFoundError: there is no compiler.
+    """
+    values = coefficients.flatten().tolist()
+    kinds = tuple(value if value in (0.0, 1.0) else None for value in values)
+    # A name may be registered anew, for another function.
+    names = {factor.function for feature in library.features for factor in feature.factors}
+    formulas = tuple((name, function(name).formula) for name in sorted(names))
+    written = _written(library.signature, library.features, formulas, kinds)
+    constants = (number if place is None else values[place] for place, number in written.constants)
+    n_x, n_u = library.signature.n_x, library.signature.n_u
+    program = Program(n_x, n_u, written.lines, written.results, tuple(constants), library.step)
+    return Machine(program, dtype)
+
+
+class _Written(NamedTuple):
+    """Formulas of all models that have the same functions in their equations.
+
+    Attributes:
+        lines: see `Program`.
+        results: see `Program`.
+        constants: of each constant its place among the coefficients, or None and the number itself.
+    """
+
+    lines: tuple[tuple[str, str], ...]
+    results: tuple[str, ...]
+    constants: tuple[tuple[int | None, float], ...]
+
+
+@lru_cache(maxsize=128)
+def _written(
+    signature: Signature,
+    features: tuple[Feature, ...],
+    formulas: tuple[tuple[str, str | None], ...],
+    kinds: tuple[float | None, ...],
+) -> _Written:
+    """Write models of some features, of whose coefficients those are told that are zero or one.
+
+    Args:
+        signature: names of states and inputs.
+        features: candidate functions.
+        formulas: those of their elementary functions, by name.
+        kinds: zero, one, or None for another number, of each coefficient, feature by feature.
+    """
+    # Every coefficient is written as a number of its own, by which its constant is found again.
+    first = 2.0 + math.ceil(max((abs(f.frequency) for feature in features for f in feature.factors), default=0.0))
+    told = [first + place if kind is None else kind for place, kind in enumerate(kinds)]
+    places = {number: place for place, number in enumerate(told) if kinds[place] is None}
+    table = torch.tensor(told, dtype=torch.float64).reshape(len(features), signature.n_x)
+    writer = _MachineWriter.of(Library(signature, features), table)
+    constants = tuple((places.get(number), number) for number in writer.constants)
+    return _Written(writer.named, tuple(writer.results), constants)
+
+
+class _MachineWriter(InfixWriter):
+    """Leave numbers as elements of `k`."""
+
+    def _plus_scaled(self, total: str, value: str, c: float) -> str:
+        return f"{total} + {self._constant(c)} * {value}"

@@ -1,0 +1,184 @@
+"""How well a fit knows its coefficients: their covariance, from how they move when a stretch of the data is left out.
+
+| name   | symbol                                                   | shape    |
+| ------ | -------------------------------------------------------- | -------- |
+| rows   | [J e]: slopes of the predictions by the unknowns, errors | `(N, M)` |
+| factor | L, with L L' the covariance of the coefficients          | `(P, K)` |
+
+The textbook's covariance, s^2 inv(J'J), takes every error for a witness of its own. Errors of a model that lacks
+something last over many samples, and it is then too small many times over. Here the samples are cut into stretches.
+Each one is left out in turn, and the linear least squares are solved without it: coefficients that follow from
+every part of the data alike hardly move. This is the jackknife over groups (Quenouille 1956, Tukey 1958). It holds for
+errors that last, as long as they are forgotten within a stretch, and for errors of which no size is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.regression import RunningSums
+from dynasindy.sindy.sensitivity import Parameters
+
+STRETCHES = 10
+"""Stretches of the data, each of which is left out in turn; fewer where there are fewer rows. More of them tell the
+size of an error more exactly, but forget less of an error that lasts."""
+
+
+class Covariance(NamedTuple):
+    """Hold the covariance of the coefficients that a fit found.
+
+    Attributes:
+        features: row in Xi of each coefficient, `(P,)`; others are given, or not in the equations.
+        states: column in Xi of each, `(P,)`.
+        factor: its rows are those of the coefficients; times its transpose it is the covariance, `(P, K)`.
+    """
+
+    features: Tensor
+    states: Tensor
+    factor: Tensor
+
+    @classmethod
+    def of(cls, parameters: Parameters, factor: Tensor) -> Covariance | None:
+        """Return the covariance of named coefficients; None where there are none, as of equations that are given."""
+        if not len(parameters):
+            return None
+        return cls(parameters.features, parameters.states, factor)
+
+    @property
+    def errors(self) -> Tensor:
+        """Return the standard error of each coefficient, `(P,)`."""
+        return self.factor.norm(dim=-1)
+
+    @property
+    def matrix(self) -> Tensor:
+        """Return the covariance, `(P, P)`."""
+        return self.factor @ self.factor.mT
+
+    def table(self, shape: Sequence[int]) -> Tensor:
+        """Return the standard errors as a table of the given shape, `(n_features, n_x)`, zero of other coefficients."""
+        return Parameters(self.features, self.states).write(torch.zeros(*shape, dtype=torch.float64), self.errors)
+
+    def shares(self, xi: Tensor) -> Tensor:
+        """Return the standard errors as shares of coefficients `(n_features, n_x)`, `(P,)`."""
+        return self.errors / xi[self.features, self.states].abs()
+
+    def loosest(self, xi: Tensor) -> tuple[Tensor, Covariance]:
+        """Return the change of coefficients that the data tell least, and the covariance where that one is given.
+
+        Two time constants that all but meet make such a change, as which is which is then not told.
+
+        Args:
+            xi: coefficients, `(n_features, n_x)`.
+
+        Returns:
+            The change, as shares by which coefficients grow in size, `(P,)`, of unit norm, and the covariance without
+            it.
+        """
+        size = xi[self.features, self.states].unsqueeze(-1)
+        shares = self.factor / size
+        change = torch.linalg.svd(shares, full_matrices=False)[0][:, :1]
+        rest = shares - change @ (change.mT @ shares)
+        return change.squeeze(-1), self._replace(factor=rest * size)
+
+    def draw(self, xi: Tensor, count: int, generator: torch.Generator) -> Tensor:
+        """Draw coefficients around those of the fit, all at a time, from a normal distribution.
+
+        Args:
+            xi: coefficients, `(n_features, n_x)`.
+            count: number of draws.
+            generator: where random numbers come from.
+
+        Returns:
+            Coefficients, `(count, n_features, n_x)`.
+        """
+        normal = torch.randn(count, self.factor.shape[1], generator=generator, dtype=torch.float64)
+        drawn = xi.expand(count, *xi.shape).clone()
+        drawn[:, self.features, self.states] += normal @ self.factor.mT
+        return drawn
+
+
+def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance | None:
+    """Return the covariance of a regression of which only sums over its samples are known, independent errors assumed.
+
+    It is None where nothing was fitted.
+
+    Args:
+        coefficients: Xi of the fit, `(n_features, n_x)`.
+        free: coefficients that were fitted, bool `(n_features, n_x)`.
+        sums: the samples.
+    """
+    parameters = Parameters.where(free & (coefficients != 0))
+    residual, norms = sums.residual(coefficients), sums.norms()[: sums.n_features]
+    scaled = sums.theta() / torch.where(norms > 0, norms, 1.0)
+    factors = []
+    for state in range(coefficients.shape[1]):
+        active = parameters.features[parameters.states == state]
+        inverse = torch.linalg.pinv(scaled[:, active])
+        sigma = residual[state] / max(sums.count - len(active), 1) ** 0.5
+        factors.append(sigma * inverse / norms[active].unsqueeze(-1))
+    return Covariance.of(parameters, torch.block_diag(*factors))
+
+
+def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance | None:
+    """Return the covariance of a regression of rates of change.
+
+    It is None where nothing was fitted, or a number in it is not finite.
+
+    Args:
+        coefficients: Xi of the fit, `(n_features, n_x)`.
+        free: coefficients that were fitted, bool `(n_features, n_x)`.
+        theta: functions, `(N, n_features)`, in the order of time.
+        dx: rates of change, `(N, n_x)`.
+    """
+    parameters = Parameters.where(free & (coefficients != 0))
+    errors, factors = dx - theta @ coefficients, []
+    for state in range(coefficients.shape[1]):
+        active = parameters.features[parameters.states == state]
+        factor = jackknife(torch.cat([theta[:, active], errors[:, state : state + 1]], -1).unsqueeze(1))
+        if factor is None:
+            return None
+        factors.append(factor)
+    return Covariance.of(parameters, torch.cat(factors))
+
+
+def jackknife(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES) -> Tensor | None:
+    """Return how unknowns move when each stretch of the data is left out, as a factor of their covariance.
+
+    Args:
+        rows: slopes by the unknowns, and errors as the last column, `(N, R, M + 1)`: R rows of each of N samples or
+            windows, which are left out together, in the order of time.
+        always: rows that are never left out, `(R, M + 1)`.
+        stretches: number of stretches.
+
+    Returns:
+        The factor, `(M, stretches)`; of fewer windows or samples than stretches it has as many columns as there are.
+        None where a number is not finite, as of a model that all but runs away.
+    """
+    count = min(stretches, len(rows))
+    always = rows.new_zeros(1, rows.shape[-1]) if always is None else always
+    scale = torch.cat([rows.flatten(0, 1), always]).norm(dim=0).clamp_min(1e-100)
+    if not bool(scale.isfinite().all()):
+        return None
+    scale[-1] = 1.0
+    parts = [_triangle((part / scale).flatten(0, 1)) for part in rows.tensor_split(count)]
+    before, after = [_triangle(always / scale)], [rows.new_zeros(1, rows.shape[-1])]
+    for first, last in zip(parts[:-1], parts[:0:-1], strict=True):
+        before.append(_triangle(torch.cat([before[-1], first])))
+        after.append(_triangle(torch.cat([after[-1], last])))
+    found = []
+    for rest in zip(before, reversed(after), strict=True):
+        others = torch.cat(rest)
+        solved = torch.linalg.lstsq(others[:, :-1], others[:, -1:], driver="gelsd").solution
+        found.append(solved.squeeze(-1) / scale[:-1])
+    apart = torch.stack(found, -1)
+    apart = apart - apart.mean(-1, keepdim=True)
+    return apart * ((count - 1) / count) ** 0.5
+
+
+def _triangle(rows: Tensor) -> Tensor:
+    """Return the triangular factor of rows, as many rows of it as there are columns at most."""
+    return torch.linalg.qr(rows, mode="r")[1]

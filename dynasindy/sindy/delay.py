@@ -1,0 +1,175 @@
+"""The time between an input and its effect, out of a recording, in fractions of a sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.regression import Rows, least_squares
+from dynasindy.systems.transitions import Transitions
+
+FIRST, FARTHEST = 10, 80
+"""Samples within which a delay is looked for at first, at least, and at most, where nobody says how long it may be."""
+ENOUGH = 2
+"""Rows per function from which on a regression may tell a delay: of as many rows as functions nothing is left over."""
+EXACT = 1e-3
+"""Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
+TELLING = 4.0
+"""Factor on the squared error, of all states together, below which a regression does not tell a delay."""
+
+Cost = Callable[[float], float]
+"""Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
+
+
+def delayed(data: Transitions, delay: float) -> Transitions:
+    """Return a recording whose inputs act `delay` seconds later; before its first sample the first input held.
+
+    A delay that is no whole number of samples changes the input within an interval; its mean is taken.
+
+    Args:
+        data: the recording, under zero-order hold.
+        delay: delay [s], 0 or more.
+
+    Raises:
+        ValueError: the delay is negative.
+    """
+    if delay < 0:
+        raise ValueError(f"an input delay is {delay} s; allowed is 0 or more")
+    whole, part = divmod(delay / data.dt, 1.0)
+    if delay == 0:
+        return data
+    places, begin = torch.arange(len(data)), _begin(data)
+    late, later = (data.u[torch.maximum(places - int(whole) - more, begin)] for more in (0, 1))
+    return replace(data, u=(1 - part) * late + part * later)
+
+
+def known_inputs(data: Transitions, longest: float) -> Tensor:
+    """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
+    return torch.arange(len(data)) - _begin(data) >= math.ceil(longest / data.dt - 1e-9)
+
+
+def arrived(data: Transitions, delay: float) -> Transitions:
+    """Return a recording whose inputs act `delay` seconds later, without the rows whose inputs are not known then."""
+    return delayed(data, delay).select(known_inputs(data, delay))
+
+
+def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
+    """Return the delay of whole samples with which all functions explain the rates of change best [s].
+
+    Args:
+        free: functions that each equation may have, bool `(n_features, n_x)`.
+        rows: averaged functions and rates of change of the recording under inputs delayed by so much [s].
+        dt: length of a sample [s].
+        longest: longest delay that is tried [s].
+    """
+    most = math.floor(longest / dt + 1e-9)
+    costs = [unexplained(free, *rows(k * dt)) for k in range(most + 1)]
+    return min(range(most + 1), key=costs.__getitem__) * dt
+
+
+def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
+    """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
+
+    Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
+    and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
+    the best one, it is looked for twice as far, as long as enough rows know their inputs.
+
+    Args:
+        free: functions that each equation may have, bool `(n_features, n_x)`.
+        rows: averaged functions and rates of change under inputs delayed by so many samples, the first argument, of
+            those rows whose inputs are known for as many samples as the second one says.
+        least: samples within which a delay is looked for in any case, as it may hide in the noise; 0 without noise.
+    """
+    if not least and _exact(free, *rows(0, 0)):
+        return 0, 0
+    enough = ENOUGH * int(free.sum(0).max())
+    if len(rows(0, least)[1]) < enough:
+        return 0, 0
+    farthest, found = max(FIRST, least), (least, 0)
+    while farthest <= FARTHEST and len(rows(0, farthest)[1]) >= enough:
+        costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
+        best = min(range(farthest + 1), key=costs.__getitem__)
+        if costs[0] - costs[best] > 0.5 * len(rows(best, farthest)[1]) * math.log(TELLING):
+            found = farthest, best
+        if best < farthest:
+            break
+        farthest *= 2
+    return found
+
+
+def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False) -> float:
+    """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
+
+    Args:
+        rough: delay to begin with [s].
+        dt: length of a sample [s].
+        longest: longest delay [s].
+        worth: what a delay must lower the cost by.
+        cost: what a fit to the recording under inputs delayed by so much leaves over.
+        whole: whether it is a whole number of samples, as that of a difference equation.
+    """
+    costs: dict[float, float] = {}
+
+    def _at(delay: float) -> float:
+        if not 0 <= delay <= longest * (1 + 1e-9):
+            return math.inf
+        if delay not in costs:
+            costs[delay] = cost(delay)
+        return costs[delay]
+
+    best, step = rough, dt
+    while True:
+        better = min((best - step, best, best + step), key=_at)
+        if better != best:
+            best = better
+        elif step > dt / 4 and not whole:
+            step /= 2
+        else:
+            break
+    if best and _at(0.0) - _at(best) < worth:
+        return 0.0
+    if whole:
+        return best
+    before, here, after = (_at(best + k * step) for k in (-1, 0, 1))
+    bend = before - 2 * here + after
+    return best + step * 0.5 * (before - after) / bend if math.isfinite(bend) and bend > 0 else best
+
+
+def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:
+    """Return N/2 log of what the regression of the rates of change leaves over, summed over the states.
+
+    Args:
+        support: functions in each equation, bool `(n_features, n_x)`.
+        theta: averaged functions, `(N, n_features)`.
+        dx: averaged rates of change, `(N, n_x)`.
+    """
+    cost = 0.0
+    for i in range(dx.shape[1]):
+        if not bool(support[:, i].any()):
+            continue
+        columns = theta[:, support[:, i]]
+        columns = columns / columns.norm(dim=0).clamp_min(1e-300)
+        error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
+        cost += 0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300)
+    return cost
+
+
+def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
+    """Tell whether the functions explain the rates of change but for errors of the regression itself."""
+    for i in range(dx.shape[1]):
+        if bool(free[:, i].any()):
+            columns = theta[:, free[:, i]]
+            columns = columns / columns.norm(dim=0).clamp_min(1e-300)
+            error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
+            if float(error.norm()) > EXACT * float(dx[:, i].norm()):
+                return False
+    return True
+
+
+def _begin(data: Transitions) -> Tensor:
+    """Return the row at which the segment of each row begins, `(N,)`."""
+    return torch.where(data.begins(), torch.arange(len(data)), 0).cummax(0).values

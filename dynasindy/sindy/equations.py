@@ -1,0 +1,261 @@
+"""Write Xi for readers: equations, text, LaTeX and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.functions import QUOTIENTS
+from dynasindy.sindy.library import Library, latex_name, variable
+from dynasindy.systems.diverged import Diverged
+
+CANCELLED = 1e-9
+"""Part of its own change that is left of a state, below which nothing is."""
+
+
+def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[str]:
+    """Write one equation per state.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+
+    Returns:
+        Lines such as `Omega_p' = -0.414 Omega_p + 0.0013 omega_p`; of a difference equation such as
+        `p[k+1] = p + v + 0.0015 force`, all on the right at k.
+    """
+    library, coefficients = mapping(library, coefficients)
+    lines = []
+    for i, state in enumerate(library.signature.state_names):
+        groups: dict[str, list[tuple[str, float]]] = {}
+        for feature, name, value in zip(library.features, library.names, coefficients[:, i].tolist(), strict=True):
+            if value:
+                quotient = " ".join(f.text() for f in feature.factors if f.function in QUOTIENTS)
+                above = " ".join(f.text() for f in feature.factors if f.function not in QUOTIENTS) or "1"
+                groups.setdefault(quotient, []).append((above if quotient else name, value))
+        written = written_sum(groups.pop("", []), digits)
+        for quotient, terms in groups.items():
+            # What is divided by the same is written over it once.
+            above, sign = written_sum(terms, digits), ""
+            if len(terms) > 1:
+                above = f"({above})"
+            elif above.startswith("-"):
+                above, sign = above[1:], "-"
+            joint = (" - " if sign else " + ") if written else sign
+            written += f"{joint}{above} {quotient}"
+        lines.append(f"{moved_on(library, state)} = {written or '0'}")
+    return lines
+
+
+def moved_on(library: Library, state: str) -> str:
+    """Return the left side of a state's equation: its rate, or its next value."""
+    return f"{state}'" if library.step is None else f"{state}[k+1]"
+
+
+def change_of(library: Library, state: str) -> str:
+    """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
+    return moved_on(library, state) if library.step is None else f"the change of {state}"
+
+
+def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
+    """Return what stands on the right of the equations: of a difference equation x[k] + step Xi' Theta, as one sum.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`: rates of change.
+
+    Returns:
+        The library, with the states themselves where it is one of a difference equation, and the coefficients of the
+        right sides.
+    """
+    step = library.step
+    if step is None:
+        return library, coefficients
+    names = library.signature.state_names
+    whole = Library(library.signature, [*map(variable, names), *library.features], step=step)
+    table = torch.zeros(len(whole), len(names), dtype=coefficients.dtype)
+    place = {feature.key: k for k, feature in enumerate(whole.features)}
+    rows = [place[feature.key] for feature in library.features]
+    table[rows] = step * coefficients
+    for i, name in enumerate(names):
+        own = place[variable(name).key]
+        rate = float(table[own, i])
+        table[own, i] = 1 + rate if abs(1 + rate) > CANCELLED * abs(rate) else 0.0
+    return whole, table
+
+
+def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
+    """Write a line for each coefficient that has a standard error, such as `v'  -9.81 ± 0.03  sin(p)`.
+
+    What a coefficient stands before comes last, as in an equation, so that a long function leaves the others in line.
+
+    Of a difference equation it is that of the right side, whose coefficients are the step times those of the rates.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        errors: standard errors, zero of coefficients that were not fitted, `(n_features, n_x)`.
+    """
+    whole, table = mapping(library, coefficients)
+    place = {feature.key: k for k, feature in enumerate(whole.features)}
+    spread = torch.zeros_like(table)
+    spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
+    left = [moved_on(library, state) for state in library.signature.state_names]
+    found = [
+        (left[i], plus_minus(float(xi), float(error)), whole.names[k])
+        for i in range(len(left))
+        for k, (xi, error) in enumerate(zip(table[:, i], spread[:, i], strict=True))
+        if error
+    ]
+    wide, long = (max((len(row[k]) for row in found), default=0) for k in (0, 1))
+    return [f"{name:<{wide}}  {number:<{long}}  {feature}" for name, number, feature in found]
+
+
+def plus_minus(value: float, error: float) -> str:
+    """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
+    exponent = math.floor(math.log10(max(abs(value), error)))
+    scale = exponent if not -4 < exponent < 6 else 0
+    size, spread = value / 10.0**scale, error / 10.0**scale
+    # 9.96 written to two digits is 10: the error tells its digits once it is rounded.
+    digits = max(0, 1 - math.floor(math.log10(float(f"{spread:.1e}"))))
+    written = f"{size:.{digits}f} ± {spread:.{digits}f}"
+    return f"({written})e{scale:+03d}" if scale else written
+
+
+def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
+    """Write coefficients and functions as a sum."""
+    written = ""
+    for name, value in terms:
+        sign = (" - " if written else "-") if value < 0 else (" + " if written else "")
+        size = f"{abs(value):.{digits}g}"
+        written += sign + (size if name == "1" else name if size == "1" else f"{size} {name}")
+    return written
+
+
+def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:
+    rows = []
+    for feature, values in zip(library.features, coefficients.tolist(), strict=True):
+        if active_only and not any(values):
+            continue
+        name = f"${feature.latex()}$" if latex else feature.name()
+        rows.append([name, *(_number(v, digits, latex) for v in values)])
+    return rows
+
+
+def _number(value: float, digits: int, latex: bool) -> str:
+    written = f"{value:.{digits}g}"
+    if latex and "e" in written:
+        mantissa, exponent = written.split("e")
+        return rf"${mantissa}\times10^{{{int(exponent)}}}$"
+    return f"${written}$" if latex and value < 0 else written
+
+
+def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+    """Write the Xi table with aligned columns.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+        active_only: whether functions without any coefficient are left out.
+    """
+    library, coefficients = mapping(library, coefficients)
+    header = ["function", *(moved_on(library, s) for s in library.signature.state_names)]
+    rows = [header, *_rows(library, coefficients, digits, False, active_only)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    )
+
+
+def to_latex(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+    """Write the Xi table as a LaTeX tabular, as in the paper.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+        active_only: whether functions without any coefficient are left out.
+    """
+    library, coefficients = mapping(library, coefficients)
+    states = [f"${_latex_moved_on(library, s)}$" for s in library.signature.state_names]
+    rows = _rows(library, coefficients, digits, True, active_only)
+    lines = [r"\begin{tabular}{|" + "c|" * (len(states) + 1) + "}", r"\hline"]
+    lines += [" & ".join(["Library function", *states]) + r" \\ \hline"]
+    lines += [" & ".join(row) + r" \\ \hline" for row in rows]
+    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
+def equations_to_latex(library: Library, coefficients: Tensor, digits: int = 5) -> str:
+    """Write one equation per state as LaTeX, an `align*` of amsmath, three terms to a line.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        digits: significant digits.
+    """
+    library, coefficients = mapping(library, coefficients)
+    written = []
+    for i, state in enumerate(library.signature.state_names):
+        terms = []
+        for feature, value in zip(library.features, coefficients[:, i].tolist(), strict=True):
+            if value:
+                size = _number(abs(value), digits, True).strip("$")
+                name = feature.latex()
+                terms.append(
+                    ("-" if value < 0 else "+", size if name == "1" else name if size == "1" else rf"{size} \, {name}")
+                )
+        lines = [" ".join(f"{sign} {term}" for sign, term in terms[k : k + 3]) for k in range(0, len(terms), 3)]
+        right = " \\\\\n    &\\quad ".join(lines).removeprefix("+ ") or "0"
+        written.append(f"    {_latex_moved_on(library, state)} &= {right}")
+    return "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}\n"
+
+
+def _latex_moved_on(library: Library, state: str) -> str:
+    name = latex_name(state)
+    return rf"\dot{{{name}}}" if library.step is None else f"{{{name}}}[k+1]"
+
+
+def to_csv(library: Library, coefficients: Tensor) -> str:
+    """Write the Xi table as CSV at full precision: one row per function, one column per state."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    library, coefficients = mapping(library, coefficients)
+    units = zip(library.signature.state_names, library.signature.state_units, strict=True)
+    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{moved_on(library, s)} [{u}]" for s, u in units)
+    writer.writerow(["function", *heads])
+    for name, values in zip(library.names, coefficients.tolist(), strict=True):
+        writer.writerow([name, *(repr(v) for v in values)])
+    return out.getvalue()
+
+
+def require_finite(coefficients: Tensor, library: Library, source: str, samples: int) -> Tensor:
+    """Return coefficients as they are.
+
+    Args:
+        coefficients: Xi, `(n_features, n_x)`.
+        library: its functions.
+        source: what found them, for the message.
+        samples: how many samples it had.
+
+    Raises:
+        Diverged: one of them is not finite.
+    """
+    if len(wrong := (~coefficients.isfinite()).nonzero()):
+        k, i = wrong[0].tolist()
+        place = f"{library.names[k]} in {change_of(library, library.signature.state_names[i])}"
+        raise Diverged(
+            f"model learning: the {source} on {samples} samples left {len(wrong)} coefficients that are not finite, "
+            f"such as {coefficients[k, i].item()} of {place}; leave that function out of the library, or check the "
+            "data's units"
+        )
+    return coefficients

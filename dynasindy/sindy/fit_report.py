@@ -1,0 +1,241 @@
+"""What a refinement found and set aside, and the report of a fit in figures and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.covariance import Covariance
+from dynasindy.sindy.equations import change_of
+from dynasindy.sindy.identifiability import Identifiability
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.regression import RunningSums
+from dynasindy.systems.transitions import Transitions
+
+
+class Refined(NamedTuple):
+    """Hold what a refinement found.
+
+    Attributes:
+        library: candidate functions, with the numbers inside fitted factors.
+        coefficients: Xi, `(n_features, n_x)`.
+        delay: time between an input and its effect [s].
+        notes: sentences on what was chosen, and by what.
+        in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
+        covariance: how well the coefficients are known; None where that is not told.
+        delay_at_end: whether the delay is the longest that was tried.
+        missed: part of each state's change that predictions of single steps miss, where these were fitted.
+        aside: the fit by one simulation through all samples, where `auto` has set it aside for one in pieces: parts of
+            the log that no fit has seen tell which of the two predicts better. None where there is no such choice.
+    """
+
+    library: Library
+    coefficients: Tensor
+    delay: float = 0.0
+    notes: tuple[str, ...] = ()
+    in_pieces: bool = False
+    covariance: Covariance | None = None
+    delay_at_end: bool = False
+    missed: dict[str, float] | None = None
+    aside: Refined | None = None
+
+    def with_notes(self, notes: tuple[str, ...], longest: float, dt: float) -> Refined:
+        """Return it with notes before its own, the same of what was set aside, and with a note on a delay at its end.
+
+        Args:
+            notes: sentences on what was chosen before.
+            longest: longest delay of the inputs that was looked for [s].
+            dt: sampling time [s].
+        """
+        aside = self.aside and self.aside.with_notes(notes, longest, dt)
+        notes, at_end = notes + self.notes, bool(self.delay) and self.delay > longest - 0.5 * dt
+        if at_end:
+            notes += (
+                f"the best delay of the inputs is the longest that was tried, {longest:g} s; it may be "
+                f"longer: give longest_delay={2 * longest:g}, or 0 where it stands for what the equations lack. "
+                "Coefficients may be further off than their standard errors say, which take the delay as right",
+            )
+        return self._replace(notes=notes, delay_at_end=at_end, aside=aside)
+
+
+CHANGE = "the change over a step"
+"""What percentages of a difference equation are of."""
+EXACT = 1e-6
+"""Part of a rate of change that may stay unexplained where a fit is called exact; digits of the data end there."""
+
+LOOSE, APART, PART = 1.0, 0.3, 0.3
+"""Standard error by its coefficient, from which on it is asked whether one change makes it; part of the standard errors
+that is left without that change where it does; and of its largest share, from which on a coefficient takes part."""
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """Summarise a fit.
+
+    Attributes:
+        samples: number of transitions behind the fit.
+        seconds: wall time [s].
+        terms: number of non-zero coefficients of each equation.
+        residual: unexplained part of each state's rate of change, 2-norm relative to the rate's; where single steps
+            were fitted, that of its change in a step.
+        notes: sentences on what a reader would not expect.
+        dt: time that a transition takes [s].
+        unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
+            that nobody measured a part that stays unexplained says nothing.
+        in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
+        told: how well the coefficients are known, or what computes it; None where that is not told.
+        delay_at_end: whether the delay of the inputs is the longest that was tried.
+        unscaled: states that no sensor sees and of which nothing tells the unit.
+        aside: what the fit by one simulation through all samples found, where it was set aside for one in pieces.
+    """
+
+    samples: int
+    seconds: float
+    terms: dict[str, int]
+    residual: dict[str, float]
+    _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
+    notes: tuple[str, ...] = ()
+    dt: float | None = None
+    in_pieces: bool = False
+    told: Covariance | Callable[[], Covariance | None] | None = field(default=None, repr=False)
+    unmeasured: frozenset[str] = frozenset()
+    delay_at_end: bool = False
+    unscaled: tuple[str, ...] = ()
+    aside: Refined | None = field(default=None, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        library: Library,
+        coefficients: Tensor,
+        sums: RunningSums,
+        seconds: float,
+        notes: Sequence[str] = (),
+        dt: float | None = None,
+    ) -> FitReport:
+        """Summarise the coefficients of a fit against the sums it was made from."""
+        relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
+        names = library.signature.state_names
+        return cls(
+            samples=sums.count,
+            seconds=seconds,
+            terms=dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True)),
+            residual=dict(zip(names, relative.tolist(), strict=True)),
+            _source=(library, coefficients.clone(), sums.copy()),
+            notes=tuple(notes),
+            dt=dt,
+        )
+
+    def told_apart(self) -> Tensor:
+        """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
+
+        Of a function of which they leave over next to nothing, the data do not tell the coefficient: large ones cancel.
+        """
+        _, coefficients, sums = self._source
+        scaled, parts = sums.theta(), torch.zeros_like(coefficients)
+        scaled = scaled / scaled.norm(dim=0).clamp_min(1e-300)
+        for i in range(coefficients.shape[1]):
+            active = coefficients[:, i].nonzero().flatten()
+            parts[active, i] = 1 / torch.linalg.pinv(scaled[:, active]).norm(dim=1).clamp_min(1.0)
+        return parts
+
+    @cached_property
+    def identifiability(self) -> Identifiability:
+        """Judge what the samples can tell; computed when first asked for."""
+        library, _, sums = self._source
+        return Identifiability.of(library, sums)
+
+    @cached_property
+    def covariance(self) -> Covariance | None:
+        """How well the coefficients are known; None where that is not told. Computed when first asked for."""
+        return self.told() if callable(self.told) else self.told
+
+    @property
+    def known(self) -> str:
+        """Say how well the coefficients are known; nothing where that is not told."""
+        if self.covariance is None:
+            return ""
+        library, xi, _ = self._source
+        shares = 100 * self.covariance.shares(xi)
+        worst = int(shares.argmax())
+        whose = "" if library.step is None else f" of {CHANGE}"
+        return (
+            f"coefficients{whose} are known within {float(shares.median()):.2g} % of themselves in the median, and "
+            f"that of {self._place(worst)}, the least of all, within {float(shares[worst]):.2g} % (standard errors)"
+            f"{self._loosest()}"
+        )
+
+    def _loosest(self) -> str:
+        """Name the change of coefficients that the data hardly tell, if all others are known far better."""
+        if self.covariance is None or len(self.covariance.factor) < 2:
+            return ""
+        xi = self._source[1]
+        change, rest = self.covariance.loosest(xi)
+        before, after = (float(known.shares(xi).median()) for known in (self.covariance, rest))
+        if float(self.covariance.shares(xi).max()) < LOOSE or after > APART * before:
+            return ""
+        moved = (change.abs() > PART * change.abs().max()).nonzero().flatten().tolist()
+        grown, shrunk = ([self._place(k) for k in moved if sign * change[k] > 0] for sign in (1, -1))
+        ways = [(grown or shrunk, "larger"), (shrunk if grown else [], "smaller")]
+        words = ", and ".join(f"{', '.join(places)} {how}" for places, how in ways if places)
+        return (
+            f"; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. Were it "
+            f"known, the others would be within {100 * after:.2g} % in the median"
+        )
+
+    def _place(self, k: int) -> str:
+        """Name a coefficient of the covariance by its function and its equation."""
+        assert self.covariance is not None
+        library, feature, state = self._source[0], int(self.covariance.features[k]), int(self.covariance.states[k])
+        return f"{library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
+
+    @property
+    def units(self) -> str:
+        """Say of which hidden states nothing tells the unit; nothing where there are none."""
+        if not self.unscaled:
+            return ""
+        which, its = " and ".join(self.unscaled), "its" if len(self.unscaled) == 1 else "their"
+        return (
+            f"no sensor sees {which}, and nothing else tells {its} unit: in any other unit, with coefficients to "
+            "match, the model predicts the same. The fit keeps about the unit of the first guess, and coefficients and "
+            "standard errors are in that unit"
+        )
+
+    def to_text(self) -> str:
+        """Write the report in a few lines."""
+        each = f" of {self.dt:g} s" if self.dt else ""
+        lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
+        counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
+        moves, it = ("'", "it") if self._source[0].step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
+        for state, part in self.residual.items():
+            left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
+            left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
+            missed = "" if state in self.unmeasured else f"; {left}"
+            lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
+        notes = [*filter(None, [self.units]), *self.notes]
+        told = [*filter(None, [self.known]), *(f"note: {note}" for note in notes)]
+        return "\n".join([*lines, *told, self.identifiability.to_text()])
+
+
+def unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
+    """Return the states that no sensor saw, and those whose equations read one.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`.
+        data: the log, NaN where a state was not measured.
+    """
+    names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
+    unseen = {name for name, never in zip(names, blind, strict=True) if never}
+    if not unseen:
+        return frozenset()
+    read = [
+        {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
+        for column in coefficients.unbind(-1)
+    ]
+    return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)

@@ -1,0 +1,443 @@
+"""Elementary functions that libraries are made of: values, slopes, and how other languages write them."""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from dynasindy.systems.parsed import parsed
+
+
+@dataclass(frozen=True)
+class Function:
+    """Describe an elementary function.
+
+    Attributes:
+        name: name in tables and files, e.g. `sin`.
+        compute: torch function, elementwise in every argument.
+        text: format string of its value, e.g. `sin({0})`; `{0}` are its variables, `{1}` its number, and from `{2}` on
+            the variables one by one.
+        latex: format string for LaTeX.
+        atomic: whether its LaTeX needs no brackets before a power.
+        slope: its derivative, where it is known; found by automatic differentiation where not.
+        parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
+        by_number: derivative of a parametric function by its number, where it is known.
+        formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
+            torch are written from; empty where there is none.
+        slopes: derivatives by each variable of a function of several, where they are known.
+        given: formula of a function of a user's own as it was given, which files hold; empty where there is none.
+    """
+
+    name: str
+    compute: Callable[..., Tensor]
+    text: str
+    latex: str
+    atomic: bool = True
+    slope: Callable[..., Tensor] | None = None
+    parametric: bool = False
+    by_number: Callable[..., Tensor] | None = None
+    formula: str = ""
+    slopes: tuple[Callable[..., Tensor], ...] = ()
+    given: str = ""
+
+    @property
+    def n_variables(self) -> int | None:
+        """Return how many variables a function of a user's formula takes; None where no formula tells."""
+        return len(set(re.findall(r"\{\d\}", self.given))) or None
+
+
+class FunctionError(ValueError):
+    """A function is needed that is not known here, or is another one here; what needs it is not damaged for that.
+
+    Args:
+        told: The message.
+        missing: Name of the function, if it is not known.
+    """
+
+    def __init__(self, told: str, missing: str = "") -> None:
+        super().__init__(told)
+        self.missing = missing
+
+
+FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
+"""What a formula may call: functions of C's <math.h>, and the sign, the square, and the larger one of two."""
+SMALLEST_ROOT = 1e-3
+"""Number below which `sqrt` is that of this one, so that its slope stays finite at zero and roots of less are none."""
+
+_REGISTRY: dict[str, Function] = {
+    f.name: f
+    for f in (
+        Function("id", lambda z: z, "{0}", "{0}", formula="{0}"),
+        Function("sin", torch.sin, "sin({0})", r"\sin {0}", slope=torch.cos, formula="sin({0})"),
+        Function("cos", torch.cos, "cos({0})", r"\cos {0}", slope=lambda z: -torch.sin(z), formula="cos({0})"),
+        Function("abs", torch.abs, "|{0}|", r"|{0}|", slope=torch.sign, formula="fabs({0})"),
+        Function(
+            "sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", slope=torch.zeros_like, formula="sign({0})"
+        ),
+        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, slope=torch.exp, formula="exp({0})"),
+        Function(
+            "tanh",
+            torch.tanh,
+            "tanh({0})",
+            r"\tanh {0}",
+            slope=lambda z: 1 - torch.tanh(z).square(),
+            formula="tanh({0})",
+        ),
+        Function(
+            "sqrt",
+            lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(),
+            "sqrt({0})",
+            r"\sqrt{{{0}}}",
+            formula=f"sqrt(larger({{0}}, {SMALLEST_ROOT!r}))",
+        ),
+        Function(
+            "bell",
+            lambda z: (-z * z).exp(),
+            "exp(-({0})^2)",
+            r"e^{{-({0})^2}}",
+            atomic=False,
+            formula="exp(-square({0}))",
+        ),
+        Function(
+            "root",
+            lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
+            "sqrt({0} - {1})",
+            r"\sqrt{{{0} - {1}}}",
+            slope=lambda z, p: 0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
+            parametric=True,
+            by_number=lambda z, p: -0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
+            formula=f"sqrt(larger({{0}} - {{1}}, {SMALLEST_ROOT!r}))",
+        ),
+        Function(
+            "hinge",
+            lambda z, p: (z - p).clamp_min(0),
+            "max(0, {0} - {1})",
+            r"\max(0, {0} - {1})",
+            slope=lambda z, p: (z > p).to(z.dtype),
+            parametric=True,
+            by_number=lambda z, p: -(z > p).to(z.dtype),
+            formula="larger({0} - {1}, 0)",
+        ),
+        Function(
+            "per_cos2",
+            lambda z, p: 1 / (1 + p * z.cos().square()),
+            "/(1 + {1} cos({0})^2)",
+            r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
+            atomic=False,
+            slope=lambda z, p: p * (2 * z).sin() / (1 + p * z.cos().square()).square(),
+            parametric=True,
+            by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
+            formula="1 / (1 + {1} * square(cos({0})))",
+        ),
+        Function("ahead", lambda a, b: a - b, "({2} - {3})", "({2} - {3})", formula="{0} - {1}"),
+        Function(
+            "slack",
+            lambda a, b, p: a - b - (a - b).clamp(-p, p),
+            "slack({0}; {1})",
+            r"\operatorname{{slack}}_{{{1}}}({0})",
+            parametric=True,
+            by_number=lambda a, b, p: (b - a > p).to(a.dtype) - (a - b > p).to(a.dtype),
+            formula="larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
+        ),
+    )
+}
+
+
+@lru_cache
+def _turned(plain: Function, name: str, sign: int) -> Function:
+    """Return a function of the sum or the difference of two variables, written as one of their sum or difference."""
+    word = "+" if sign > 0 else "-"
+    slope, by_number, compute = plain.slope, plain.by_number, plain.compute
+    slopes: tuple[Callable[..., Tensor], ...] = ()
+    if slope is not None:
+        slopes = lambda a, b, *p: slope(a + sign * b, *p), lambda a, b, *p: sign * slope(a + sign * b, *p)
+    return Function(
+        name,
+        lambda a, b, *p: compute(a + sign * b, *p),
+        plain.text.replace("{0}", f"{{2}} {word} {{3}}"),
+        _in_brackets(plain.latex, f"{{2}} {word} {{3}}"),
+        plain.atomic,
+        parametric=plain.parametric,
+        by_number=by_number and (lambda a, b, p: by_number(a + sign * b, p)),
+        # The number of a parametric function comes after its variables.
+        formula=_in_brackets(plain.formula.replace("{1}", "{2}"), f"{{0}} {word} {{1}}"),
+        slopes=slopes,
+    )
+
+
+def _in_brackets(form: str, two: str) -> str:
+    """Return a format string with two variables in the place of the first, in one pair of brackets."""
+    return form.replace("({0})", "{0}").replace("{0}", f"({two})")
+
+
+for _plain in ("sin", "cos", "per_cos2"):
+    for _name, _sign in (("sum", 1), ("gap", -1)):
+        _made = _turned(_REGISTRY[_plain], f"{_plain}_{_name}", _sign)
+        _REGISTRY[_made.name] = _made
+
+QUOTIENTS = ("per_cos2", "per_cos2_sum", "per_cos2_gap")
+"""Functions that are written as a division."""
+_BUILT_IN = frozenset(_REGISTRY)
+
+
+_SUFFIXES = {"__sum": 1, "__gap": -1}
+"""Endings of functions of a sum or a difference that are made when they are asked for, and its sign."""
+_EVERYWHERE = ("abs", "sign", "exp", "tanh", "bell")
+"""Functions of the package of which a difference may be the argument, as they have a value at each number."""
+
+
+def is_registered(name: str) -> bool:
+    """Return whether there is a function of that name."""
+    return name in _REGISTRY
+
+
+def of_one(name: str) -> str:
+    """Return the name of the function of one variable that one of a sum or a difference is made of, or the name."""
+    return name[:-5] if name not in _REGISTRY and name[-5:] in _SUFFIXES else name
+
+
+def of_two(name: str, sign: str) -> str:
+    """Return the name of the function that has the sum or the difference of two variables for its argument.
+
+    Args:
+        name: function of one variable.
+        sign: `+` or `-`.
+
+    Raises:
+        ValueError: the function is not known, or takes no sum and no difference.
+    """
+    ending = "sum" if sign == "+" else "gap"
+    if f"{name}_{ending}" in _BUILT_IN:
+        return f"{name}_{ending}"
+    if function(name).n_variables not in (1, None) or (name in _BUILT_IN and name not in _EVERYWHERE):
+        raise ValueError(
+            f"function {name!r} takes no sum and no difference of two variables; those that do are sin, cos, "
+            f"{', '.join(_EVERYWHERE)}, and each function of your own of one argument. For a root of either sign, "
+            f"{_ways('flow', '{0} / sqrt(larger(fabs({0}), 0.001))')}; then flow(a {sign} b) is one of the library"
+        )
+    return f"{name}__{ending}"
+
+
+def unregister_function(name: str) -> None:
+    """Forget a function, unless it comes with the package."""
+    if name not in _BUILT_IN:
+        _REGISTRY.pop(name, None)
+
+
+def register_function(
+    name: str, compute: Callable[..., Tensor], latex: str | None = None, formula: str = ""
+) -> Function:
+    """Make a torch function available to libraries, saved models and printed equations under a name.
+
+    Args:
+        name: a Python identifier; registering a name again replaces it.
+        compute: torch function, elementwise in each argument, differentiable by autograd.
+        latex: format string, `{0}` standing for the first argument; by default the name in roman type.
+        formula: format string in operators and `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`, with `{1}` for a
+            second argument. It is saved with a model, which then can be read where the function is not registered,
+            and be exported to C and other languages. It has to say what `compute` does.
+
+    Raises:
+        ValueError: the name is not an identifier, or the formula calls another function.
+    """
+    if not name.isidentifier():
+        raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
+    default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
+    if other := sorted(set(re.findall(r"[A-Za-z_]\w*", re.sub(r"\d[\w.]*", "", formula))) - {*FORMULA_FUNCTIONS}):
+        raise ValueError(
+            f"register_function got a formula with {other[0]!r}; allowed are {{0}}, {{1}}, operators, numbers and "
+            f"{', '.join(FORMULA_FUNCTIONS)}: write it with these, or leave it out"
+        )
+    return keep(Function(name, compute, name + "({0})", latex or default, formula=formula, given=formula))
+
+
+def keep(made: Function) -> Function:
+    """Register a function, in the place of another one of its name, and return it."""
+    _REGISTRY[made.name] = made
+    return made
+
+
+def function(name: str) -> Function:
+    """Look up an elementary function.
+
+    Raises:
+        FunctionError: no function has that name.
+    """
+    if name in _REGISTRY:
+        return _REGISTRY[name]
+    if (plain := of_one(name)) in _REGISTRY and (plain not in _BUILT_IN or plain in _EVERYWHERE):
+        return _turned(_REGISTRY[plain], name, _SUFFIXES[name[-5:]])
+    raise FunctionError(
+        f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
+        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before the library is built",
+        missing=plain,
+    )
+
+
+def _ways(name: str, formula: str) -> str:
+    """Say how a user registers a function, in the settings of a command and in Python."""
+    return (
+        f'write it into plant.functions, such as {{{name}: "{formula}"}}; in Python, call register_function({name!r}, '
+        f"..., formula={formula!r})"
+    )
+
+
+LONGEST = 300
+"""Characters of a formula."""
+_OPERATORS: dict[type[ast.AST], Callable[..., Tensor]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.USub: operator.neg,
+}
+_OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_CALLS: dict[str, Callable[..., Tensor]] = {
+    "sin": torch.sin,
+    "cos": torch.cos,
+    "exp": torch.exp,
+    "tanh": torch.tanh,
+    "sqrt": torch.sqrt,
+    "fabs": torch.abs,
+    "sign": torch.sign,
+    "square": torch.square,
+    "larger": torch.maximum,
+}
+
+
+_ARGUMENT = "argument_"
+"""What stands for `{` and a digit while a formula is read."""
+
+
+def register_formula(name: str, formula: str) -> Function:
+    """Make a function of one argument or several available to libraries, saved models and exports, from its formula.
+
+    Where a function of the same formula is registered, in Python or by this, it stays.
+
+    Args:
+        name: a Python identifier, not that of another function.
+        formula: a line of numbers, `{0}` for the argument, `{1}` for a second one, `+ - * /`, brackets and
+            `FORMULA_FUNCTIONS`; where it is not finite, as `sqrt({0})` below zero, no model is: write
+            `sqrt(larger({0}, 0.001))`.
+
+    Raises:
+        FunctionError: the name is that of another function.
+        ValueError: the name is no identifier, or the formula holds anything else.
+    """
+    if is_registered(name):
+        if (known := function(name)).given == formula != "":
+            return known
+        told = known.given or "which is not of a formula"
+        raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
+    tree = _read(name, formula)
+    # What was given is not kept for other languages: its tree is written anew, from numbers and known names alone.
+    return keep(replace(register_function(name, lambda *z: _value(tree, z), formula=_written(tree)), given=formula))
+
+
+def texts(names: Iterable[str]) -> dict[str, str]:
+    """Return the formulas that functions were registered with, by name.
+
+    Other functions are left out, and so are those whose formula cannot be read again.
+    """
+    found = {name: function(name).given for name in sorted(set(map(of_one, names)))}
+    return {name: formula for name, formula in found.items() if formula and _is_readable(name, formula)}
+
+
+def forget(names: Iterable[str]) -> None:
+    """Take back the registration of functions, of a file that turned out to be damaged."""
+    for name in names:
+        unregister_function(name)
+
+
+def _is_readable(name: str, formula: str) -> bool:
+    try:
+        _read(name, formula)
+    except ValueError:
+        return False
+    return True
+
+
+def _places(formula: str) -> set[int]:
+    """Return which arguments a formula has."""
+    return set(map(int, re.findall(r"\{(\d)\}", formula)))
+
+
+def _read(name: str, formula: object) -> ast.expr:
+    """Return the tree of a formula, of which every node is allowed."""
+    allowed = f"allowed are {{0}}, {{1}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
+    told = str(formula)[:60]
+    if not isinstance(formula, str) or len(formula) > LONGEST:
+        raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
+    try:
+        tree = parsed(re.sub(r"\{(\d)\}", rf" {_ARGUMENT}\1 ", formula).strip())
+        wrong = _wrong(tree)
+    except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
+        raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
+    if wrong is not None:
+        raise ValueError(f"function {name!r}: {told!r} holds {ast.unparse(wrong)[:40]!r}; {allowed}: mend it")
+    places = _places(_written(tree))
+    if lacking := sorted({*range(max(places, default=0) + 1)} - places):
+        raise ValueError(
+            f"function {name!r}: {told!r} has no {{{lacking[0]}}}, which stands for argument {lacking[0] + 1}; write "
+            "it in"
+        )
+    return tree
+
+
+def _wrong(node: ast.expr) -> ast.expr | None:
+    """Return the first node that is not allowed."""
+    match node:
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _wrong(left) or _wrong(right)
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            return _wrong(operand)
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in _CALLS:
+            return next(filter(None, map(_wrong, args)), None) if len(args) == 1 + (name == "larger") else node
+        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+            return None if math.isfinite(float(value)) else node
+        case ast.Name(id=name) if re.fullmatch(rf"{_ARGUMENT}\d", name):
+            return None
+        case _:
+            return node
+
+
+def _written(node: ast.expr) -> str:
+    """Return a node in brackets, floats and known names, which every language reads alike."""
+    match node:
+        case ast.BinOp(left=left, op=op, right=right):
+            return f"({_written(left)} {_OPERATORS[type(op)]} {_written(right)})"
+        case ast.UnaryOp(operand=operand):
+            return f"(0.0 - {_written(operand)})"
+        case ast.Call(func=ast.Name(id=name), args=args):
+            return f"{name}({', '.join(_written(arg) for arg in args)})"
+        case ast.Constant(value=value):
+            return repr(float(value))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return f"{{{name.removeprefix(_ARGUMENT)}}}"
+        case _:
+            raise AssertionError  # `_wrong` has refused it
+
+
+def _value(node: ast.expr, z: tuple[Tensor, ...]) -> Tensor:
+    """Return the value of a node at the arguments, of their shape."""
+    match node:
+        case ast.BinOp(left=left, op=op, right=right):
+            return _OPERATORS[type(op)](_value(left, z), _value(right, z))
+        case ast.UnaryOp(op=op, operand=operand):
+            return _OPERATORS[type(op)](_value(operand, z))
+        case ast.Call(func=ast.Name(id=name), args=args):
+            return _CALLS[name](*(_value(arg, z) for arg in args))
+        case ast.Constant(value=value):
+            return torch.full_like(z[0], float(value))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return z[int(name.removeprefix(_ARGUMENT))]
+        case _:
+            raise AssertionError  # `_wrong` has refused it

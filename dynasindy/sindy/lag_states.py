@@ -1,0 +1,339 @@
+"""A state that no sensor sees and that follows a signal: a motor its command, a wall the air of an oven.
+
+The state a follows the signal s by a' = (s - a) / T.
+
+| signal           | what it may be                            | how the equations read a                        |
+| ---------------- | ----------------------------------------- | ----------------------------------------------- |
+| an input u       | a motor, a propeller, a valve that lags   | in the place of u                               |
+| a measured x     | a wall, a store beside it, what creeps    | as x - a, in the equation of x, or of its rate  |
+
+A store that x alone fills has this form whatever its capacity and its losses: its own level b, b' = p x - b / T + q, is
+p T a + q T, and the factor and the offset are in the coefficients of the other equations. At rest a equals s. The time
+T is found by regressions on signals that were led through such a lag, then with all else by trajectories.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.delay import delayed, known_inputs, unexplained
+from dynasindy.sindy.library import Library, of
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.reconstruction import Seen, has_gaps, rates_known, reconstruct
+from dynasindy.sindy.regression import Rows, RunningSums, least_squares
+from dynasindy.systems.transitions import Transitions
+
+TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
+"""Times that regressions try of a state that follows an input [samples]."""
+LONGER = (*TIMES, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
+"""The same of one that follows a measured state, which may be far slower than that: as far as `SLOWEST` allows."""
+SLOWEST = 0.25
+"""Longest time that is tried [lengths of the longest stretch]."""
+PARTS = (0.0, 0.25, 0.5, 0.75)
+"""Parts of a model's delay that are tried beside all of it."""
+FORGOTTEN = math.log(1000.0)
+"""Times after which it no longer matters where a state that follows an input began: a part in 1000 is left."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Hold a model with one state more, which follows a signal, not fitted yet but for a first guess.
+
+    Attributes:
+        model: the model; the state is its last.
+        signal: input or measured state that is followed.
+        gain: what the regression of the rates of change leaves over less than without it [log of the error, a row].
+    """
+
+    model: SindyModel
+    signal: str
+    gain: float
+
+    def words(self) -> str:
+        """Say what was found, after the fit; empty where the state does not follow."""
+        rate = float(self.model.coefficients[-1, -1])
+        if not rate > 0:
+            return ""
+        if self.signal in self.model.signature.input_names:
+            return f"{self.signal} acts through a lag of {1 / rate:.3g} s, a state that no sensor sees"
+        return (
+            f"a part of the plant that no sensor sees follows {self.signal} with a time constant of {1 / rate:.3g} s: "
+            f"it is the state {lagging(self.signal)}"
+        )
+
+
+def trials(model: SindyModel, data: Transitions) -> list[Trial]:
+    """Return models with a state that follows an input or a measured state, those first that regressions prefer.
+
+    Those are left out by which a regression explains no more, and all where equations are known beyond rates. What
+    the model takes for a delay of the inputs may be one, may stand for the state that is missing, or be a part of both:
+    shorter delays are tried, too.
+
+    Args:
+        model: what was fitted to the recording.
+        data: the recording, NaN where a state was not measured.
+    """
+    known = set(rates_known(model.library, model.constraints).values())
+    others = [i for i in range(model.signature.n_x) if i not in known]
+    if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
+        return []
+    data, keep = data.to(torch.float64), known_inputs(data, model.delay)
+    late = {delay: delayed(data, delay).select(keep) for delay in _delays(model.delay, data.dt)}
+    found = []
+    for signal in _signals(model, data):
+        plain = _Search(model, late[model.delay], signal)
+        tried = [_Search(model, other, signal, delay).best(plain) for delay, other in late.items()]
+        found += sorted((trial for trial in tried if trial), key=lambda trial: -trial.gain)[:1]
+    return sorted(found, key=lambda trial: -trial.gain)
+
+
+def _delays(longest: float, dt: float) -> list[float]:
+    """Return delays between none and that of a model [s], in whole samples but for the longest."""
+    return sorted({*(round(part * longest / dt) * dt for part in PARTS if part * longest < longest), longest})
+
+
+def _signals(model: SindyModel, data: Transitions) -> list[str]:
+    """Return what may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought."""
+    signature, measured = model.signature, ~data.x.isnan().all(0)
+    seen = [name for i, name in enumerate(signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
+    return [*signature.input_names, *seen]
+
+
+def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
+    """Return the state whose equation a store beside state i acts on, or its known rate, and if that is sought."""
+    rate = {of: rate for rate, of in rates_known(model.library, model.constraints).items()}.get(i, i)
+    return rate, bool(model.constraints.free[:, rate].any())
+
+
+class _Search:
+    """Regressions of the rates of change on functions of a signal that was led through lags of many times."""
+
+    def __init__(self, model: SindyModel, data: Transitions, signal: str, delay: float = 0.0) -> None:
+        self.model, self.data, self.signal, self.delay = model, data, signal, delay
+        self.rates, self.noisy = rates_known(model.library, model.constraints), not bool(has_gaps(data))
+        self.guess = reconstruct(data, self.rates, self.noisy)
+        self.input = signal in model.signature.input_names
+        place = (model.signature.input_names if self.input else model.signature.state_names).index(signal)
+        held = self.guess.u if self.input else 0.5 * (self.guess.x + self.guess.x_next)
+        self.follows, self.moved = held[:, place], place if self.input else _moved(model, place)[0]
+
+    def best(self, plain: _Search) -> Trial | None:
+        """Return the model of the time with which all functions together explain most; None where none does.
+
+        Args:
+            plain: The same under the inputs of the model as it is: what its functions explain is to be outdone.
+        """
+        times, keep = self._times()
+        if not times:
+            return None
+        left = plain.left(keep)
+        costs = {time: self._cost(time, keep) for time in times}
+        time = min(costs, key=costs.__getitem__)
+        if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
+            return None
+        gain = left - costs[time]
+        wide = self._wide(time)
+        rows = self._rows(wide, time, keep)
+        if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
+            return None
+        wide.initial, wide.initial_delay = self._solved(wide, rows, time), self.delay
+        return Trial(wide, self.signal, gain / len(rows[0]))
+
+    def left(self, keep: Tensor) -> float:
+        """Return N/2 log of what is left over without the state, of rows bool `(N,)`."""
+        seen = Seen.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
+        free = self.model.constraints.free
+        fixed = torch.where(free, 0.0, self.model.coefficients)
+        theta, dx = seen.rows(self.model.library, generate(self.model.library, self.model.coefficients))
+        return unexplained(free, theta, dx - theta @ fixed)
+
+    def _times(self) -> tuple[list[float], Tensor]:
+        """Return the times that are tried [s], and rows in which the states that follow are known, bool `(N,)`.
+
+        Where a state that follows an input began is not known, and times that leave less than half of the samples known
+        are not tried. Where one began that follows a measured state is told by the regression.
+        """
+        data, enough = self.data, max(len(self.data) // 2, 2 * len(self.model.library))
+        longest = SLOWEST * int(torch.bincount(data.segment - data.segment.min()).max())
+        if not self.input:
+            every, stretches = torch.ones(len(data), dtype=torch.bool), len(data.segment.unique())
+            return [n * data.dt for n in LONGER if n <= longest and len(data) >= enough + stretches], every
+        for n in reversed(TIMES):
+            keep = known_inputs(data, FORGOTTEN * n * data.dt)
+            if int(keep.sum()) >= enough:
+                return [m * data.dt for m in TIMES if m <= n], keep
+        return [], keep
+
+    def _cost(self, time: float, keep: Tensor) -> float:
+        """Return N/2 log of what is left over; infinite of a store that would drive what fills it."""
+        wide = self._wide(time)
+        theta, dx = self._rows(wide, time, keep)
+        free = self._free(wide, theta)
+        if not self.input:
+            mine = free[:, self.moved]
+            own = int(mine[: len(wide.library)].sum()) - 1
+            if not float(least_squares(theta[:, mine], dx[:, self.moved])[own]) < 0:
+                return math.inf
+        fixed = torch.zeros_like(free, dtype=theta.dtype)
+        fixed[: len(wide.library)] = wide.coefficients
+        return unexplained(free, theta, dx - theta @ torch.where(free, 0.0, fixed))
+
+    def _free(self, wide: SindyModel, theta: Tensor) -> Tensor:
+        """Return which columns the regression of each state may have, bool `(n_columns, n_x)`; none of the follower."""
+        free = torch.zeros(theta.shape[1], wide.signature.n_x, dtype=torch.bool)
+        free[: len(wide.library)] = wide.constraints.free
+        free[len(wide.library) :, self.moved] = True
+        free[:, -1] = False
+        return free
+
+    def _rows(self, wide: SindyModel, time: float, keep: Tensor) -> Rows:
+        """Return averaged functions and rates of change under a state that follows with so much time [s].
+
+        Where a state that follows a measured one began is not known: behind the functions stands what decays from
+        there, a column for each stretch.
+        """
+        starts, ends = following(self.follows, self.data, time)
+        own, n_x = [starts.unsqueeze(-1)], wide.signature.n_x
+        own_next = [ends.unsqueeze(-1)]
+        if not self.input:
+            own.append(self._decays(time))
+            own_next.append(own[-1] * math.exp(-self.data.dt / time))
+        guess = replace(
+            self.guess, x=torch.cat([self.guess.x, *own], -1), x_next=torch.cat([self.guess.x_next, *own_next], -1)
+        )
+        measured = self.data
+        for _ in range(guess.x.shape[1] - n_x + 1):
+            measured = widened(measured)
+
+        def _theta(x: Tensor, u: Tensor) -> Tensor:
+            return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
+
+        seen = Seen.of(guess.select(keep), measured.select(keep), self.rates, self.noisy)
+        theta, dx = seen.rows(_theta, _theta)  # where a state was not measured no field is asked for
+        return theta, dx[:, :n_x]
+
+    def _decays(self, time: float) -> Tensor:
+        """Return what is left of 1 at the begin of each interval since its stretch began, a column for each stretch."""
+        _, stretch = self.data.segment.unique_consecutive(return_inverse=True)
+        places = torch.arange(len(stretch))
+        first = torch.where(self.data.begins(), places, 0).cummax(0).values
+        left = torch.exp(-self.data.dt / time * (places - first).double())
+        return left.unsqueeze(-1) * torch.nn.functional.one_hot(stretch)
+
+    def _solved(self, wide: SindyModel, rows: Rows, time: float) -> Tensor:
+        """Return the coefficients that the regression of a model finds."""
+        theta = rows[0]
+        sums = RunningSums(theta.shape[1], wide.signature.n_x)
+        sums.add(rows)
+        fixed = torch.zeros(theta.shape[1], wide.signature.n_x, dtype=theta.dtype)
+        fixed[: len(wide.library)] = wide.constraints.offset
+        found = wide.regression.solve(sums, self._free(wide, theta), fixed)[: len(wide.library)]
+        found[-1, -1] = 1 / time
+        return found
+
+    def _wide(self, time: float) -> SindyModel:
+        """Return the model with one state more, without coefficients but those that are known."""
+        old, model, name = self.model.signature, self.model, lagging(self.signal)
+        own = of("ahead", self.signal, name)
+        read = list(model.library.features)
+        if self.input:
+            signature = old.with_state(name, "1")
+            read = [feature.reading(self.signal, name) for feature in read]
+        else:
+            place = old.state_index(self.signal)
+            signature = old.with_state(name, old.state_units[place], old.x_scale[place])
+        states, written = old.state_names, [feature.name() for feature in read]
+        allowed = {
+            state: [n for n, may in zip(written, model.constraints.free[:, i], strict=True) if may]
+            for i, state in enumerate(states)
+        }
+        if not self.input:
+            allowed[states[self.moved]].append(own.name())
+        return SindyModel(
+            signature,
+            Library(signature, [*read, own]),
+            model.regression,
+            model.refinement,
+            known={states[i]: states[rate] for rate, i in self.rates.items()},
+            allowed=allowed | {name: [own.name()]},
+            machine_code=model.machine_code,
+        )
+
+
+def following(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
+    """Return a state that follows a signal, at the begin and at the end of each interval, `(N,)` both.
+
+    It begins each segment at rest, equal to the signal.
+
+    Args:
+        signal: the signal, constant over each interval, `(N,)`.
+        data: the recording.
+        time: time constant [s].
+    """
+    left, now, starts, ends = math.exp(-data.dt / time), 0.0, [], []
+    for held, anew in zip(signal.tolist(), data.begins().tolist(), strict=True):
+        now = held if anew else now
+        starts.append(now)
+        now = held + (now - held) * left
+        ends.append(now)
+    return torch.tensor(starts, dtype=signal.dtype), torch.tensor(ends, dtype=signal.dtype)
+
+
+def lagging(name: str) -> str:
+    """Return the name of the state that follows a signal."""
+    return f"{name}_lagging"
+
+
+def begins(model: SindyModel, data: Transitions) -> dict[int, tuple[float, float]]:
+    """Return the ends between which states that follow were in a log, by place; of a measured state the difference.
+
+    Args:
+        model: a fitted model.
+        data: the log, with all states of the model; before it inputs were zero.
+    """
+    found, names = {}, model.signature
+    guess = reconstruct(data, rates_known(model.library, model.constraints))
+    for name, signal in model.followed.items():
+        place = names.state_index(name)
+        if signal in names.input_names:
+            ends = data.u[:, names.input_names.index(signal)]
+            found[place] = min(float(ends.min()), 0.0), max(float(ends.max()), 0.0)
+            continue
+        level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
+        behind = following(level, data, 1 / float(model.coefficients[:, place].sum()))[1] - level
+        found[place] = float(behind.min()), float(behind.max())
+    return found
+
+
+def completed(data: Transitions, names: tuple[str, ...], model: SindyModel) -> Transitions:
+    """Return a recording with all states of a model, whose followers no sensor sees.
+
+    Args:
+        data: the recording.
+        names: its states.
+        model: the model.
+
+    Raises:
+        ValueError: the model is of another plant.
+    """
+    states = model.signature.state_names
+    more = states[len(names) :]
+    if states[: len(names)] != names or not set(more) <= set(model.followed):
+        raise ValueError(
+            f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
+            "the plant that the log is of"
+        )
+    for _ in more:
+        data = widened(data)
+    return data
+
+
+def widened(data: Transitions) -> Transitions:
+    """Return a recording with one state more, which no sensor sees."""
+    unseen = torch.full_like(data.x[:, :1], torch.nan)
+    return replace(data, x=torch.cat([data.x, unseen], -1), x_next=torch.cat([data.x_next, unseen], -1))

@@ -1,0 +1,516 @@
+"""Candidate functions as data, and the library Theta(x, u) of them: products of powers of functions."""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+from itertools import islice
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.functions import function, of_two
+from dynasindy.systems.base import Signature
+
+FARTHEST = 30.0
+"""Factor between the first guess of a number inside a function and what is fitted, either way."""
+LARGEST_POWER = 100
+"""Power beyond which a function of a file or of words is taken for a mistake."""
+
+
+@dataclass(frozen=True, order=True)
+class Factor:
+    """Raise `function(frequency * variables)`, or `function(variables, frequency)`, to a power.
+
+    Attributes:
+        variables: states and inputs.
+        function: name of an elementary function.
+        power: whole number.
+        frequency: the number inside the function: a frequency, the inverse of a width, an offset.
+        fitted: first guess of that number if it is fitted with the coefficients, 0 if it is given.
+    """
+
+    variables: tuple[str, ...]
+    function: str = "id"
+    power: int = 1
+    frequency: float = 1.0
+    fitted: float = 0.0
+
+    def with_number(self, number: float) -> Factor:
+        """Return the factor with another number inside, not farther from its first guess than `FARTHEST` allows.
+
+        A number that is not finite, of a step that led nowhere, changes nothing.
+        """
+        if not math.isfinite(number):
+            return self
+        low, high = sorted((self.fitted / FARTHEST, self.fitted * FARTHEST))
+        return replace(self, frequency=min(max(number, low), high))
+
+    def compute(self) -> Callable[..., Tensor]:
+        """Return the function of the variables alone, its power left out."""
+        known = function(self.function)
+        if known.parametric:
+            return lambda *args: known.compute(*args, self.frequency)
+        if self.frequency == 1:
+            return known.compute
+        return lambda *args: known.compute(*(self.frequency * a for a in args))
+
+    def slope(self, *args: Tensor) -> Tensor:
+        """Return the derivative of the function of some variables by the number inside it."""
+        known = function(self.function)
+        if known.parametric and known.by_number is not None:
+            return known.by_number(*args, self.frequency)
+        if not known.parametric and known.slope is not None and len(args) == 1:
+            return args[0] * known.slope(self.frequency * args[0])
+        p = torch.full_like(args[0], self.frequency)
+        inside = (
+            known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
+        )
+        derivative: Tensor = torch.func.jvp(lambda q: inside(*args, q), (p,), (torch.ones_like(p),))[1]
+        return derivative
+
+    @property
+    def base(self) -> Factor:
+        """Return the same factor to the power of one."""
+        return self if self.power == 1 else replace(self, power=1)
+
+    def text(self, latex: bool = False) -> str:
+        """Write the factor as a reader would."""
+        known = function(self.function)
+        form = known.latex if latex else known.text
+        number = f"{self.frequency:g}"
+        scale = "" if self.frequency == 1 or known.parametric else f"{number} "
+        names = [scale + (latex_name(v) if latex else v) for v in self.variables]
+        written = form.format(", ".join(names), number, *names)
+        if self.power == 1:
+            return written
+        if latex and self.function in ("sin", "cos", "tanh", "sign"):
+            return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names), number)
+        if latex and not known.atomic:
+            written = rf"\left({written}\right)"
+        return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Multiply factors; no factor is the constant 1."""
+
+    factors: tuple[Factor, ...] = ()
+
+    @classmethod
+    def of(cls, factors: Iterable[Factor]) -> Feature:
+        """Multiply factors, joining powers of the same function of the same variable."""
+        powers: dict[Factor, int] = {}
+        for factor in factors:
+            powers[factor.base] = powers.get(factor.base, 0) + factor.power
+        return cls(tuple(replace(base, power=p) for base, p in powers.items() if p))
+
+    def __mul__(self, other: Feature) -> Feature:
+        """Multiply two features."""
+        return Feature.of(self.factors + other.factors)
+
+    @property
+    def key(self) -> frozenset[Factor]:
+        """Return what makes two features the same function, whatever the order of factors."""
+        return frozenset(self.factors)
+
+    @property
+    def variables(self) -> set[str]:
+        """Collect the states and inputs it reads."""
+        return {v for factor in self.factors for v in factor.variables}
+
+    def reading(self, name: str, other: str) -> Feature:
+        """Return the same function with one variable in the place of another.
+
+        Args:
+            name: state or input that is read.
+            other: what is read instead.
+        """
+        return Feature(
+            tuple(
+                replace(factor, variables=tuple(other if v == name else v for v in factor.variables))
+                for factor in self.factors
+            )
+        )
+
+    def name(self) -> str:
+        """Write the feature in the names of states and inputs, e.g. `Omega_a^2 sin(alpha_p)`."""
+        return self._name
+
+    @cached_property
+    def _name(self) -> str:
+        """The name, which a library asks for again whenever numbers inside its functions move."""
+        return " ".join(f.text() for f in self.factors) or "1"
+
+    def latex(self) -> str:
+        """Write the feature as LaTeX."""
+        return r" \, ".join(f.text(latex=True) for f in self.factors) or "1"
+
+    def to_list(self) -> list[list]:
+        """Return plain lists for JSON."""
+        return [
+            [list(f.variables), f.function, f.power, f.frequency, *([f.fitted] if f.fitted else [])]
+            for f in self.factors
+        ]
+
+    @classmethod
+    def from_list(cls, data: list[list]) -> Feature:
+        """Read what `to_list` wrote.
+
+        Raises:
+            ValueError: a function is not known (user functions are registered before loading).
+            ValueError: a power is not whole or larger than `LARGEST_POWER`, or a frequency is not finite.
+        """
+        return cls(
+            tuple(
+                _checked(Factor(tuple(v), function(f).name, p, float(w), *map(float, fit))) for v, f, p, w, *fit in data
+            )
+        )
+
+
+def _checked(factor: Factor) -> Factor:
+    """Return a factor from a file or from words if its numbers are those of a function."""
+    if type(factor.power) is not int or abs(factor.power) > LARGEST_POWER:
+        shown = str(factor.power)[:20] if abs(factor.power) < 10**20 else "a number of more than 20 digits"
+        raise ValueError(f"a function has the power {shown}; allowed are whole ones up to {LARGEST_POWER}: correct it")
+    if not (math.isfinite(factor.frequency) and math.isfinite(factor.fitted)):
+        raise ValueError(f"a function has the frequency {factor.frequency}; allowed are finite ones: correct it")
+    if factor.function == "id" and len(factor.variables) != 1:
+        raise ValueError(f"a product has a factor of {len(factor.variables)} variables; allowed is one: correct it")
+    takes = function(factor.function).n_variables
+    if takes is not None and len(factor.variables) != takes:
+        raise ValueError(
+            f"function {factor.text()} has {len(factor.variables)} arguments; its formula, "
+            f"{function(factor.function).given!r}, takes {takes}: correct one of them"
+        )
+    return factor
+
+
+def variable(name: str, power: int = 1) -> Feature:
+    """Return a power of a state or an input as a feature."""
+    return Feature((Factor((name,), "id", power),))
+
+
+def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1.0, fitted: bool = False) -> Feature:
+    """Return a function of states or inputs as a feature, e.g. `of("sin", "alpha_p")`."""
+    guess = frequency if fitted else 0.0
+    return Feature((_checked(Factor(variables, function(function_name).name, power, frequency, guess)),))
+
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_TWO = r"\s*[A-Za-z_]\w*\s*[+-]\s*[A-Za-z_]\w*\s*"
+_TOKEN = re.compile(
+    rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
+    rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
+    r"exp\(-\((?P<bell>[^()]+)\)\^2\)|"
+    r"\((?P<ahead>[A-Za-z_]\w*) - (?P<behind>[A-Za-z_]\w*)\)|"
+    r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
+    r"(?:\^(?P<power>\d+))?\s*\*?"
+)
+_ARGUMENT = re.compile(rf"\s*(?:(?P<fitted>~?)(?P<number>{_NUMBER})[ *]+)?(?P<name>[A-Za-z_]\w*)\s*")
+
+
+def parse(text: str) -> Feature:
+    """Read a feature from its name, e.g. `omega_a |omega_a|`, `Omega_a^2 sin(2 alpha_p)`, `1`.
+
+    Raises:
+        ValueError: the text is no product of states, inputs and known functions, or a power is too large.
+    """
+    factors, place = [], 0
+    while place < len(text.rstrip()):
+        token = _TOKEN.match(text, place)
+        if token is None:
+            raise ValueError(
+                f"function {text!r} of plant.library cannot be read at {text[place:]!r}; allowed are products such as "
+                "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
+            )
+        place = token.end()
+        power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
+        if token["per"]:
+            factors.append(_of_sum("per_cos2", token["angle"], power, float(token["per"])))
+        elif token["edge"]:
+            factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
+        elif token["start"]:
+            factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
+        elif token["bell"]:
+            factors.append(_written("bell", token["bell"], power))
+        elif token["ahead"]:
+            factors.append(Factor((token["ahead"], token["behind"]), "ahead", power))
+        elif token["abs"]:
+            factors.append(_written("abs", token["abs"], power))
+        elif token["function"]:
+            factors.append(_written(token["function"], token["args"], power))
+        elif token["name"]:
+            factors.append(Factor((token["name"],), "id", power))
+    return Feature.of(map(_checked, factors))
+
+
+def _of_sum(name: str, variables: str, power: int, number: float = 1.0) -> Factor:
+    """Read a function of a variable, or of the sum or the difference of two."""
+    if re.fullmatch(_TWO, variables):
+        one, sign, two = re.split(r"([+-])", variables)
+        return Factor((one.strip(), two.strip()), of_two(name, sign), power, number)
+    return Factor((variables.strip(),), name, power, number)
+
+
+def _written(name: str, arguments: str, power: int) -> Factor:
+    """Read the arguments of a function: `alpha_p`, `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted.
+
+    A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
+    """
+    if re.fullmatch(_TWO, arguments):
+        return _of_sum(name, arguments, power)
+    arguments, semicolon, last = arguments.partition(";")
+    if semicolon:
+        arguments = ",".join(f"{last.strip()} {argument}" for argument in arguments.split(","))
+    read = [_ARGUMENT.fullmatch(argument) for argument in arguments.split(",")]
+    found = [match for match in read if match is not None]
+    numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
+    if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
+        raise ValueError(
+            f"function {name}({arguments}) of plant.library cannot be read; allowed are 'name', 'name - other', "
+            "'name, other' for a function of two arguments, '2 name', or '~2 name' for a first guess that is not 0, "
+            "the same number before each name of a state or an input: correct it"
+        )
+    fitted, number = numbers.pop()
+    return Factor(tuple(m["name"] for m in found), function(name).name, power, number, number if fitted else 0.0)
+
+
+_GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")
+
+
+def latex_name(name: str) -> str:
+    r"""Write a state or input name as LaTeX, e.g. `Omega_a` as `\Omega_{a}`."""
+    head, _, tail = name.partition("_")
+    number = re.fullmatch(r"([A-Za-z]+?)(\d+)", head)
+    if number and not tail:
+        head, tail = number.groups()
+    head = "\\" + head if head in _GREEK else (head if len(head) == 1 else rf"\mathrm{{{head}}}")
+    head, tail = head.replace(" ", r"\ "), tail.replace(" ", r"\ ")  # mathematics loses spaces
+    # A second subscript within the first is an error of LaTeX.
+    return f"{head}_{{{tail}}}".replace("_", r"\_").replace(r"\_{", "_{", 1) if tail else head
+
+
+CONSTANT: Feature = Feature()
+"""The function 1."""
+
+
+LARGEST = 10_000
+"""Number of functions beyond which a library is taken for a mistake; the largest of a plant here has 159."""
+
+
+def bounded(features: Iterable[Feature]) -> list[Feature]:
+    """Return features, unless there are more than a library may hold; they are not counted to their end.
+
+    Raises:
+        ValueError: there are more.
+    """
+    first = list(islice(features, LARGEST + 1))
+    if len(first) > LARGEST:
+        raise ValueError(
+            f"the library has more than {LARGEST} functions; lower its degree or order, or choose another list in "
+            "plant.library"
+        )
+    return first
+
+
+class _Plan(NamedTuple):
+    """Hold how a library is computed.
+
+    Attributes:
+        products: places of the values whose product each feature is.
+        steps: factors, each with the places of what it reads; its value has the next place after all earlier ones, of
+            which the first are the states and inputs.
+    """
+
+    products: list[tuple[int, ...]]
+    steps: list[tuple[Factor, tuple[int, ...]]]
+
+
+class Library:
+    """Evaluate candidate functions of states and inputs, Theta(x, u) of the paper, eq. (library).
+
+    `a + b` holds the functions of both, `a * b` all products of a function of one with a function of the other.
+
+    Args:
+        signature: names of the states and inputs the features read.
+        features: candidate functions; repeated ones are kept once.
+        allowed: features that may occur in a state's equation, by state; all where a state is not named.
+        step: of the difference equation that the functions make up [s], see `systems.steps`; None of a
+            differential equation.
+
+    Raises:
+        ValueError: a feature reads a state or an input that does not exist.
+        ValueError: `allowed` names a state that does not exist.
+        ValueError: there is no feature, or more than `LARGEST`.
+    """
+
+    def __init__(
+        self,
+        signature: Signature,
+        features: Iterable[Feature],
+        allowed: Mapping[str, Iterable[Feature]] | None = None,
+        step: float | None = None,
+    ) -> None:
+        self.signature, self.step = signature, step
+        self.features: tuple[Feature, ...] = tuple({f.key: f for f in bounded(features)}.values())
+        self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
+        wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
+        if wrong:
+            raise ValueError(
+                f"plant.library names {', '.join(wrong)}, which is no state and no input; allowed are "
+                f"{', '.join(self._index)}: correct the name"
+            )
+        if not self.features:
+            raise ValueError(
+                "plant.library is empty; allowed is one function or more, or the name of a list: add some there, or in "
+                "the file of the plant"
+            )
+        self.names = tuple(f.name() for f in self.features)
+        self._plan: _Plan | None = None
+        self.allowed: dict[str, tuple[str, ...]] = {}
+        for state, group in (allowed or {}).items():
+            signature.state_index(state)
+            keys = {f.key for f in group}
+            self.allowed[state] = tuple(f.name() for f in self.features if f.key in keys)
+
+    def __len__(self) -> int:
+        """Count the features."""
+        return len(self.features)
+
+    def __add__(self, other: Library) -> Library:
+        """Unite two libraries; what was allowed where is forgotten."""
+        return Library(self.signature, self.features + other.features)
+
+    def __mul__(self, other: Library) -> Library:
+        """Multiply every feature of one library with every feature of the other; `allowed` is forgotten."""
+        return Library(self.signature, (a * b for b in other.features for a in self.features))
+
+    def subset(self, indices: Sequence[int]) -> Library:
+        """Keep the features at the given positions."""
+        return Library(self.signature, [self.features[i] for i in indices], step=self.step)
+
+    def index(self, name: str) -> int:
+        """Find a feature by its readable name.
+
+        Raises:
+            ValueError: no feature has that name.
+        """
+        if name not in self.names:
+            near = get_close_matches(name, self.names, 3, 0.0)
+            raise ValueError(
+                f"function {name!r} is not among the {len(self)} candidate functions, such as {', '.join(near)}: "
+                "correct it, or add it to plant.library"
+            )
+        return self.names.index(name)
+
+    def __call__(self, x: Tensor, u: Tensor) -> Tensor:
+        """Evaluate all features.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+
+        Returns:
+            Theta, `(*batch, n_features)`, in the dtype of `x`.
+        """
+        if self._plan is None:
+            self._plan = self._planned()
+        values = [*x.unbind(-1), *u.to(x.dtype).unbind(-1)]
+        for factor, places in self._plan.steps:
+            args = [values[place] for place in places]
+            values.append(factor.compute()(*args) if factor.power == 1 else args[0] ** factor.power)
+        columns = []
+        for places in self._plan.products:
+            column = values[places[0]] if places else torch.ones_like(values[0])
+            for place in places[1:]:
+                column = column * values[place]
+            columns.append(column)
+        return torch.stack(columns, -1)
+
+    def _planned(self) -> _Plan:
+        """Return what there is to compute, each factor once."""
+        steps: list[tuple[Factor, tuple[int, ...]]] = []
+        known: dict[Factor, int] = {}
+
+        def _place(factor: Factor) -> int:
+            if factor not in known:
+                read = tuple(self._index[v] for v in factor.variables)
+                steps.append((factor, read if factor.power == 1 else (_place(factor.base),)))
+                known[factor] = len(self._index) + len(steps) - 1
+            return known[factor]
+
+        return _Plan([tuple(_place(factor) for factor in f.factors) for f in self.features], steps)
+
+    @property
+    def shapes(self) -> tuple[Factor, ...]:
+        """Return the factors whose number is fitted, each once, to the power of one."""
+        return tuple({f.base: None for feature in self.features for f in feature.factors if f.fitted})
+
+    def with_shapes(self, numbers: Sequence[float]) -> Library:
+        """Return the library with other numbers inside its fitted factors, in the order of `shapes`."""
+        new = {s: s.with_number(number).frequency for s, number in zip(self.shapes, numbers, strict=True)}
+        features = [
+            Feature(tuple(replace(f, frequency=new.get(f.base, f.frequency)) for f in feature.factors))
+            if any(f.fitted for f in feature.factors)
+            else feature
+            for feature in self.features
+        ]
+        names = dict(zip(self.names, (f.name() for f in features), strict=True))
+        changed = Library(self.signature, features, step=self.step)
+        changed.allowed = {state: tuple(names[n] for n in group) for state, group in self.allowed.items()}
+        return changed
+
+    def with_step(self, step: float | None) -> Library:
+        """Return the library as one of a difference equation with that step [s], or of a differential equation."""
+        changed = copy.copy(self)
+        changed.step = step
+        return changed
+
+    def by_shapes(self, x: Tensor, u: Tensor, shapes: Sequence[Factor]) -> Tensor:
+        """Evaluate the derivatives of all features by the numbers inside some factors.
+
+        Args:
+            x: states, `(*batch, n_x)`.
+            u: inputs, `(*batch, n_u)`.
+            shapes: factors to the power of one.
+
+        Returns:
+            `(*batch, n_features, n_shapes)`.
+        """
+        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
+        values: dict[Factor, Tensor] = {}
+        ones = torch.ones_like(columns[0])
+        slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
+        for j, shape in enumerate(shapes):
+            slope = shape.slope(*(columns[self._index[v]] for v in shape.variables))
+            for i, feature in enumerate(self.features):
+                for k, factor in enumerate(feature.factors):
+                    if factor.base == shape:
+                        lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
+                        rest = feature.factors[:k] + lower + feature.factors[k + 1 :]
+                        slopes[..., i, j] = slope * factor.power * self._product(rest, columns, values, ones)
+        return slopes
+
+    def _product(
+        self, factors: Iterable[Factor], columns: Sequence[Tensor], values: dict[Factor, Tensor], ones: Tensor
+    ) -> Tensor:
+        product: Tensor | None = None
+        for factor in factors:
+            value = self._value(factor, columns, values)
+            product = value if product is None else product * value
+        return ones if product is None else product
+
+    def _value(self, factor: Factor, columns: Sequence[Tensor], values: dict[Factor, Tensor]) -> Tensor:
+        if factor not in values:
+            if factor.power != 1:
+                values[factor] = self._value(factor.base, columns, values) ** factor.power
+            else:
+                values[factor] = factor.compute()(*(columns[self._index[v]] for v in factor.variables))
+        return values[factor]

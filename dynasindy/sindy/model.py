@@ -1,0 +1,448 @@
+"""The sparse world model: dx/dt = Xi' Theta(x, u), or x[k+1] = x[k] + h Xi' Theta(x[k], u[k]), fitted to transitions.
+
+| name         | symbol          | unit                     | source                          |
+| ------------ | --------------- | ------------------------ | ------------------------------- |
+| library      | Theta(x, u)     | that of each function    | the paper, eq. (library)        |
+| coefficients | Xi              | dx per unit of Theta     | the paper, eq. SINDY-EQ         |
+| threshold    | lambda          | 1                        | the paper, 0.9; see `Regression` |
+
+Departure: the paper regresses derivatives; here changes over sampling intervals are regressed on the functions
+averaged over the intervals, which is exact for inputs held by a zero-order hold.
+
+A difference equation has the functions where its steps begin, and its changes over a step h are what it says.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.codegen import Field, generate, machine, refuse_not_finite
+from dynasindy.sindy.constraints import Constraints
+from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
+from dynasindy.sindy.delay import delayed, known_inputs
+from dynasindy.sindy.difference_equation import stepwise, timed
+from dynasindy.sindy.equations import equations, require_finite
+from dynasindy.sindy.fit_report import FitReport, unmeasured
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.model_file import Model as Read
+from dynasindy.sindy.model_file import load, record, save, understand
+from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
+from dynasindy.sindy.reconstruction import Recording, Seen, at_rest, begun, followed, imagined, rates_known, reconstruct
+from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
+from dynasindy.sindy.shape_parameters import one_quotient, stayed
+from dynasindy.sindy.shooting import RunsAway, unscaled
+from dynasindy.sindy.windows import ENOUGH, STRETCHES
+from dynasindy.sindy.world_model import WorldModel, whole
+from dynasindy.systems.base import PRECISIONS, Signature
+from dynasindy.systems.diverged import Diverged
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.machine import Machine
+from dynasindy.systems.steps import UNTOLD
+from dynasindy.systems.transitions import Transitions
+
+
+class SparseModel(WorldModel):
+    """Coefficients of candidate functions, and the code that they come to.
+
+    Args:
+        signature: names, units and ranges of the plant.
+        library: candidate functions.
+        machine_code: whether states are moved by machine code, where a C compiler is found.
+    """
+
+    coefficients: Tensor
+
+    def __init__(self, signature: Signature, library: Library, machine_code: bool = True) -> None:
+        super().__init__(signature)
+        self.machine_code, self.library = machine_code, library
+        self.register_buffer("coefficients", torch.zeros(len(library), signature.n_x, dtype=torch.float64))
+        self._field: Field | None = None
+        self._field_of: tuple[Tensor, int, Library] | None = None
+
+    @property
+    def step(self) -> float | None:
+        """Step of its difference equation [s], `UNTOLD` before a fit; None of a differential equation."""
+        return self.library.step
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        return self._written()(x, u)
+
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
+        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
+        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SparseModel.forward:
+            return None
+        self._forget()
+        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
+
+    def _written(self) -> Field:
+        """Return the equations as torch code, written anew where they have changed."""
+        self._forget()
+        if self._field is None:
+            self._field = generate(self.library, self.coefficients.cpu())
+        return self._field
+
+    def _forget(self) -> None:
+        """Forget what was written of equations that have changed."""
+        made_of, version, library = self._field_of or (None, 0, None)
+        # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
+        if made_of is self.coefficients and version == self.coefficients._version and library is self.library:
+            return
+        self._field = None
+        self._machines.clear()
+        refuse_not_finite(self.library, self.coefficients)
+        self._field_of = self.coefficients, self.coefficients._version, self.library
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave generated code out of copies and pickles; it is written again when needed."""
+        return {**super().__getstate__(), "_field": None, "_field_of": None}
+
+    def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+        """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
+        # State-major memory: every row of an elementwise operation is contiguous.
+        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
+        return moved(self, x, u, dt, substeps)
+
+    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+        """Predict trajectories open loop.
+
+        Args:
+            x0: start states, `(*batch, n_x)`.
+            u: inputs held in each interval, `(*batch, T, n_u)`.
+            dt: sampling time [s].
+            substeps: Runge-Kutta steps per interval.
+
+        Returns:
+            States, `(*batch, T + 1, n_x)`, the start first.
+        """
+        states = [x0]
+        for held in u.unbind(-2):
+            states.append(self.predict(states[-1], held, dt, substeps))
+        return torch.stack(states, -2)
+
+
+Told = Covariance | Callable[[], Covariance | None] | None
+"""The covariance of coefficients, what computes it, or None where nothing tells it."""
+
+
+class SindyModel(SparseModel):
+    """A vector field that is a sparse sum of candidate functions.
+
+    Args:
+        signature: names, units and ranges of the plant.
+        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words.
+        regression: settings of the sparse regression; the paper's by default.
+        refinement: settings of the refinement on the prediction error; none by default.
+        known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
+        allowed: functions that may occur in an equation, by state; all by default.
+        fixed: coefficients that are given, by state and function name.
+        initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
+            state that no sensor sees in any form.
+        machine_code: whether states are moved by machine code, where a C compiler is found.
+        time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
+            sampling time of the data.
+
+    `covariance` tells after a fit how well the coefficients are known; None where nothing does.
+
+    Raises:
+        ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
+    """
+
+    def __init__(
+        self,
+        signature: Signature,
+        library: str | Sequence[str] | Library | LibraryBuilder = "paper_table",
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+        known: Mapping[str, str] | None = None,
+        allowed: Mapping[str, Sequence[str]] | None = None,
+        fixed: Mapping[str, Mapping[str, float]] | None = None,
+        initial: Mapping[str, Mapping[str, float]] | None = None,
+        machine_code: bool = True,
+        time: Literal["continuous", "discrete"] | None = None,
+    ) -> None:
+        super().__init__(signature, timed(build_library(library, signature), time), machine_code)
+        self.regression, self.refinement = regression or Regression(), refinement
+        self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
+        guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
+        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
+        self.sums = RunningSums(len(self.library), signature.n_x)
+        self.coefficients = self.constraints.offset.clone()
+        self._covariance: Told = None
+
+    @property
+    def covariance(self) -> Covariance | None:
+        """How well the coefficients are known; None where nothing tells. It is computed when first asked for."""
+        if callable(self._covariance):
+            self._covariance = self._covariance()
+        return self._covariance
+
+    @covariance.setter
+    def covariance(self, told: Told) -> None:
+        """Take how well the coefficients are known, or what computes it."""
+        self._covariance = told
+
+    @property
+    def followed(self) -> dict[str, str]:
+        """States that only follow, as a' = k (s - a), each with the state or input s that it follows."""
+        return followed(self.library, self.constraints)
+
+    @property
+    def followers(self) -> dict[int, int]:
+        """Places of the states that only follow another state, and of that."""
+        names = self.signature.state_names
+        return {names.index(name): names.index(s) for name, s in self.followed.items() if s in names}
+
+    def get_extra_state(self) -> dict[str, object]:
+        """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
+        shapes = [shape.frequency for shape in self.library.shapes]
+        sums, known = {"r": self.sums.r, "count": self.sums.count}, self.covariance and tuple(self.covariance)
+        return {**sums, "shapes": shapes, "delay": self.delay, "step": self.step, "covariance": known}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore what `get_extra_state` returned."""
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.r, self.sums.count = state["r"].clone(), state["count"]
+        self.library = self.library.with_shapes(state["shapes"]).with_step(state.get("step"))
+        self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
+        self.delay, self._field_of = state["delay"], None
+
+    def kept(self) -> Callable[[], object]:
+        """Return what takes the model back to what it has learnt so far when called."""
+        if type(self) is not SindyModel:  # which may have learnt other things, too
+            return super().kept()
+        # A fit replaces these and changes nothing inside of them, but for the sums.
+        return partial(
+            self._go_back, self.library, self.coefficients.clone(), self.sums.copy(), self.delay, self._covariance
+        )
+
+    def _go_back(
+        self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: Told
+    ) -> None:
+        self.library, self.sums, self.delay = library, sums.copy(), delay
+        self.set_coefficients(coefficients)
+        self.covariance = covariance
+
+    def fit(self, transitions: Transitions) -> FitReport:
+        """Identify the model from transitions alone, forgetting earlier data.
+
+        Args:
+            transitions: samples; those that touch a stop are no smooth dynamics and belong left out.
+
+        Returns:
+            What was found and how well it fits.
+
+        Raises:
+            ValueError: there are fewer samples than functions, or a sample is not finite; the model stays as it was.
+            Diverged: a coefficient is not finite; the model stays as it was.
+        """
+        library = self.library.with_step(None if self.step is None else UNTOLD)
+        return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library)
+
+    def update(self, transitions: Transitions) -> FitReport:
+        """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
+
+        The refinement, if any, works on the new transitions. Where it changes a number inside a function or the delay
+        of the inputs, what was summed of earlier data is of other functions, and left out.
+
+        Raises:
+            ValueError: samples are too few, not finite, or not a step of the equation apart; the model stays as it was.
+            Diverged: a coefficient is not finite; the model stays as it was.
+        """
+        return self._identify(transitions, self.sums.copy(), self.delay, self.library)
+
+    @property
+    def additive(self) -> bool:
+        """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
+        return self.refinement is None and self.initial is None and not self.library.shapes
+
+    @whole("library")
+    def absorb(self, transitions: Transitions) -> None:
+        """Add transitions to the sums that the next `update` solves; the equations stay as they are.
+
+        Raises:
+            ValueError: a sample is not finite, or has other numbers of states or inputs; the model stays as it was.
+        """
+        if not len(transitions):
+            return
+        data, rates = self._checked(transitions), rates_known(self.library, self.constraints)
+        guess = at_rest(reconstruct(data, rates), self.followers)
+        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay).seen(self.delay)))
+
+    @whole("library", "sums", "delay", "coefficients", "_covariance")
+    def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
+        """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
+        start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
+        data = self._checked(transitions)
+        rates, first = rates_known(self.library, self.constraints), None
+        guess = at_rest(reconstruct(data, rates), self.followers)
+        if self.initial is not None:
+            first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
+            late = delayed(guess, self.initial_delay)
+            late = imagined(self.library, first, data, late, rates)
+            guess = replace(begun(self.library, first, late, self.followers), u=data.u)
+        recording = Recording.of(data, guess, rates, delay)
+        seen = recording.seen(delay)
+        rows = self._rows(seen)
+        self.sums.add(rows)
+        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
+        constraints = replace(self.constraints, free=free)
+        if first is None:
+            self._solve(self.sums, constraints, seen.dependent)
+            if self.refinement is None:
+                known = self.coefficients.clone(), constraints.free
+                self.covariance = partial(of_sums, *known, self.sums.copy()) if earlier else of_rates(*known, *rows)
+        else:
+            self.set_coefficients(first)
+        self.delay = delay
+        notes, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        if self.refinement is not None:
+            notes += stayed(self.library, self.coefficients)
+        of, seconds = (self.library, self.coefficients), time.perf_counter() - start
+        report = FitReport.of(*of, self.sums, seconds, notes, data.dt)
+        # The sums may be of fewer rows than that, each of them the average of many transitions.
+        samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
+        fields |= {"unmeasured": unmeasured(*of, data), "unscaled": unscaled(*of, constraints.free, data)}
+        return replace(report, samples=samples, told=self._covariance, **fields)
+
+    def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
+        """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
+
+        Raises:
+            ValueError: it is a difference equation, which has no derivatives.
+        """
+        if self.step is not None:
+            raise ValueError("a difference equation has no derivatives to be fitted to; use fit, or time='continuous'")
+        x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
+        self.sums = RunningSums(len(self.library), self.signature.n_x)
+        self.sums.add((self.library(x, u), dx))
+        self._solve(self.sums, self.constraints)
+
+    def equations(self, digits: int = 4) -> list[str]:
+        """Write one equation per state, e.g. `Omega_p' = -0.414 Omega_p + ...`."""
+        return equations(self.library, self.coefficients, digits)
+
+    def set_coefficients(self, coefficients: Tensor) -> None:
+        """Replace Xi, `(n_features, n_x)`.
+
+        Raises:
+            ValueError: the shape does not fit the library.
+        """
+        if coefficients.shape != self.coefficients.shape:
+            raise ValueError(
+                f"coefficients got shape {tuple(coefficients.shape)}; allowed is {tuple(self.coefficients.shape)}: "
+                "one row per function, one column per state"
+            )
+        self.coefficients = coefficients.detach().to(torch.float64).clone()
+        self.covariance = None  # what was known of others says nothing of these
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as readable JSON, with what was known of its equations before the data."""
+        save(self.library, self.coefficients, path, self.constraints, self.delay, self.covariance)
+
+    @classmethod
+    def load(
+        cls, path: str | Path, regression: Regression | None = None, refinement: Refinement | None = None
+    ) -> SindyModel:
+        """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
+
+        Args:
+            path: the file.
+            regression: settings of a later fit, which the file does not hold; the paper's by default.
+            refinement: settings of its refinement; none by default.
+
+        Raises:
+            ValueError: the file is not such a model, or needs a function that is not registered.
+        """
+        return cls._of(load(path), regression, refinement)
+
+    def record(self) -> dict[str, Any]:
+        """Return what `save` writes, as keys and values."""
+        return record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
+
+    @classmethod
+    def of_record(cls, given: object, source: str | Path) -> SindyModel:
+        """Return the model whose `record` is given.
+
+        Args:
+            given: the record.
+            source: where it is from, for the message.
+
+        Raises:
+            ValueError: it is none, or needs a function that is not registered.
+        """
+        return cls._of(understand(given, source))
+
+    @classmethod
+    def _of(cls, found: Read, regression: Regression | None = None, refinement: Refinement | None = None) -> SindyModel:
+        library, coefficients, constraints, delay, known = found
+        model = cls(library.signature, library, regression, refinement)
+        model.constraints, model.delay = constraints, delay
+        model.set_coefficients(coefficients)
+        model.covariance = known and Covariance(*known)
+        return model
+
+    def _checked(self, transitions: Transitions) -> Transitions:
+        """Return transitions as they are fitted, from which a difference equation takes its step."""
+        data, shape = transitions.to(torch.float64), (transitions.x.shape[1], transitions.u.shape[1])
+        if shape != (self.signature.n_x, self.signature.n_u):
+            raise ValueError(
+                f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
+                f"{self.signature.n_u}, as in the signature: check the columns"
+            )
+        library, data = (self.library, data) if self.step is None else stepwise(self.library, data)
+        if len(data) + self.sums.count < len(self.library):
+            kind = "samples" if self.step is None else "whole steps without gaps"
+            raise ValueError(
+                f"fit got {len(data) + self.sums.count} {kind}; allowed are {len(self.library)} or more, one per "
+                "function: collect more data or choose a smaller library"
+            )
+        self.library = library
+        return data
+
+    def _refine(
+        self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
+    ) -> tuple[list[str], dict[str, Any]]:
+        """Refine the coefficients, and return notes and what the report takes from it, by the names of its fields."""
+        if self.refinement is None:
+            return [], {}
+        try:
+            found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
+        except RunsAway as error:
+            raise Diverged(f"model learning: {error}") from error
+        refined = require_finite(found.coefficients, self.library, "refinement", self.sums.count)
+        if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
+            return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
+        self.set_coefficients(refined)
+        self.covariance = found.covariance
+        fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end", "aside")}
+        fields |= {} if found.missed is None else {"residual": found.missed}
+        if found.library is not self.library or found.delay != self.delay:
+            # The functions are others now, and so are the sums of their products.
+            self.library, self.delay = found.library, found.delay
+            self.sums = RunningSums(len(self.library), self.signature.n_x)
+            recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
+            self.sums.add(self._rows(recording.seen(self.delay)))
+        if self.refinement.method == "integral" or len(data) <= ENOUGH:
+            return list(found.notes), fields
+        chosen = f"{ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
+        return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
+
+    def _rows(self, seen: Seen, library: Library | None = None) -> Rows:
+        """Return averaged functions and rates of change of what regressions read."""
+        library = library or self.library
+        return seen.rows(library, self) if seen.half else integral_form(library, seen.guess)
+
+    def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
+        regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
+        found = regression.solve(sums, constraints.free, constraints.offset)
+        self.set_coefficients(require_finite(found, self.library, "regression", self.sums.count))

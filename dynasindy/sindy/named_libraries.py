@@ -1,0 +1,356 @@
+"""Named libraries, built from a signature: the two of the paper, rotor, mechanics, friction, dead zone, polynomial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations, combinations_with_replacement
+from typing import Annotated
+
+from dynasindy.sindy.library import CONSTANT, Feature, Library, of, parse, variable
+from dynasindy.systems.base import Signature
+
+COUPLING = -0.03
+"""First guess of p; a fit goes 30 times as far at most, so 1 + p cos^2 a stays positive."""
+LINKS = -0.3
+"""Where the fit of p begins for links in a row; nearer to zero a force and its quotient can hardly be told apart."""
+
+
+def angles_of(signature: Signature) -> tuple[str, ...]:
+    """Return the states in rad, if there is a state in rad/s; none without one."""
+    units = dict(zip(signature.state_names, signature.state_units, strict=True))
+    return tuple(name for name, unit in units.items() if unit == "rad" and "rad/s" in units.values())
+
+
+def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: Iterable[Feature] = ()) -> Library:
+    """Build the functions of an equation of motion with angles: gravity, turned forces, centrifugal forces, quotients.
+
+    They are linear functions; of one angle a: sin a, cos a, their product; every input and every rate times each of
+    both; products of two angular rates times sin a, or sin a cos a. With two rates or more, which may be coupled, all
+    forces with and without cos a are divided by 1 + p cos^2 a, too. With two angles or more, a is each of them, and the
+    sum and the difference of two; all their sines and cosines pull, and forces are turned in the quotients alone.
+
+    Args:
+        signature: names and units of states and inputs; rates are the states whose unit is one per second.
+        angles: states that are angles; by default those in rad, where there is a state in rad/s.
+        dry: dry friction of rates, which is a force like any other.
+    """
+    units = list(zip(signature.state_names, signature.state_units, strict=True))
+    rates = [variable(name) for name, unit in units if unit.endswith("/s")]
+    turning = [variable(name) for name, unit in units if unit == "rad/s"]
+    spun = [one * other for one, other in combinations_with_replacement(turning, 2)]
+    inputs = [variable(name) for name in signature.input_names]
+    functions: list[Feature] = [CONSTANT, *(variable(n) for n in (*signature.state_names, *signature.input_names))]
+    single: list[tuple[str, ...]] = [(name,) for name in (angles_of(signature) if angles is None else angles)]
+    pairs = [(*pair, word) for pair in combinations([angle[0] for angle in single], 2) for word in ("sum", "gap")]
+    pulls = [_turned(name, *angle) for angle in (*single, *pairs) for name in ("sin", "cos")] if pairs else []
+    functions += pulls
+    for angle in (*single, *pairs):
+        s, c = (_turned(name, *angle) for name in ("sin", "cos"))
+        over = _over(LINKS if pairs else COUPLING, *angle)
+        functions += [] if pairs else [s, c, s * c, *(f * g for f in (*inputs, *rates) for g in (s, c))]
+        functions += [f * g for f in spun for g in (s, s * c)]
+        if len(rates) > 1:
+            forces = [CONSTANT, *(pulls or [s]), *inputs, *rates, *(dry if pairs else ()), *(f * s for f in spun)]
+            functions += [f * g * over for f in forces for g in (CONSTANT, c)]
+    return Library(signature, functions)
+
+
+def _turned(name: str, *angle: str) -> Feature:
+    """Return a function of an angle, `(a,)`, or of the sum or the difference of two, `(a, b, "sum")`."""
+    full = name if len(angle) == 1 else f"{name}_{angle[-1]}"
+    return of(full, *angle[:2])
+
+
+def _over(number: float, *angle: str) -> Feature:
+    """Return the quotient of an angle, whose fit begins at a number."""
+    (factor,) = _turned("per_cos2", *angle).factors
+    return Feature((replace(factor, fitted=COUPLING).with_number(number),))
+
+
+LIMIT = "the limit is arbitrary: more functions would hardly be told apart"
+DRY = 10.0
+"""First guess of the inverse of the rate at which dry friction is full [s/rad]."""
+FULL, SLIPS = 20.0, 4.0
+"""First guesses of the parts of a rate's range at which dry friction is full, and beyond which it no longer sticks."""
+SPEEDS = frozenset(f"{unit}/s" for unit in ("rad", "mrad", "deg", "°", "m", "mm", "cm", "km"))
+"""Units of the rates of angles and places."""
+SLACK = 0.1
+"""First guess of the input that a dead zone swallows."""
+LibraryBuilder = Callable[[Signature], Library]
+
+
+def _variables(signature: Signature) -> tuple[str, ...]:
+    return (*signature.state_names, *signature.input_names)
+
+
+def paper_table(signature: Signature, angle: str = "alpha_p") -> Library:
+    """Build the library of the paper's Xi table: 1; z; z cos a; z^2 sin a; sin a; cos a.
+
+    Args:
+        signature: names of states and inputs, z = (x, u); 27 functions for six states and two inputs.
+        angle: state a, the pitch angle x2 of the paper [rad].
+    """
+    z, c, s = [variable(n) for n in _variables(signature)], of("cos", angle), of("sin", angle)
+    return Library(signature, [CONSTANT, *z, *(f * c for f in z), *(f * f * s for f in z), s, c])
+
+
+def paper_equation(signature: Signature, angle: str = "alpha_p") -> Library:
+    """Build the library of the paper's equation of Theta(X, U): z; z cos a; z^2 sin a; sin z; cos z.
+
+    Args:
+        signature: names of states and inputs, z = (x, u); 40 functions for six states and two inputs.
+        angle: state a, the pitch angle x2 of the paper [rad].
+    """
+    names = _variables(signature)
+    z, c, s = [variable(n) for n in names], of("cos", angle), of("sin", angle)
+    trigonometric = [of(f, n) for f in ("sin", "cos") for n in names]
+    return Library(signature, [*z, *(f * c for f in z), *(f * f * s for f in z), *trigonometric])
+
+
+def rotor(
+    signature: Signature,
+    angle: str = "alpha_p",
+    rotors: Sequence[str] = ("omega_a", "omega_p"),
+    rates: Sequence[str] = ("Omega_a", "Omega_p"),
+    reaction: bool = False,
+    friction: bool = False,
+    cable: bool = False,
+) -> Library:
+    """Build the library of a beam with two rotors, with the functions that each equation may use.
+
+    A rotor's speed w is driven by its input against drag in w, |w|, w|w|, w^2 (two branches). The pitch rate has
+    the thrust w|w|, w^2 of the main rotor, gravity, damping, the centrifugal torque and the tail rotor's reaction.
+    In the azimuth rate everything is divided by the moment of inertia J_h(a) = J_0 (1 + k cos^2 a), whose k is fitted.
+
+    Args:
+        signature: names of states and inputs; the inputs are in the order of the rotors.
+        angle: pitch angle a [rad].
+        rotors: speeds of the tail and the main rotor [rpm], in this order.
+        rates: azimuth and pitch rate [rad/s], in this order.
+        reaction: whether the angles (a cable), the rotors' torques and their gyroscopic moments act on the beam too,
+            as on the Feedback rig.
+        friction: whether the beam's bearings have dry friction, tanh(rate / width), whose widths are fitted.
+        cable: whether a cable pulls the azimuth to an angle of its own, as a spring.
+    """
+    c, s, rate_a, rate_p = of("cos", angle), of("sin", angle), *(variable(n) for n in rates)
+    thrust, drag = {}, {}
+    for name, control in zip(rotors, signature.input_names, strict=True):
+        w, size = variable(name), of("abs", name)
+        # w|w| stands before w^2 and w before |w|: of functions that the data cannot tell apart the first one stays.
+        thrust[name] = [w * size, w * w]
+        drag[name] = [CONSTANT, variable(control), w, size, *thrust[name]]
+    tail, main = rotors
+    u_tail, u_main = (variable(n) for n in signature.input_names)
+    pitch = [CONSTANT, c, s, rate_p, u_tail, *thrust[main], rate_a * rate_a * s * c]
+    torques = [rate_a, s * c * rate_a * rate_p, u_main * c, *(f * c for f in thrust[tail])]
+    dry_a, dry_p = ([of("tanh", rate, frequency=DRY, fitted=True)] if friction else [] for rate in rates)
+    pitch, torques = [*pitch, *dry_p], [*torques, *dry_a]
+    inertia = of("per_cos2", angle, frequency=3.0, fitted=True)
+    azimuth_angle = variable(signature.state_names[0])
+    if cable:
+        torques += [azimuth_angle, CONSTANT]
+    if reaction:
+        w_tail, w_main = variable(tail), variable(main)
+        torques += [azimuth_angle, w_main * c, thrust[main][0] * c, rate_p * rate_p * c, rate_p * rate_p * s]
+        torques += [w_main * rate_p * s, w_tail]
+        pitch += [w_tail, thrust[tail][0], w_main * rate_a * s, rate_a, azimuth_angle, thrust[tail][0] * c, u_main * c]
+        # The centres of mass are off the axes: part of the torques of one axis goes to the other, and to the rotors.
+        swapped = [f * g * inertia for f in torques for g in (s, c)]
+        torques += [f * g for f in pitch for g in (s, c)]
+        pitch += swapped
+        drag[tail] += pitch
+        drag[main] += [f * c * inertia for f in torques]
+    allowed = {rates[0]: [f * inertia for f in torques], rates[1]: pitch, **drag}
+    basics = [CONSTANT, *(variable(n) for n in _variables(signature))]
+    return Library(signature, [*basics, *(f for group in allowed.values() for f in group)], allowed)
+
+
+def polynomial(
+    signature: Signature, degree: Annotated[int, range(1, 11), LIMIT] = 2, variables: Iterable[str] | None = None
+) -> Library:
+    """Build all monomials of states and inputs, constant included.
+
+    Args:
+        signature: names of states and inputs.
+        degree: highest total degree.
+        variables: states and inputs to use; all by default.
+
+    Raises:
+        ValueError: the degree is below 1.
+    """
+    if degree < 1:
+        raise ValueError(f"polynomial library got degree {degree}; allowed is 1 or more: raise it")
+    names = tuple(variables) if variables is not None else _variables(signature)
+    groups = (group for total in range(degree + 1) for group in combinations_with_replacement(names, total))
+    return Library(signature, (Feature.of(f for n in group for f in variable(n).factors) for group in groups))
+
+
+def fourier(
+    signature: Signature,
+    n_frequencies: Annotated[int, range(1, 101), LIMIT] = 1,
+    variables: Iterable[str] | None = None,
+) -> Library:
+    """Build sin(k z) and cos(k z) for k = 1..n_frequencies.
+
+    Args:
+        signature: names of states and inputs.
+        n_frequencies: number of harmonics.
+        variables: states and inputs to use; all by default.
+
+    Raises:
+        ValueError: there is no harmonic.
+    """
+    if n_frequencies < 1:
+        raise ValueError(f"fourier library got {n_frequencies} harmonics; allowed is 1 or more: raise it")
+    names = tuple(variables) if variables is not None else _variables(signature)
+    harmonics = range(1, n_frequencies + 1)
+    return Library(signature, (of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")))
+
+
+def friction(signature: Signature, rates: Iterable[str] | None = None) -> Library:
+    """Build linear functions, and dry friction that may be another in each direction, as Coulomb's and Stribeck's.
+
+    Of a rate v: tanh(v / width), which is full beyond a small rate; the same times exp(-(v / slip)^2), which is gone
+    beyond a larger one; and both times sign(v). The friction of one direction is the sum of a function and of that with
+    the sign, that of the other is their difference. Both widths are fitted.
+
+    Args:
+        signature: names of states and inputs.
+        rates: states that friction opposes; by default those whose unit is one per second, all if there is none.
+    """
+    if rates is None:
+        units = zip(signature.state_names, signature.state_units, strict=True)
+        rates = [name for name, unit in units if unit.endswith("/s")] or signature.state_names
+    functions = [CONSTANT, *(variable(n) for n in _variables(signature))]
+    for rate in rates:
+        scale = signature.x_scale[signature.state_index(rate)]
+        dry = of("tanh", rate, frequency=FULL / scale, fitted=True)
+        sticking = of("bell", rate, frequency=SLIPS / scale, fitted=True) * dry
+        functions += [g * f for g in (CONSTANT, of("sign", rate)) for f in (dry, sticking)]
+    return Library(signature, functions)
+
+
+def dead_zone(signature: Signature, inputs: Iterable[str] | None = None) -> Library:
+    """Build linear functions, and two bends of each input u: max(0, u - p) and max(0, u + q), p and q fitted.
+
+    A dead zone from -q to p is u + q + max(0, u - p) - max(0, u + q); a saturation has the opposite signs.
+
+    Args:
+        signature: names of states and inputs.
+        inputs: inputs with a dead zone, by default all.
+    """
+    names = signature.input_names if inputs is None else tuple(inputs)
+    bends = [of("hinge", u, frequency=edge, fitted=True) for u in names for edge in (SLACK, -SLACK)]
+    return Library(signature, [CONSTANT, *(variable(n) for n in _variables(signature)), *bends])
+
+
+def terms(signature: Signature, functions: Iterable[str], variables: Iterable[str]) -> Library:
+    """Build registered functions, user functions included, of each given state or input.
+
+    Args:
+        signature: names of states and inputs.
+        functions: names of elementary functions, e.g. `tanh`.
+        variables: states and inputs to use.
+    """
+    names = tuple(variables)
+    return Library(signature, [of(f, n) for f in functions for n in names])
+
+
+def sum_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
+    """Unite libraries given as builders (a config's `libraries` list of partials)."""
+    built = [build(signature) for build in libraries]
+    return Library(signature, [f for library in built for f in library.features])
+
+
+def product_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
+    """Multiply libraries given as builders: every product of one feature of each."""
+    product = Library(signature, [CONSTANT])
+    for build in libraries:
+        product = product * build(signature)
+    return product
+
+
+def rotor_reaction(signature: Signature) -> Library:
+    """Build the rotor library with reactions and dry friction, for the Feedback rig; see `rotor`."""
+    return rotor(signature, reaction=True, friction=True)
+
+
+def rotor_rig(signature: Signature) -> Library:
+    """Build the rotor library with a cable and dry friction, for logs of a real rig; see `rotor`."""
+    return rotor(signature, friction=True, cable=True)
+
+
+def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
+    """Build what suits the units: quadratic polynomials, or for angles and their rates the functions of mechanics.
+
+    A plant with an angle in rad and a rate in rad/s gets quadratic polynomials of its other states and inputs only.
+    An angle in rad where no state is in rad/s, as the tilt of a beam that an actuator sets, has sine and cosine beside
+    the polynomials: gravity acts on other states by them.
+
+    Args:
+        signature: names and units of states and inputs.
+        dry: dry friction of rates, for a machine with several angles.
+    """
+    units = list(zip(signature.state_names, signature.state_units, strict=True))
+    if not angles_of(signature):
+        tilts = [name for name, unit in units if unit == "rad"]
+        pulls = [of(word, name) for name in tilts for word in ("sin", "cos")]
+        return Library(signature, [*polynomial(signature).features, *pulls])
+    others = [name for name, unit in units if unit not in ("rad", "rad/s")]
+    return sum_of(
+        signature, [partial(mechanical, dry=dry), partial(polynomial, variables=[*others, *signature.input_names])]
+    )
+
+
+def auto_rig(signature: Signature) -> Library:
+    """Build what suits the units of a real plant: `auto`, and dry friction of each rate of an angle or a place.
+
+    Dry friction is tanh(v / width), which is full beyond a small rate v; the width is fitted. Of two rates or more it
+    is there times cos a of each angle a, too: what rubs on a cart turns the pole on it.
+
+    Args:
+        signature: names and units of states and inputs; rates are the states in a unit of `SPEEDS`.
+    """
+    units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
+    dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit in SPEEDS]
+    turned = [f * of("cos", angle) for f in dry for angle in angles_of(signature)] if len(dry) > 1 else []
+    return Library(signature, [*auto(signature, dry).features, *dry, *turned])
+
+
+NAMED: dict[str, LibraryBuilder] = {
+    "paper_table": paper_table,
+    "paper_equation": paper_equation,
+    "rotor": rotor,
+    "rotor_rig": rotor_rig,
+    "rotor_reaction": rotor_reaction,
+    "polynomial": polynomial,
+    "fourier": fourier,
+    "friction": friction,
+    "dead_zone": dead_zone,
+    "mechanical": mechanical,
+    "auto": auto,
+    "auto_rig": auto_rig,
+}
+"""Libraries that a word selects."""
+
+
+def build_library(library: str | Sequence[str] | Library | LibraryBuilder, signature: Signature) -> Library:
+    """Make a library from a name, a list of functions in words, a builder or a library.
+
+    Raises:
+        ValueError: no library has that name, or a function cannot be read.
+    """
+    if isinstance(library, Library):
+        return library
+    if isinstance(library, str):
+        if library not in NAMED:
+            raise ValueError(
+                f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them in "
+                "plant.library, or in plant.libraries for a source of data"
+            )
+        return NAMED[library](signature)
+    if callable(library):
+        return library(signature)
+    return Library(signature, [parse(text) for text in library])

@@ -1,0 +1,286 @@
+"""Noise of sensors and of the process, and how many samples of what a model leaves over are worth one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.sensitivity import Parameters, Propagator
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.transitions import Transitions
+
+FLOOR = 1e-7
+"""Part of the spread of a state below which its noise, or what pushes add in a sample, is that of the arithmetic."""
+DIFFUSE = 1e3
+"""Spreads of a state that its start in a window may lie from what was guessed."""
+STEPS = 25
+"""Steps in which the sizes of noise and pushes are found."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Say how noisy sensors are and how hard a plant is pushed.
+
+    Attributes:
+        sensor: standard deviation of the measurement of each state, `(n_x,)`.
+        push: standard deviation of what random pushes add to each state in a second, `(n_x,)`.
+    """
+
+    sensor: Tensor
+    push: Tensor
+
+
+def whiten(rows: Tensor, seen: Tensor, phi: Tensor, noise: Noise, dt: float) -> tuple[Tensor, Tensor]:
+    """Make errors under pushes and noise independent with variance one, the start of each window being an unknown.
+
+    Args:
+        rows: errors and their slopes, `(W, L + 1, n_x, C)`.
+        seen: 1 where a state was measured, else 0, `(W, L + 1, n_x)`.
+        phi: slopes of the end of each interval by its beginning, `(W, L, n_x, n_x)`.
+        noise: sizes of noise and pushes.
+        dt: length of an interval [s].
+
+    Returns:
+        The whitened rows, `(W, L + 1, n_x, C)`, zero where nothing was measured, and half of the logarithm of the
+        determinant of their covariance, `()`.
+    """
+    n_x = rows.shape[2]
+    variance, push = noise.sensor.square(), torch.diag(noise.push.square()) * dt
+    state, covariance = torch.zeros_like(rows[:, 0]), torch.zeros(len(rows), n_x, n_x, dtype=rows.dtype)
+    white = [rows[:, 0] * (seen[:, 0] / noise.sensor).unsqueeze(-1)]
+    half = (seen[:, 0] * noise.sensor.log()).sum()
+    for k in range(phi.shape[1]):
+        step, mine = phi[:, k], seen[:, k + 1].unsqueeze(-1)
+        # A push acts all through an interval: the mean of one at its beginning and one at its end.
+        covariance = step @ (covariance + 0.5 * push) @ step.mT + 0.5 * push
+        state = step @ state
+        own = torch.diag_embed(torch.where(mine[..., 0] > 0, variance, 1.0))
+        # Not a number, which no step survives, where a trial has left what numbers can hold.
+        root = torch.linalg.cholesky_ex(mine * covariance * mine.mT + own)[0]
+        shared = torch.linalg.solve_triangular(root, mine * covariance, upper=False)
+        error = torch.linalg.solve_triangular(root, mine * (rows[:, k + 1] - state), upper=False)
+        state = state + shared.mT @ error
+        covariance = covariance - shared.mT @ shared
+        white.append(error)
+        half = half + root.diagonal(dim1=-2, dim2=-1).log().sum()
+    return torch.stack(white, 1), half
+
+
+def estimated(rows: Tensor, seen: Tensor, phi: Tensor, pushed: Tensor, spread: Tensor, dt: float) -> Noise:
+    """Estimate how noisy sensors are and how hard the plant is pushed, by the likelihood of what windows leave over.
+
+    The starts of the windows are integrated out, which allows for what they fit of the noise (restricted likelihood).
+
+    Args:
+        rows: slopes by the start state of each window and errors, `(W, L + 1, n_x, n_x + 1)`.
+        seen: 1 where a state was measured, else 0, `(W, L + 1, n_x)`.
+        phi: slopes of the end of each interval by its beginning, `(W, L, n_x, n_x)`.
+        pushed: states whose rates may be pushed, bool `(n_x,)`.
+        spread: spread of each state, `(n_x,)`.
+        dt: length of an interval [s].
+    """
+    measured = (seen.sum((0, 1)) > 0).to(torch.float64)
+    first = (rows[..., -1].square() * seen).sum((0, 1)) / seen.sum((0, 1)).clamp_min(1)
+    guess = torch.stack([0.1 * first.sqrt(), spread / math.sqrt(dt * max(len(rows), 1) * rows.shape[1])])
+    floors = torch.stack([FLOOR * spread, FLOOR * spread / math.sqrt(dt)]).clamp_min(1e-100)
+    logs = guess.clamp_min(floors).log().requires_grad_(True)
+    known = torch.diag(1 / (DIFFUSE * spread.clamp_min(1e-100)))
+    known = torch.cat([known, torch.zeros(len(spread), 1, dtype=known.dtype)], -1).expand(len(rows), -1, -1)
+
+    def _noise() -> Noise:
+        sensor, push = logs.exp().clamp_min(floors)
+        return Noise(torch.where(measured > 0, sensor, 1.0), torch.where(pushed, push, 0.0))
+
+    optimizer = torch.optim.LBFGS([logs], max_iter=STEPS, tolerance_change=1e-3, line_search_fn="strong_wolfe")
+
+    def _cost() -> float:
+        optimizer.zero_grad()
+        with torch.enable_grad():
+            white, half = whiten(rows, seen, phi, _noise(), dt)
+            upper = torch.linalg.qr(torch.cat([white.flatten(1, 2), known], 1))[1].diagonal(dim1=-2, dim2=-1)
+            cost = half + upper[:, :-1].abs().clamp_min(1e-300).log().sum() + 0.5 * upper[:, -1].square().sum()
+        cost.backward()
+        return float(cost.detach())
+
+    optimizer.step(_cost)
+    found = _noise()
+    return Noise(found.sensor.detach(), found.push.detach())
+
+
+def repetition(error: Tensor, mask: Tensor, joined: Tensor) -> float:
+    """Return how many samples stand for one witness, 1 or more; correlations count until the first that is negative.
+
+    Args:
+        error: what a model leaves over in windows, `(W, L, n_x)`.
+        mask: 1 where a state was measured, else 0, `(W, L, n_x)`.
+        joined: whether a window continues the one before, bool `(W,)`.
+    """
+    chains = _chains(error * mask, joined)
+    length = chains.shape[1]
+    products = torch.fft.irfft(torch.fft.rfft(chains, 2 * length, dim=1).abs().square().sum(0), 2 * length, 0)[:length]
+    counts = mask.sum((0, 1))
+    seen = (products[0] > 0) & (counts > 0)
+    if not bool(seen.any()):
+        return 1.0
+    # Of samples with nothing measured k later the product is zero but for rounding: they end no sum.
+    rho = (products / products[0].clamp_min(1e-300))[:, seen]
+    before = (rho > -1e-9).cumprod(0)
+    samples = (2 * (rho * before).sum(0) - 1).clamp_min(1.0)
+    return float(counts[seen].sum() / (counts[seen] / samples).sum())
+
+
+def _chains(values: Tensor, joined: Tensor) -> Tensor:
+    """Lay windows that continue one another end to end, zeros behind the shorter ones, `(C, T, n_x)`."""
+    starts = [*(~joined).nonzero().flatten().tolist(), len(joined)]
+    chains = [values[a:b].flatten(0, 1) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    return torch.nn.utils.rnn.pad_sequence(chains, batch_first=True)
+
+
+def news(rows: Tensor, seen: Tensor, joined: Tensor, rho: Tensor) -> Tensor:
+    """Return what errors, or their slopes, hold that did not follow from the sample before, `(W, L, n_x, C)`.
+
+    A sample without a measured one before it counts by its own size, as one of a process that has run for long.
+
+    Args:
+        rows: errors and slopes, `(W, L, n_x, C)`; zero where not measured.
+        seen: 1 where a state was measured, else 0, `(W, L, n_x)`.
+        joined: whether a window continues the one before, bool `(W,)`.
+        rho: part of an error that is left a sample later, `(n_x,)`.
+    """
+    before, follows = _before(rows, seen, joined)
+    part = rho.unsqueeze(-1)
+    return torch.where(follows.unsqueeze(-1), rows - part * before, rows * (1 - part.square()).sqrt())
+
+
+def remaining(error: Tensor, seen: Tensor, joined: Tensor) -> Tensor:
+    """Estimate which part of an error is left a sample later, `(n_x,)`, 0 or more and below 1.
+
+    Args:
+        error: what a model leaves over, `(W, L, n_x)`.
+        seen: 1 where a state was measured, else 0, `(W, L, n_x)`.
+        joined: whether a window continues the one before, bool `(W,)`.
+    """
+    before, follows = _before((error * seen).unsqueeze(-1), seen, joined)
+    last, now = before.squeeze(-1) * follows, error * follows
+    count = seen.sum((0, 1)).clamp_min(2)
+    # An error that lasts as long as the recording cannot be told from one that stays for ever.
+    part = (now * last).sum((0, 1)) / last.square().sum((0, 1)).clamp_min(1e-300)
+    return torch.minimum(part.clamp_min(0.0), 1 - 1 / count)
+
+
+def _before(rows: Tensor, seen: Tensor, joined: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the rows of the sample before, and whether it and the sample were measured, bool `(W, L, n_x)`."""
+    flat, known = rows.flatten(0, 1), seen.flatten(0, 1) > 0
+    before, follows = flat.roll(1, 0), known & known.roll(1, 0)
+    begins = torch.zeros(seen.shape[:2], dtype=torch.bool)
+    begins[:, 0] = ~joined
+    follows = follows & ~begins.flatten().unsqueeze(-1)
+    return before.view_as(rows), follows.view_as(seen)
+
+
+PLAIN = -0.3
+"""Correlation of neighbouring errors of single steps below which a state is noisy: -1/2 of noise of the sensors alone,
+0 of random pushes alone."""
+BENEATH = -0.6
+"""Correlation of neighbouring changes of these errors below which a state is noisy: -2/3 of noise of the sensors alone,
+-1/2 of random pushes alone; here noise has half the variance of the pushes of a step."""
+PUSHED, SPREAD = -0.5, 3 / math.sqrt(2)
+"""That correlation of random pushes, and three standard errors of it, times the root of the number of samples
+(Bartlett's formula): in fewer samples less than `BENEATH` is asked for."""
+DUE = 0.6
+"""Part of the squared errors of a difference equation's steps that noise of the sensors has to explain."""
+STILL, MOVES, WHOLE = 0.5, 10, 0.01
+"""Part of the samples at which a reading in steps stands still, of a plant that moves by less than a step from one to
+the next; least number of those at which it moves; and part of a step by which such a move may not be whole."""
+KEPT = 0.5
+"""Part of the errors that the functions of the model have to leave over, as they do not explain noise."""
+
+
+def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
+    """Tell measurement noise from errors of the model by the one-step errors.
+
+    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -1/2, and whose changes from one
+    to the next correlate by -2/3 with the changes before. Errors of a model last over many samples, so they hardly
+    change; pushes at random make errors that are white, and changes that correlate by -1/2. The errors themselves hide
+    the noise beneath those of a model that lacks something: noise has to be seen first, as a delay and a state that no
+    sensor sees are looked for by it. So most states have to be noisy by their errors, or one by their changes. Where
+    the time between samples is long, errors of a model change from sample to sample, too. Those are functions of the
+    present states and inputs, as noise is not.
+
+    A sensor that reads in steps longer than the plant moves between samples makes errors of another kind: they last
+    while the reading stands still, and are noise of the sensor all the same.
+    """
+    data = data.to(torch.float64)
+    if library.step is not None:
+        share = sensor_noise(library, coefficients, data)[1]
+        return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
+    if bool(coefficients.any()) and bool(stands_on_steps(data).any()):
+        return True
+    error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt)
+    # A constant, too, as a library need not have one.
+    functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
+    functions = functions / functions.norm(dim=0).clamp_min(1e-300)
+    left = error - functions @ torch.linalg.lstsq(functions, error, driver="gelsd").solution
+    kept = left.norm(dim=0) > KEPT * error.norm(dim=0)
+    follows = data.segment[1:] == data.segment[:-1]
+    plain = _correlation(error, follows) < PLAIN
+    both = follows[1:] & follows[:-1]
+    least = min(BENEATH, PUSHED - SPREAD / math.sqrt(max(int(both.sum()), 1)))
+    beneath = (_correlation(error.diff(dim=0), both) < least) & (_correlation(left.diff(dim=0), both) < least)
+    return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
+
+
+def stands_on_steps(data: Transitions) -> Tensor:
+    """Return which states are read in steps that they take several samples to pass, bool `(n_x,)`.
+
+    A plant that rests for long and moves in between does so by other amounts than one and the same.
+    """
+    found = []
+    for change in (data.x_next - data.x).abs().T:
+        change = change[change.isfinite()]
+        moves = change[change > 1e-9 * change.max()] if len(change) else change
+        step = moves.min() if len(moves) >= MOVES else torch.tensor(torch.nan)
+        whole = ((moves / step - (moves / step).round()).abs() < WHOLE).double().mean() > 1 - WHOLE
+        found.append(bool(whole) and len(moves) < (1 - STILL) * len(change) and bool(moves.median() < 1.5 * step))
+    return torch.tensor(found)
+
+
+def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> tuple[Tensor, Tensor]:
+    """Tell measurement noise from random pushes of a difference equation, by the errors of its steps.
+
+    White noise n of the states makes errors e_k = n_k+1 - A_k n_k, where A_k is the derivative of the step, and so
+    E[e_k+1 e_k'] = -A_k+1 R; pushes make errors that are white. R, the variances of n, are those that explain these
+    products best. A state whose value does not matter for the next step keeps no trace of its noise, which then does no
+    harm.
+
+    Args:
+        library: candidate functions of a difference equation.
+        coefficients: Xi, `(n_features, n_x)`.
+        data: transitions; rows in which a state was not measured do not count.
+
+    Returns:
+        R, `(n_x,)`, and the part of each state's squared errors that this noise explains: its own, and A_k n_k.
+    """
+    data = data.to(torch.float64)
+    data = data.select((data.x.isfinite() & data.x_next.isfinite()).all(-1))
+    propagator = Propagator(library, coefficients, Parameters.where(coefficients != 0))
+    ends, slopes = propagator.transfer(data.x, data.u, data.dt, 1)
+    error, a = data.x_next - ends, slopes[..., : data.x.shape[1]]
+    scale, spread = error.square().mean(0).clamp_min(1e-300), a.square().mean(0)
+    follows = (data.segment[1:] == data.segment[:-1]).nonzero().squeeze(-1)
+    products = error[follows + 1].unsqueeze(-1) * error[follows].unsqueeze(-2)
+    after, weight = a[follows + 1], 1 / scale.unsqueeze(-1)  # so that states of any unit count alike
+    squares = (after.square() * weight).sum((0, 1)).clamp_min(1e-300)
+    noise = (-(after * products * weight).sum((0, 1)) / squares).clamp_min(0.0)
+    return noise, (noise + (spread * noise).sum(-1)) / scale
+
+
+def _correlation(values: Tensor, follows: Tensor) -> Tensor:
+    """Return how neighbours correlate, `(n_x,)`, of values `(N, n_x)`; `follows`, `(N - 1,)`, tells the pairs."""
+    before, after = values[:-1][follows], values[1:][follows]
+    return (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)

@@ -1,0 +1,173 @@
+"""Gauss-Newton on the one-step prediction error, with the functions that matter selected on the way."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.covariance import Covariance, jackknife
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.regression import least_squares, reconsider, walk_down
+from dynasindy.sindy.sensitivity import Parameters, Propagator
+from dynasindy.sindy.shooting import MOST_STEPS, turn_of
+from dynasindy.sindy.windows import ENOUGH, spread
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
+
+LONGEST_STEP, MOST_TURNED, MOST = 0.005, 0.05, 200
+"""Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7. Intervals of more
+than `MOST_STEPS` such steps, as a slow plant is sampled, need not have more of them than the fastest rate of the model
+asks for: a step times that rate is as small, and there are `MOST` of them at most."""
+
+
+def steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
+    """Return into how many Runge-Kutta steps an interval of a recording is divided.
+
+    Args:
+        data: transitions.
+        library: candidate functions.
+        xi: coefficients of the model that moves the states, `(n_features, n_x)`.
+    """
+    wanted = max(1, math.ceil(data.dt / LONGEST_STEP - 1e-9))
+    if wanted <= MOST_STEPS:
+        return wanted
+    turn = turn_of(library, xi, data.x, data.u, data.dt)
+    return min(wanted, MOST, max(MOST_STEPS, math.ceil(turn / MOST_TURNED)))
+
+
+def refine_one_step(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float, max_rounds: int = 8
+) -> tuple[Library, Tensor]:
+    """Minimise the one-step prediction error over the active coefficients; drop those that do not matter.
+
+    Each round makes one Gauss-Newton step with all active coefficients; from the same linear model coefficients
+    are dropped, least missed first, while the Bayesian criterion gains. When neither the support nor the
+    coefficients move, functions outside the model are reconsidered.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: transitions.
+        tolerance: error of a one-step prediction, relative to the change over the step, that is taken as exact.
+        max_rounds: limit on the rounds.
+
+    Returns:
+        The library with its shapes, and coefficients, `(n_features, n_x)`.
+    """
+    whole = data.to(torch.float64)
+    data = whole.select(spread(len(whole), ENOUGH))
+    floor = tolerance * (whole.x_next - whole.x).square().mean(0).sqrt()
+    limit = math.log(len(data))
+    support, held = (xi != 0) & free, torch.where(free, 0.0, xi)
+    for _ in range(6):
+        library, xi, support = _descend(library, xi, support, data, floor, max_rounds)
+        active, others = Parameters.where(support), Parameters.where(free & ~support)
+        if not len(active) or not len(others):
+            break
+        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
+        rows, target, scale = linear_model(library, xi, active + others, data, floor)
+        triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
+        better = reconsider(triangle, n_shapes, active, others, limit)
+        if better is None:
+            break
+        chosen, columns = (active + others).take(better), torch.cat([torch.arange(n_shapes), n_shapes + better])
+        values = least_squares(triangle[:, columns], triangle[:, -1]) / scale[columns]
+        xi = chosen.write(held, values[n_shapes:])
+        support = chosen.support(support.shape)
+    if len(data) < len(whole):
+        library, xi, _ = _descend(library, xi, support, whole, floor, max_rounds)
+    return library, xi
+
+
+def _descend(
+    library: Library, xi: Tensor, support: Tensor, data: Transitions, floor: Tensor, max_rounds: int
+) -> tuple[Library, Tensor, Tensor]:
+    """Step and drop until neither the support nor the coefficients move."""
+    n_shapes = len(library.shapes)
+    for k in range(max_rounds):
+        parameters = Parameters.where(support)
+        if not len(parameters):
+            break
+        what = f"{len(parameters)} coefficients, by single steps between {len(data)} samples"
+        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
+        rows, target, scale = linear_model(library, xi, parameters, data, floor)
+        triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
+        kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))
+        numbers = [shape.frequency + by for shape, by in zip(library.shapes, (values / scale[kept]).tolist())]
+        library = library.with_shapes(numbers) if numbers else library
+        values, kept = (values / scale[kept])[n_shapes:], kept[n_shapes:] - n_shapes
+        chosen = Parameters(parameters.features[kept], parameters.states[kept])
+        last, xi = xi, chosen.write(torch.where(support, 0.0, xi), values)
+        support = chosen.support(xi.shape)
+        change = ((xi - last).abs() / xi.abs().clamp_min(1e-300))[support]
+        if len(chosen) == len(parameters) and float(change.max()) < 1e-7:
+            break
+    return library, xi, support
+
+
+def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float) -> Covariance | None:
+    """Return the covariance of the coefficients of least one-step error, numbers inside functions unknown as well.
+
+    It is None where nothing was estimated, or a number in it is not finite.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        free: coefficients that were estimated, bool `(n_features, n_x)`.
+        data: transitions, in the order of time.
+        tolerance: error of a one-step prediction, relative to the change over the step, that is taken as exact.
+    """
+    data, parameters = data.to(torch.float64), Parameters.where((xi != 0) & free)
+    floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
+    rows, target, scale = linear_model(library, xi, parameters, data, floor)
+    n_shapes = len(library.shapes)
+    errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
+    factor = jackknife(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
+    return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
+
+
+def missed(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
+    """Return the part of each state's change from sample to sample that a prediction of it misses (RMS).
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        data: transitions.
+    """
+    data = data.to(torch.float64)
+    predicted = moved(generate(library, xi), data.x, data.u, data.dt, steps_in(data, library, xi))
+    parts = (data.x_next - predicted).norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
+    return dict(zip(library.signature.state_names, parts.tolist(), strict=True))
+
+
+def linear_model(
+    library: Library, xi: Tensor, parameters: Parameters, data: Transitions, floor: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Linearise the one-step prediction error, each state weighted by its error.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        parameters: coefficients to differentiate by, P of them.
+        data: transitions, float64.
+        floor: error of each state below which it is not weighted further, `(n_x,)`.
+
+    Returns:
+        J with columns of unit norm, of the shapes and the coefficients, `(N n_x, S + P)`; J xi + error, `(N n_x, 1)`;
+        the norms, `(S + P,)`.
+    """
+    propagator = Propagator(library, xi, parameters, library.shapes)
+    start = propagator.start(len(data))
+    predicted, s = propagator.advance(data.x, start, data.u, data.dt, steps_in(data, library, xi))
+    error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
+    weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
+    rows = (jacobian * weight.unsqueeze(-1)).flatten(0, 1)
+    scale = rows.norm(dim=0).clamp_min(1e-300)
+    coefficients = rows[:, rows.shape[1] - len(parameters) :]
+    target = (error * weight).reshape(-1, 1) + coefficients @ parameters.read(xi).unsqueeze(-1)
+    return rows / scale, target, scale

@@ -1,0 +1,192 @@
+"""Sparse models to and from PySINDy, and to sympy."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.equations import mapping
+from dynasindy.sindy.functions import function
+from dynasindy.sindy.library import Feature, Library, parse
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.world_model import WorldModel
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+
+def to_pysindy(model: SindyModel) -> Any:
+    """Return a fitted `pysindy.SINDy` with the same functions and coefficients.
+
+    PySINDy's own `predict`, `simulate` and `print` then work on it. Each function is a custom one of all states and
+    inputs, so that libraries of any form fit into PySINDy's.
+
+    Raises:
+        ValueError: the model is a difference equation.
+    """
+    if model.step is not None:
+        raise ValueError(
+            "to_pysindy got a difference equation; allowed are differential equations: use to_sympy, or fit a model of "
+            "PySINDy in discrete time to the data"
+        )
+    import pysindy
+
+    n_x, n_u = model.signature.n_x, model.signature.n_u
+    library = pysindy_library(model.library)
+    theirs = pysindy.SINDy(optimizer=pysindy.STLSQ(threshold=0.0, alpha=0.0), feature_library=library)
+    rows = len(model.library) + 1
+    points = np.random.default_rng(0).uniform(0.1, 1.0, (rows, n_x + n_u))
+    names = [*model.signature.state_names, *model.signature.input_names]
+    theirs.fit(points[:, :n_x], t=1.0, x_dot=points[:, :n_x], u=points[:, n_x:], feature_names=names)
+    theirs.optimizer.coef_ = model.coefficients.mT.numpy().copy()
+    return theirs
+
+
+def pysindy_library(library: Library) -> Any:
+    """Return a `pysindy.CustomLibrary` that holds the same functions in the same order."""
+    import pysindy
+
+    def _evaluate(feature: Feature, *columns: Any) -> Any:
+        z = torch.stack([torch.as_tensor(np.asarray(c, dtype=np.float64)) for c in columns], -1)
+        n_x = library.signature.n_x
+        return Library(library.signature, [feature])(z[..., :n_x], z[..., n_x:])[..., 0].numpy()
+
+    n = library.signature.n_x + library.signature.n_u
+    functions = [_with_arguments(functools.partial(_evaluate, f), n) for f in library.features]
+    names = [_with_arguments(lambda *_, f=f: f.name(), n) for f in library.features]
+    return pysindy.CustomLibrary(library_functions=functions, function_names=names)
+
+
+def _with_arguments(call: Callable[..., Any], n: int) -> Callable[..., Any]:
+    """Give a function n named arguments, which is how PySINDy counts them."""
+    arguments = ", ".join(f"z{i}" for i in range(n))
+    scope: dict[str, Any] = {"call": call}
+    exec(f"def named({arguments}):\n    return call({arguments})", scope)
+    return scope["named"]
+
+
+def from_pysindy(theirs: Any, signature: Signature) -> SindyModel:
+    """Return a sparse model with the functions and coefficients of a fitted `pysindy.SINDy`.
+
+    Args:
+        theirs: fitted model with polynomial, Fourier or custom functions that can be read from their names.
+        signature: states and inputs, in the order of PySINDy's columns.
+
+    Raises:
+        ValueError: a function's name cannot be read, the numbers of states differ, or the model is one in discrete
+            time.
+    """
+    import pysindy
+
+    if isinstance(theirs, pysindy.DiscreteSINDy):
+        raise ValueError(
+            "from_pysindy got a model in discrete time, a DiscreteSINDy; allowed are differential equations, a SINDy: "
+            "fit a SindyModel with time='discrete' to the data"
+        )
+    coefficients = torch.from_numpy(np.asarray(theirs.coefficients(), dtype=np.float64)).mT.contiguous()
+    if coefficients.shape[1] != signature.n_x:
+        raise ValueError(
+            f"from_pysindy got a model of {coefficients.shape[1]} states; allowed is {signature.n_x}, as in the "
+            "signature: give the signature of its data"
+        )
+    given = {ours: ours for ours in (*signature.state_names, *signature.input_names)}
+    old = list(theirs.feature_names)
+    given |= dict(zip(old, (*signature.state_names, *signature.input_names), strict=True))
+    features = [_renamed(parse(name), given) for name in theirs.get_feature_names()]
+    model = SindyModel(signature, Library(signature, features))
+    merged = model.coefficients.clone()
+    for feature, row in zip(features, coefficients, strict=True):
+        merged[[f.key for f in model.library.features].index(feature.key)] += row
+    model.set_coefficients(merged)
+    return model
+
+
+def _renamed(feature: Feature, names: dict[str, str]) -> Feature:
+    factors = [[[names[v] for v in variables], *rest] for variables, *rest in feature.to_list()]
+    return Feature.from_list(factors)
+
+
+def to_sympy(model: SindyModel) -> dict[str, Any]:
+    """Return dx/dt of every state as a sympy expression in symbols of the states and inputs.
+
+    Of a difference equation it returns the next value of every state.
+
+    Raises:
+        ImportError: sympy is not installed.
+    """
+    import sympy
+
+    names = {name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign")}
+    names |= {"fabs": sympy.Abs, "square": lambda z: z**2, "larger": sympy.Max}
+    library, coefficients = mapping(model.library, model.coefficients)
+    table = coefficients.tolist()
+
+    def _expression(feature: Feature) -> Any:
+        product = sympy.Integer(1)
+        for factor in feature.factors:
+            symbols: list[Any] = [sympy.Symbol(v, real=True) for v in factor.variables]
+            if function(factor.function).parametric:
+                symbols.append(sympy.Float(factor.frequency))
+            elif factor.frequency != 1:
+                symbols = [sympy.Float(factor.frequency) * symbol for symbol in symbols]
+            if formula := function(factor.function).formula:
+                # The formula is of our own code, never of a file, and what it reads are symbols.
+                places = {f"z{i}": symbol for i, symbol in enumerate(symbols)}
+                value = eval(formula.format(*places), names | places)
+            else:
+                value = (getattr(sympy, factor.function, None) or sympy.Function(factor.function))(*symbols)
+            product *= value**factor.power
+        return product
+
+    return {
+        state: sum(
+            (table[k][i] * _expression(f) for k, f in enumerate(library.features) if table[k][i]),
+            sympy.Integer(0),
+        )
+        for i, state in enumerate(model.signature.state_names)
+    }
+
+
+class PySindyDefault(WorldModel):
+    """Fit by PySINDy's defaults; predict by the same sparse field as `SindyModel`.
+
+    Args:
+        signature: names, units and ranges of the plant.
+    """
+
+    def __init__(self, signature: Signature) -> None:
+        super().__init__(signature)
+        self.model = SindyModel(signature, "polynomial")
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
+        return self.model(x, u)
+
+    def fit(self, transitions: Transitions) -> None:
+        """Fit to the segments of transitions, as PySINDy's list of trajectories; short ones are left out."""
+        import pysindy
+
+        data = transitions.to(torch.float64)
+        labels, counts = data.segment.unique_consecutive(return_counts=True)
+        parts = [data.select(data.segment == label) for label, n in zip(labels, counts, strict=True) if n >= 3]
+        names = [*self.signature.state_names, *self.signature.input_names]
+        theirs = pysindy.SINDy()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            states, inputs = ([getattr(p, key).numpy() for p in parts] for key in ("x", "u"))
+            theirs.fit(states, t=data.dt, u=inputs, feature_names=names)
+        self.model = from_pysindy(theirs, self.signature)
+
+    def equations(self, digits: int = 4) -> list[str]:
+        """Write one equation per state."""
+        return self.model.equations(digits)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as the JSON that `SindyModel.load` reads."""
+        self.model.save(path)

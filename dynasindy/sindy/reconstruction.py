@@ -1,0 +1,484 @@
+"""State reconstruction: rates and states that no sensor sees, out of what sensors saw; the first guess of a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.sindy.codegen import Field, generate
+from dynasindy.sindy.constraints import Constraints
+from dynasindy.sindy.delay import delayed, known_inputs
+from dynasindy.sindy.library import Library
+from dynasindy.sindy.named_libraries import polynomial
+from dynasindy.sindy.prior import shares
+from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, simpson_form
+from dynasindy.sindy.shooting import substeps_for, turn_of
+from dynasindy.sindy.weak_form import weak_form
+from dynasindy.sindy.windows import ENOUGH, spread
+from dynasindy.systems.base import Signature
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.steps import Rates
+from dynasindy.systems.transitions import Transitions
+
+LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
+"""Samples under a local cubic that are tried."""
+AS_GOOD = 1.1
+"""Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
+
+NOISY = 1e-5
+"""Part of a function of measured states that others leave over, below which it depends on them."""
+SHORTEST_BUMP, LONGEST_BUMP = 8, 20
+"""Samples in half a bump: fewer leave the noise in, more leave fewer rows than a library has functions."""
+USUAL = 0.99
+"""Part of the samples that lie within the range of a rate: the others may be what noise and edges make of them."""
+MOST = 100_000
+"""Samples, about, that a range is told by."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Hold a recording as its regressions read it.
+
+    Attributes:
+        guess: the recording, the states that were not measured guessed.
+        measured: the same, NaN where a state was not measured.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        half: half of the length of the bump of the weak form [samples]; 0 where all states were measured.
+    """
+
+    guess: Transitions
+    measured: Transitions
+    rates: Mapping[int, int]
+    half: int
+
+    @classmethod
+    def of(cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Seen:
+        """Choose the bump by the noise of what was measured; none where all was measured and it is not said noisy."""
+        half = 0
+        if noisy or bool(has_gaps(measured)):
+            columns = (filled(column.numpy()) for column in measured.x_next.double().unbind(-1))
+            half = max(best_length(column) for column in columns if column is not None) // 2
+            half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
+        return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
+
+    @property
+    def dependent(self) -> float:
+        """Return the part that other functions leave over of one below which noise cannot tell it from them."""
+        return NOISY if self.half else DEPENDENT
+
+    def shares(self, library: Library) -> Tensor | None:
+        """Return the prior of each term, `(n_features,)`; none of data without noise, which tell every coefficient."""
+        return shares(library) if self.half else None
+
+    def rows(self, theta: Theta, field: Theta) -> Rows:
+        """Average functions and rates of change: by the weak form, or within intervals if all states were measured.
+
+        Args:
+            theta: `(x, u) -> (N, n_features)`.
+            field: first model `(x, u) -> dx`, `(N, n_x)`.
+        """
+        if not self.half:
+            return simpson_form(theta, field, self.guess)
+        return weak_form(theta, self.measured, self.guess, self.rates, self.half)
+
+
+def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
+    """Return which state is known to be the rate of which other one, by their positions: `{rate: state}`.
+
+    Args:
+        library: candidate functions.
+        constraints: what is known of the equations.
+    """
+    found = {}
+    for i, fitted in enumerate(constraints.free.any(0).tolist()):
+        if fitted:
+            continue
+        given = constraints.offset[:, i].nonzero().flatten().tolist()
+        if len(given) != 1 or float(constraints.offset[given[0], i]) != 1:
+            continue
+        if (name := library.names[given[0]]) in library.signature.state_names:
+            found[library.signature.state_index(name)] = i
+    return found
+
+
+def followed(library: Library, constraints: Constraints) -> dict[str, str]:
+    """Return the states that only follow, as a' = k (s - a), each with the state or input s that it follows.
+
+    Args:
+        library: candidate functions.
+        constraints: what is known of the equations.
+    """
+    found, used = {}, constraints.free | (constraints.offset != 0)
+    counts = used.sum(0).tolist()
+    for i, name in enumerate(library.signature.state_names):
+        factors = [*library.features[int(used[:, i].int().argmax())].factors] if counts[i] == 1 else []
+        if [factor.function for factor in factors] == ["ahead"] and factors[0].variables[1] == name:
+            found[name] = factors[0].variables[0]
+    return found
+
+
+def at_rest(data: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow another one are equal to it, as they are at rest.
+
+    Args:
+        data: the recording.
+        followers: which state follows which other one, `{follower: state}`.
+    """
+    if not followers:
+        return data
+    x, x_next = data.x.clone(), data.x_next.clone()
+    for follower, state in followers.items():
+        x[:, follower], x_next[:, follower] = x[:, state], x_next[:, state]
+    return replace(data, x=x, x_next=x_next)
+
+
+def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Transitions:
+    """Guess all states from measurements by local cubics: the measured ones smoothed, their rates differentiated.
+
+    A state that was not measured and is no rate of one that was is guessed to be zero.
+
+    Args:
+        data: the recording, NaN where a state was not measured.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        noisy: whether states that were all measured are smoothed too; if not, they stay as they are.
+    """
+    data = data.to(torch.float64)
+    if not noisy and not bool(has_gaps(data)):
+        return data
+    x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
+    lengths: dict[int, int] = {}
+    for segment in data.segment.unique_consecutive().tolist():
+        rows = (data.segment == segment).nonzero().flatten()
+        samples = torch.cat([data.x[rows[:1]], data.x_next[rows]])
+        guessed = torch.zeros_like(samples)
+        for i in range(samples.shape[1]):
+            rate_of = rates.get(i) if bool(samples[:, i].isnan().all()) else None
+            column = filled(samples[:, i if rate_of is None else rate_of].numpy())
+            if column is None:
+                continue
+            source = i if rate_of is None else rate_of
+            lengths.setdefault(source, best_length(column))
+            guessed[:, i] = torch.from_numpy(local_cubic(column, lengths[source], data.dt, int(rate_of is not None)))
+        x[rows], x_next[rows] = guessed[:-1], guessed[1:]
+    return replace(data, x=x, x_next=x_next)
+
+
+def ranged(signature: Signature, data: Transitions, known: Mapping[str, str]) -> Signature:
+    """Return a signature in which rates that no sensor sees have the range in which their states moved.
+
+    Args:
+        signature: names and ranges, those of what was measured read off the data.
+        data: the recording, NaN where a state was not measured.
+        known: equations that are known, by state; those that are the name of a state make it a rate.
+    """
+    names, ranges, blind = signature.state_names, list(signature.x_scale), data.x.isnan().all(0).tolist()
+    pairs = {names.index(rate): names.index(name) for name, rate in known.items() if {name, rate} <= set(names)}
+    rates = {rate: state for rate, state in pairs.items() if blind[rate] and not blind[state]}
+    guess = reconstruct(data, rates) if rates else data
+    for rate in rates:
+        moves = guess.x[:: len(guess) // MOST + 1, rate].abs()
+        ranges[rate] = float(torch.quantile(moves, USUAL)) or ranges[rate]
+    return replace(signature, x_scale=tuple(ranges))
+
+
+def imagined(
+    library: Library, xi: Tensor, data: Transitions, guess: Transitions, rates: Mapping[int, int]
+) -> Transitions:
+    """Guess the states that no sensor sees in any form by a first model, which the measured states lead.
+
+    The rate of a measured state is seen in that state, and stays as it was reconstructed. What is seen moves evenly
+    from sample to sample. Each stretch begins where the guess does.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients of the first model, `(n_features, n_x)`.
+        data: the recording, NaN where a state was not measured.
+        guess: the same, as far as it can be guessed without a model.
+        rates: which state is the rate of which other one, `{rate: state}`.
+    """
+    unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+    hidden = unseen.clone()
+    for rate, state in rates.items():
+        hidden[rate] &= unseen[state]
+    if not bool(hidden.any()):
+        return guess
+    own = torch.where(hidden, xi, 0.0)
+    field, x, x_next = generate(library, own), guess.x.clone(), guess.x_next.clone()
+    substeps = substeps_for(turn_of(library, own, guess.x, guess.u, guess.dt))
+    # What was seen is known at both ends of an interval, and needs no equations that may be fast.
+    leads = torch.where(hidden, 0.0, (guess.x_next - guess.x) / guess.dt)
+    for k in range(len(guess)):
+        if k and bool(guess.segment[k] == guess.segment[k - 1]):
+            x[k] = torch.where(hidden, x_next[k - 1], x[k])
+        led = Rates(partial(_led, field, leads[k]), library.step)
+        after = moved(led, x[k], guess.u[k], guess.dt, substeps)
+        x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
+    return replace(guess, x=x, x_next=x_next)
+
+
+def _led(field: Field, lead: Tensor, x: Tensor, u: Tensor) -> Tensor:
+    return field(x, u) + lead
+
+
+def begun(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow another one begin each stretch where a first model needs them.
+
+    From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
+    it acts on: the part is what they tell by least squares.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients of the first model, `(n_features, n_x)`.
+        guess: the recording, with a guess of each state that begins at rest.
+        followers: which state follows which other one, `{follower: state}`.
+    """
+    field, ends = generate(library, xi), [guess.x.clone(), guess.x_next.clone()]
+    places = torch.arange(len(guess))
+    seconds = (places - torch.where(guess.begins(), places, 0).cummax(0).values).double() * guess.dt
+    for follower in followers:
+        others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
+        offs = [torch.zeros_like(end) for end in ends]
+        for k, off in enumerate(offs):
+            off[:, follower] = torch.exp(-float(xi[:, follower].sum()) * (seconds + k * guess.dt))
+        rates = [field(end, guess.u)[:, others] for end in ends]
+        moved = [field(end + off, guess.u)[:, others] for end, off in zip(ends, offs, strict=True)]
+        slope = 0.5 * (moved[0] - rates[0] + moved[1] - rates[1])
+        left = (ends[1] - ends[0])[:, others] / guess.dt - 0.5 * (rates[0] + rates[1])
+        weight = 1 / left.square().mean(0).clamp_min(1e-300)
+        for segment in guess.segment.unique().tolist():
+            mine = guess.segment == segment
+            part = float((slope * left * weight)[mine].sum() / (slope.square() * weight)[mine].sum().clamp_min(1e-300))
+            for end, off in zip(ends, offs, strict=True):
+                end[mine] += (part if math.isfinite(part) else 0.0) * off[mine]
+    return replace(guess, x=ends[0], x_next=ends[1])
+
+
+def filled(column: Array) -> Array | None:
+    """Return samples with the lost ones interpolated, `(n,)`; None if none was measured."""
+    seen = np.flatnonzero(~np.isnan(column))
+    return np.interp(np.arange(len(column)), seen, column[seen]) if len(seen) else None
+
+
+def best_length(column: Array) -> int:
+    """Choose how many samples lie under a local cubic: as many as predict the samples left out hardly worse.
+
+    Args:
+        column: samples, `(n,)`.
+    """
+    from scipy.signal import savgol_coeffs, savgol_filter  # a second of imports that most runs do without
+
+    errors = {}
+    for length in LENGTHS:
+        if length > len(column):
+            break
+        own = savgol_coeffs(length, 3)[length // 2]  # weight of a sample in its own smoothed value
+        errors[length] = float(np.square((column - savgol_filter(column, length, 3)) / (1 - own)).mean())
+    if not errors:
+        return LENGTHS[0]
+    least = min(errors.values())
+    return max(length for length, error in errors.items() if error <= AS_GOOD * least + 1e-300)
+
+
+def local_cubic(column: Array, length: int, dt: float, derivative: int) -> Array:
+    """Smooth or differentiate samples, `(n,)`, by a cubic through `length` neighbours; fewer where there are fewer."""
+    length = min(length, len(column) - 1 + len(column) % 2)
+    if length < 5:
+        return np.gradient(column, dt) if derivative and len(column) > 1 else column * (1 - derivative)
+    from scipy.signal import savgol_filter
+
+    smooth: Array = savgol_filter(column, length, 3, deriv=derivative, delta=dt)
+    return smooth
+
+
+def has_gaps(data: Transitions) -> Tensor:
+    """Tell whether a state was not measured, bool `()`."""
+    return data.x.isnan().any() | data.x_next.isnan().any()
+
+
+CLEAR = 20.0
+"""Movement over a step that is looked at [deviation of what no local cubic follows]."""
+UNEXPLAINED = 0.1
+"""Part of the movement that states and inputs have to leave unexplained."""
+EXPLAINED = 0.9
+"""Part of that which the movement just before has to explain."""
+ROWS = 5000
+"""Rows that are looked at."""
+ALIKE = 0.01
+"""Part of the movement of a state that another one may leave over which is its rate."""
+WINDOW = 10
+"""Samples over which the rate of another state is told by its integral, which noise leaves as it is."""
+CUBIC = 8
+"""States and inputs up to which cubic functions of them are looked at; of more, quadratic ones."""
+
+
+def moving_on(library: Library, data: Transitions) -> list[str]:
+    """Return the states that go on as they went before, whatever states and inputs say: a rate of theirs is missing.
+
+    Where all states are there, what happens next follows from them and from the inputs. A state that is the rate of
+    another one is taken to have none of its own. The movement over a step is
+    regressed on the candidate functions, on polynomials, which stand for functions that the library lacks, and on the
+    inputs of the step before; then also on the movement over the step before.
+
+    Args:
+        library: candidate functions.
+        data: the recording; one with a state that was never measured is not judged, and none by a difference equation,
+            as what it lacks is no rate. Rows that lack a sample are left out.
+    """
+    if library.step is not None or len(data) < WINDOW or bool(data.x.isnan().all(0).any()):
+        return []
+    data, signature = data.to(torch.float64), library.signature
+    smooth = polynomial(signature, 3 if signature.n_x + signature.n_u <= CUBIC else 2)
+    library = Library(signature, [*library.features, *smooth.features])
+    rates = _rates(data)
+    return [name for i, name in enumerate(signature.state_names) if i not in rates and _moves_on(library, data, i)]
+
+
+def _rates(data: Transitions) -> set[int]:
+    """Return the states that are rates of others: their integrals by the trapezoidal rule are what others move by."""
+    data = _bridged(data)
+    rows = torch.arange(len(data) - WINDOW + 1)
+    last = rows + WINDOW - 1
+    rows, last = (k[data.segment[rows] == data.segment[last]] for k in (rows, last))
+    moved = data.x_next[last] - data.x[rows]
+    sums = torch.cat([torch.zeros_like(data.x[:1]), (0.5 * data.dt * (data.x + data.x_next)).cumsum(0)])
+    left = (moved.unsqueeze(-1) - (sums[last + 1] - sums[rows]).unsqueeze(-2)).square().sum(0)  # (state, rate)
+    return set((left < ALIKE * moved.square().sum(0).unsqueeze(-1)).nonzero()[:, 1].tolist())
+
+
+def _bridged(data: Transitions) -> Transitions:
+    """Return a recording with straight lines over lost samples, zero where a segment has none of a state."""
+    if not bool(has_gaps(data)):
+        return data
+    x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
+    for segment in data.segment.unique_consecutive().tolist():
+        rows = (data.segment == segment).nonzero().flatten()
+        for i, column in enumerate(torch.cat([data.x[rows[:1]], data.x_next[rows]]).unbind(-1)):
+            if (whole := filled(column.numpy())) is not None:
+                x[rows, i], x_next[rows, i] = torch.from_numpy(whole[:-1]), torch.from_numpy(whole[1:])
+    return replace(data, x=x, x_next=x_next)
+
+
+def _moves_on(library: Library, data: Transitions, i: int) -> bool:
+    found = _steps(data, i)
+    if found is None:
+        return False
+    rows, length = found
+    now, past = rows, rows - length
+    moved = data.x[now + length, i] - data.x[now, i]
+    before = (data.x[now, i] - data.x[past, i]).unsqueeze(-1)
+    sums = torch.cat([torch.zeros_like(data.u[:1]), data.u.cumsum(0)])
+    u, u_past = ((sums[k + length] - sums[k]) / length for k in (now, past))
+    columns = torch.cat([library(data.x[now], u), u_past], -1)
+    columns = columns[:, columns.isfinite().all(0)]
+    total, everything = float((moved - moved.mean()).square().sum()), torch.cat([columns, before], -1)
+    scale = everything.norm(dim=0).clamp_min(1e-300)
+    triangle = torch.linalg.qr(torch.cat([everything / scale, moved.unsqueeze(-1)], -1), mode="r")[1]
+    alone, _ = _left(triangle[:, : columns.shape[1]], triangle[:, -1:])
+    if not alone > UNEXPLAINED * total:
+        return False
+    left, weight = _left(triangle[:, :-1], triangle[:, -1:])
+    return left < (1 - EXPLAINED) * alone and weight > 0
+
+
+def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
+    """Return rows with a step before and after them in their segment, and its length in samples; None if too few.
+
+    All states are there at a row, and the one that is looked at at both ends of the steps, too.
+    """
+    labels, counts = data.segment.unique_consecutive(return_counts=True)
+    samples = data.x[data.segment == labels[int(counts.argmax())], i].numpy()
+    longest, there = filled(samples), np.flatnonzero(~np.isnan(samples))
+    if longest is None or len(there) < 8:
+        return None
+    complete, seen = ~data.x.isnan().any(-1), ~data.x[:, i].isnan()
+    noise = float(torch.from_numpy(longest - local_cubic(longest, best_length(longest), 1.0, 0)).square().mean().sqrt())
+    length = max(1, round(float(np.median(np.diff(there)))))  # of a sensor that is read every fifth row, five
+    while 8 * length < len(longest):
+        rows = torch.arange(length, len(data) - length)
+        rows = rows[data.segment[rows - length] == data.segment[rows + length]]
+        rows = rows[complete[rows] & seen[rows - length] & seen[rows + length]]
+        if not len(rows):
+            return None
+        rows = rows[:: max(1, len(rows) // ROWS)]
+        if float((data.x[rows + length, i] - data.x[rows, i]).square().mean().sqrt()) > CLEAR * noise:
+            return rows, length
+        length *= 2
+    return None
+
+
+def _left(columns: Tensor, target: Tensor) -> tuple[float, float]:
+    """Return the squares that least squares leave over, and the weight of the last column."""
+    solution = torch.linalg.lstsq(columns, target, driver="gelsd").solution
+    return float((target - columns @ solution).square().sum()), float(solution[-1, 0])
+
+
+BRIEF = 2 * ENOUGH
+"""Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Hold a recording, to be read under inputs that act later than they were given.
+
+    Attributes:
+        data: transitions, NaN where a state was not measured.
+        guess: the same, the states that were not measured guessed.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        known: rows whose inputs are known however late they act, bool `(N,)`.
+        noisy: whether states that were all measured are noisy: `guess` holds them smoothed then.
+    """
+
+    data: Transitions
+    guess: Transitions
+    rates: Mapping[int, int]
+    known: Tensor
+    noisy: bool = False
+
+    @classmethod
+    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
+        """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
+        return cls(data, guess, rates, known_inputs(data, longest))
+
+    def brief(self, longest: float) -> Recording:
+        """Return stretches of a long recording, enough for a regression; all of a short one.
+
+        Args:
+            longest: time before a row at which its inputs are to be known [s].
+        """
+        rows = spread(len(self.data), BRIEF)
+        if bool(rows.all()):
+            return self
+        part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
+        return replace(part, noisy=self.noisy)
+
+    def smoothed(self, step: float | None = None) -> Recording:
+        """Return the recording as one whose samples are noisy, wherever it is read from now on.
+
+        Args:
+            step: of the difference equation that is fitted [s]: it may jump from sample to sample, and no cubic tells
+                that from noise, so that the recording stays as it is; None of a differential equation.
+        """
+        if step is not None:
+            return self
+        return replace(self, guess=reconstruct(self.data, self.rates, True), noisy=True)
+
+    def measured(self, delay: float) -> Transitions:
+        """Return what was measured, under inputs that act `delay` seconds later."""
+        return delayed(self.data, delay).select(self.known)
+
+    def guessed(self, delay: float) -> Transitions:
+        """Return the same with a guess of every state."""
+        return delayed(self.guess, delay).select(self.known)
+
+    def seen(self, delay: float) -> Seen:
+        """Return what regressions read, under inputs that act `delay` seconds later."""
+        return Seen.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)

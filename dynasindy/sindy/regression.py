@@ -1,0 +1,434 @@
+"""Which coefficients a linear least-squares model needs, decided on its triangular factor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.systems.steps import step_of
+from dynasindy.systems.transitions import Transitions
+
+DEPENDENT = 1e-13
+"""Part of a column of unit norm that others leave over, below which it depends on them."""
+BETTER = 2.0
+"""Squared weighted error that an exchange of one coefficient for one other must gain."""
+IDLE = 1e-12
+"""Norm of a column, of those that have norm one, below which a parameter has no effect."""
+
+
+def least_missed(
+    triangle: Tensor, n: int, removable: Tensor | None = None, dependent: float = DEPENDENT
+) -> tuple[int, float]:
+    """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
+
+    Args:
+        triangle: R of [columns, target], `(n + 1, n + 1)` or taller.
+        n: number of columns.
+        removable: columns to choose from, bool `(n,)`; all by default.
+        dependent: part of a column that others leave over, below which it depends on them.
+
+    Returns:
+        Position of the column and the growth of the squared residual; -1 where there is nothing to choose.
+    """
+    if n == 0 or (removable is not None and not bool(removable.any())):
+        return -1, math.inf
+    square, rotated = triangle[:n, :n], triangle[:n, n]
+    pivots = square.diagonal().abs()
+    if removable is not None:
+        pivots = torch.where(removable, pivots, math.inf)
+    if float(pivots.min()) < dependent:
+        return int(pivots.argmin()), 0.0
+    inverse = torch.linalg.solve_triangular(square, torch.eye(n, dtype=square.dtype), upper=True)
+    growth = (inverse @ rotated).square() / inverse.square().sum(-1)
+    if removable is not None:
+        growth = torch.where(removable, growth, math.inf)
+    return int(growth.argmin()), float(growth.min())
+
+
+def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: float = DEPENDENT) -> tuple[Tensor, Tensor]:
+    """Drop parameters, least missed first, while each costs less than `limit` of squared weighted error.
+
+    Args:
+        triangle: R of [columns, target], `(n + 1, n + 1)`.
+        removable: parameters that may be dropped, bool `(n,)`.
+        limit: growth of the squared error, in units of its variance, that a parameter must be worth.
+        dependent: part of a column that others leave over, below which it depends on them.
+
+    Returns:
+        Positions of the parameters that stay, and their values, both `(n_kept,)`.
+    """
+    active = torch.arange(triangle.shape[1] - 1)
+    # What always stays and has no effect, as the number inside a function that is not in the model, stays as it is.
+    idle = (triangle[:, :-1].norm(dim=0) < IDLE) & ~removable
+    if bool(idle.any()):
+        unit = torch.nn.functional.pad(torch.diag(idle.to(triangle.dtype))[idle], (0, 1))
+        triangle = torch.linalg.qr(torch.cat([triangle, unit]), mode="r")[1]
+    while True:
+        n = len(active)
+        j, growth = least_missed(triangle, n, removable[active], dependent)
+        if j < 0 or growth >= limit:
+            break
+        keep = [k for k in range(n) if k != j]
+        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
+        active = active[keep]
+    n = len(active)
+    values = torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
+    return active, values
+
+
+def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Parameters, limit: float) -> Tensor | None:
+    """Look for a better set of coefficients than the one at which a refinement stands still.
+
+    First a score test: a function outside the model that would lower the error by more than it costs comes in, the
+    best one of each equation. If there is none, an exchange: a function comes in if two or more can go for it, as
+    sin(alpha) for the three functions that imitate it at small angles. They may go in other equations, too: a wrong
+    function in one equation may hold one in another that makes up for it. At last the best of the exchanges one for
+    one, within an equation.
+
+    Args:
+        triangle: R of [fixed unknowns, active, others, target].
+        n_fixed: number of unknowns that always stay (start states).
+        active: coefficients in the model.
+        others: coefficients outside the model that are allowed.
+        limit: squared weighted error that a coefficient must be worth.
+
+    Returns:
+        Positions of the better set in `active + others`, `(n,)`; None where there is none.
+    """
+    n = n_fixed + len(active)
+    columns, error = triangle[n:, n:-1], triangle[n:, -1]
+    growth = (columns.mT @ error).square() / columns.square().sum(0).clamp_min(1e-12)
+    best = others.best_of_each_state(growth, 2 * limit)
+    if len(best):
+        return torch.cat([torch.arange(len(active)), len(active) + best])
+    swaps: dict[float, Tensor] = {}
+    for k in range(len(others)):
+        state = others.states[k]
+        chosen = [*range(n), n + k, triangle.shape[1] - 1]
+        small = torch.linalg.qr(triangle[:, chosen], mode="r")[1]
+        removable = torch.zeros(n + 1, dtype=torch.bool)
+        removable[n_fixed:n] = True
+        kept, _ = walk_down(small, removable, limit)
+        if len(kept) <= n - 1:
+            stay = kept[(kept >= n_fixed) & (kept < n)] - n_fixed
+            return torch.cat([stay, torch.tensor([len(active) + k])])
+        removable[n_fixed:n] = active.states == state
+        out, missed = least_missed(small, n + 1, removable)
+        if float(growth[k]) > missed + BETTER:
+            stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)
+            swaps[float(growth[k]) - missed] = torch.cat([stay, torch.tensor([len(active) + k])])
+    return swaps[max(swaps)] if swaps else None
+
+
+AT_ONCE = 10_000
+"""Rows of which the functions at both ends are computed at once; of more they would fill the memory."""
+Rows = tuple[Tensor, Tensor]
+Theta = Callable[[Tensor, Tensor], Tensor]
+
+
+def integral_form(library: Theta, data: Transitions) -> Rows:
+    """Average the functions over each sampling interval and take the mean rate of change over it.
+
+    Under zero-order hold the input is constant within an interval and jumps between two, so neither a centred
+    difference nor a derivative filter is right; the trapezoidal rule within the interval is. A difference equation has
+    its functions where the interval begins, and nothing is averaged.
+
+    Args:
+        library: `(x, u) -> (N, n_features)`, with a `step` where it is of a difference equation.
+        data: transitions, N rows.
+
+    Returns:
+        `0.5 (Theta(x_k, u_k) + Theta(x_k+1, u_k))`, `(N, n_features)`, and `(x_k+1 - x_k) / dt`, `(N, n_x)`, float64.
+    """
+    data = data.to(torch.float64)
+    if step_of(library) is not None:
+        return library(data.x, data.u), (data.x_next - data.x) / data.dt
+    if len(data) > AT_ONCE:
+        theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
+    else:  # where single operations cost more than what they compute
+        ends = library(torch.cat([data.x, data.x_next]), torch.cat([data.u, data.u]))
+        theta = 0.5 * (ends[: len(data)] + ends[len(data) :])
+    return theta, (data.x_next - data.x) / data.dt
+
+
+def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
+    """Average the functions over each interval by Simpson's rule, its midpoint taken from a first model.
+
+    The midpoint is the cubic Hermite interpolant 0.5 (x_k + x_k+1) + dt/8 (f_k - f_k+1): fourth order instead of
+    second, which is what data at the control period (0.05 s) need. Of a difference equation nothing is averaged.
+
+    Args:
+        library: `(x, u) -> (N, n_features)`.
+        field: first model `(x, u) -> dx`, `(N, n_x)`, with a `step` where it is a difference equation.
+        data: transitions, N rows.
+    """
+    data = data.to(torch.float64)
+    if step_of(field) is not None:
+        return library(data.x, data.u), (data.x_next - data.x) / data.dt
+    bend = field(data.x, data.u) - field(data.x_next, data.u)
+    middle = 0.5 * (data.x + data.x_next) + data.dt / 8 * bend
+    ends = library(data.x, data.u) + library(data.x_next, data.u)
+    return (ends + 4 * library(middle, data.u)) / 6, (data.x_next - data.x) / data.dt
+
+
+def means(rows: Rows, count: int) -> Rows:
+    """Return the means over so many rows that follow each other, for which equations hold as for single rows.
+
+    Noise of samples all but cancels in rates of change that are averaged: its part in them falls as 1 / count.
+
+    Args:
+        rows: theta `(N, n_features)` and dx `(N, n_x)`.
+        count: rows in a mean, 1 or more; there are N + 1 - count of these, none of fewer rows.
+    """
+    if count == 1:
+        return rows
+    sums = (torch.cat([torch.zeros_like(part[:1]), part.cumsum(0)]) for part in rows)
+    theta, dx = ((total[count:] - total[:-count]) / count for total in sums)
+    return theta, dx
+
+
+class RunningSums:
+    """Hold the triangular factor R of all samples seen, so that new data cost the new data only.
+
+    Args:
+        n_features: number of candidate functions.
+        n_x: number of states.
+    """
+
+    def __init__(self, n_features: int, n_x: int) -> None:
+        self.n_features, self.n_x, self.count = n_features, n_x, 0
+        self.r = torch.zeros(n_features + n_x, n_features + n_x, dtype=torch.float64)
+
+    def add(self, rows: Rows, block: int = 20_000) -> None:
+        """Add samples.
+
+        Args:
+            rows: theta `(N, n_features)` and dx `(N, n_x)`.
+            block: samples handled at once, which bounds the memory.
+
+        Raises:
+            ValueError: a sample is not finite.
+        """
+        stacked = torch.cat([rows[0], rows[1]], -1).to(torch.float64)
+        # A sum is a pass over the numbers; of numbers that are finite it may be too large for one.
+        if not math.isfinite(float(stacked.sum())) and not bool(torch.isfinite(stacked).all()):
+            bad = int((~torch.isfinite(stacked)).any(-1).sum())
+            raise ValueError(
+                f"{bad} of {len(stacked)} samples give functions that are not finite; allowed are finite ones: "
+                "remove those samples or the function that overflows"
+            )
+        for part in stacked.split(block):
+            self.r = torch.linalg.qr(torch.cat([self.r, part]), mode="r")[1]
+            self.count += part.shape[0]
+
+    def copy(self) -> RunningSums:
+        """Return sums that no longer grow with these."""
+        copied = RunningSums(self.n_features, self.n_x)
+        copied.r, copied.count = self.r, self.count
+        return copied
+
+    def norms(self) -> Tensor:
+        """Return the 2-norm of every column of [Theta dX], `(n_features + n_x,)`."""
+        return self.r.norm(dim=0)
+
+    def theta(self) -> Tensor:
+        """Return the columns of R that belong to the functions."""
+        return self.r[:, : self.n_features]
+
+    def targets(self) -> Tensor:
+        """Return the columns of R that belong to the rates of change."""
+        return self.r[:, self.n_features :]
+
+    def residual(self, coefficients: Tensor) -> Tensor:
+        """Return the 2-norm of dX - Theta Xi of each state, `(n_x,)`."""
+        return (self.targets() - self.theta() @ coefficients).norm(dim=0)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Settings of a sparse regression.
+
+    Attributes:
+        method: `stlsq` (sequentially thresholded least squares) or `bic` (backward elimination, Bayesian criterion).
+        threshold: lambda of the paper, for `stlsq`; it acts on coefficients of columns of unit norm.
+        normalize: `two_norm` (PySINDy's rule; weakens as samples accumulate) or `rms` (the same rule at 1000 samples,
+            whatever their number).
+        scale_targets: whether the threshold is relative to the root-mean-square rate of change of each state.
+        max_iterations: limit of `stlsq`.
+        tolerance: residual, relative to the rate of change, below which `bic` takes a fit as exact.
+        dependent: part of a function that others leave over, below which `bic` takes it as one of them.
+    """
+
+    method: Literal["stlsq", "bic"] = "stlsq"
+    threshold: float = 0.9
+    normalize: Literal["two_norm", "rms"] = "two_norm"
+    scale_targets: bool = False
+    max_iterations: int = 20
+    tolerance: float = 1e-5
+    dependent: float = DEPENDENT
+
+    def __post_init__(self) -> None:
+        """Check the settings.
+
+        Raises:
+            ValueError: a word or a number is not allowed.
+        """
+        if self.method not in ("stlsq", "bic"):
+            raise ValueError(f"regression got method {self.method!r}; allowed are stlsq, bic: choose one")
+        if self.normalize not in ("two_norm", "rms"):
+            raise ValueError(f"regression got normalize {self.normalize!r}; allowed are two_norm, rms: choose one")
+        if not self.threshold >= 0:
+            raise ValueError(f"regression got threshold {self.threshold}; allowed is 0 or more: the paper's is 0.9")
+        if not self.tolerance > 0 or self.max_iterations < 1:
+            raise ValueError(
+                f"regression got tolerance {self.tolerance}, max_iterations {self.max_iterations}; allowed are "
+                "tolerance > 0 and max_iterations >= 1: correct them"
+            )
+
+    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor, share: Tensor | None = None) -> Tensor:
+        """Find sparse coefficients.
+
+        Args:
+            sums: the samples.
+            support: coefficients that may differ from zero, bool `(n_features, n_x)`.
+            offset: coefficients that are given and stay, `(n_features, n_x)`.
+            share: standard deviation of the Gaussian prior of each term, in rates of change of its equation,
+                `(n_features,)`, for `bic`; none by default. See `prior`.
+
+        Returns:
+            Coefficients, offset included, in the units of the data, `(n_features, n_x)`.
+        """
+        norms = sums.norms()
+        scale = torch.where(norms > 0, norms, 1.0)
+        columns, rates = scale[: sums.n_features], scale[sums.n_features :]
+        theta = sums.theta() / columns
+        targets = sums.targets() - sums.theta() @ offset
+        if self.method == "bic":
+            free = eliminate(
+                theta,
+                targets / rates,
+                support & (norms[: sums.n_features] > 0).unsqueeze(-1),
+                sums.count,
+                self.tolerance,
+                self.dependent,
+                share,
+            )
+            return offset + free * rates / columns.unsqueeze(-1)
+        threshold = self.threshold / math.sqrt(1000.0)
+        threshold = threshold * math.sqrt(max(sums.count, 1)) if self.normalize == "rms" else self.threshold
+        limits = threshold * (rates / math.sqrt(max(sums.count, 1)) if self.scale_targets else torch.ones_like(rates))
+        return offset + stlsq(theta, targets, support, limits, self.max_iterations) / columns.unsqueeze(-1)
+
+
+def least_squares(theta: Tensor, target: Tensor) -> Tensor:
+    """Solve min |target - theta xi|, of least norm where theta is rank-deficient."""
+    return torch.linalg.lstsq(theta, target.reshape(target.shape[0], -1), driver="gelsd").solution.reshape(
+        theta.shape[1], *target.shape[1:]
+    )
+
+
+def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_iterations: int = 20) -> Tensor:
+    """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
+
+    Args:
+        theta: columns of unit norm, `(M, n_features)`.
+        targets: `(M, n_x)`.
+        support: coefficients to begin with, bool `(n_features, n_x)`.
+        limits: smallest coefficient that stays, per target, `(n_x,)`.
+        max_iterations: limit on the refits of a target.
+    """
+    coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
+    if everything := bool(support.all()):
+        coefficients = least_squares(theta, targets)
+    for i in range(targets.shape[1]):
+        active = support[:, i].nonzero().squeeze(-1)
+        xi = coefficients[:, i].clone() if everything else least_squares(theta[:, active], targets[:, i])
+        for _ in range(max_iterations):
+            big = xi.abs() >= limits[i]
+            if bool(big.all()):
+                break
+            active = active[big]
+            if not len(active):
+                xi = xi[:0]
+                break
+            xi = least_squares(theta[:, active], targets[:, i])
+        coefficients[:, i] = 0
+        coefficients[active, i] = xi
+    return coefficients
+
+
+def eliminate(
+    theta: Tensor,
+    targets: Tensor,
+    support: Tensor,
+    count: int,
+    tolerance: float,
+    dependent: float = DEPENDENT,
+    share: Tensor | None = None,
+) -> Tensor:
+    """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
+
+    Args:
+        theta: columns of unit norm, `(M, n_features)`.
+        targets: columns of unit norm, `(M, n_x)`.
+        support: coefficients to begin with, bool `(n_features, n_x)`.
+        count: number of samples behind the columns.
+        tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
+        dependent: part of a column that others leave over, below which it depends on them.
+        share: standard deviation of each coefficient before the columns tell it, `(n_features,)`; none by default.
+
+    Returns:
+        Coefficients, `(n_features, n_x)`.
+    """
+    coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
+    for i in range(targets.shape[1]):
+        mine = support[:, i].nonzero().squeeze(-1)
+        columns, target = theta, targets[:, i]
+        if share is not None and len(mine):
+            columns, target = _with_prior(columns, target, mine, count, share)
+        active = _best_subset(columns, target, mine, count, tolerance, dependent)
+        if len(active):
+            coefficients[active, i] = least_squares(columns[:, active], target)
+    return coefficients
+
+
+def _with_prior(theta: Tensor, target: Tensor, mine: Tensor, count: int, share: Tensor) -> tuple[Tensor, Tensor]:
+    """Return columns and target with a row for each coefficient that says, as loudly as a sample does: it is small."""
+    left = target - theta[:, mine] @ least_squares(theta[:, mine], target)
+    small = torch.diag(left.norm() / math.sqrt(max(count, 1)) / share)
+    return torch.cat([theta, small]), torch.cat([target, torch.zeros_like(share)])
+
+
+def _best_subset(
+    theta: Tensor, target: Tensor, active: Tensor, count: int, tolerance: float, dependent: float
+) -> Tensor:
+    """Walk down from all functions by the growth of the squared residual xi_j^2 / C_jj, C = inv(theta'theta).
+
+    The triangle is factored anew after each drop: nearly collinear functions (alpha, sin alpha, alpha cos alpha at
+    small angles) ruin cheaper updates of C.
+    """
+    n = len(active)
+    if n == 0:
+        return active
+    triangle = torch.linalg.qr(torch.cat([theta[:, active], target.unsqueeze(-1)], -1), mode="r")[1]
+    triangle = torch.nn.functional.pad(triangle, (0, 0, 0, max(0, n + 1 - triangle.shape[0])))
+    best, best_score = active, math.inf
+    while True:
+        n = len(active)
+        squared = float(triangle[n:, n].square().sum())
+        score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
+        # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is scored.
+        if score < best_score and (not n or float(triangle[:n, :n].diagonal().abs().min()) >= dependent):
+            best, best_score = active, score
+        if not n:
+            return best
+        j, _ = least_missed(triangle, n, dependent=dependent)
+        keep = [k for k in range(n) if k != j]
+        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
+        active = active[keep]

@@ -1,0 +1,195 @@
+"""Numbers inside functions, as a width or an inertia, and the angle that a mass matrix depends on, from mean rates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.delay import unexplained
+from dynasindy.sindy.functions import QUOTIENTS
+from dynasindy.sindy.library import Factor, Feature, Library
+from dynasindy.sindy.regression import Rows, Theta, least_squares
+
+LITTLE = 1e-3
+"""Gain of log-likelihood below which the numbers stand still."""
+MOVED = 1e-3
+"""Part of a first guess by which a number has moved that was fitted."""
+RowsOf = Callable[[Theta, Theta], Rows]
+"""Functions `(x, u) -> (N, n_features)` and a first model `(x, u) -> dx` to averaged functions and rates of change."""
+
+
+def fit_shapes(
+    library: Library, xi: Tensor, free: Tensor, rows: RowsOf, tolerance: float, rounds: int = 10
+) -> tuple[Library, Tensor]:
+    """Fit the numbers inside the fitted factors, and the active coefficients with them.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`; those that are zero stay so.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        rows: averages functions and rates of change, given the functions and a first model.
+        tolerance: unexplained part of a rate of change that is taken as exact.
+        rounds: limit on Gauss-Newton steps.
+
+    Returns:
+        The library with its shapes, and coefficients, `(n_features, n_x)`.
+    """
+    active = (xi != 0) & free
+    used = {f.base for k in active.any(-1).nonzero().flatten().tolist() for f in library.features[k].factors}
+    if not used & set(library.shapes):
+        return library, xi
+    xi, cost = _solved(library, xi, active, rows, tolerance)
+    for _ in range(rounds):
+        step, size = _step(library, xi, active, rows, tolerance), 1.0
+        numbers = torch.tensor([shape.frequency for shape in library.shapes], dtype=torch.float64)
+        while size > 1e-3:
+            # No number grows tenfold or changes its sign in one step.
+            moved = numbers + (size * step).clamp(-0.9 * numbers.abs(), 9 * numbers.abs())
+            trial = library.with_shapes(moved.tolist())
+            found, lower = _solved(trial, xi, active, rows, tolerance)
+            if lower >= cost:
+                # Rates are averaged along a first model. With the moved numbers and the old coefficients that is a poor
+                # one, and a good step looks bad; with the coefficients of these numbers it shows what it is worth.
+                found, lower = _solved(trial, found, active, rows, tolerance)
+            if lower < cost:
+                break
+            size /= 4
+        else:
+            return library, xi
+        gain, library, xi, cost = cost - lower, trial, found, lower
+        if gain < LITTLE:
+            break
+    return library, xi
+
+
+def stayed(library: Library, xi: Tensor) -> list[str]:
+    """Say which numbers inside functions that are used did not move from their first guesses, a sentence each.
+
+    Args:
+        library: candidate functions after a fit.
+        xi: coefficients of the fit, `(n_features, n_x)`.
+    """
+    active = (xi != 0).any(-1).nonzero().flatten().tolist()
+    used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
+    still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
+    return [
+        f"the number in {Feature.of([factor]).name()} did not move from its first guess {factor.fitted:g}: the data "
+        "probably do not determine it"
+        for factor in still
+    ]
+
+
+def _solved(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> tuple[Tensor, float]:
+    """Return the coefficients for these shapes, and N/2 log of the squared errors of all states."""
+    theta, dx = rows(library, generate(library, xi))
+    found, cost = torch.where(active, 0.0, xi), 0.0
+    rest = dx - theta @ found
+    for i in range(xi.shape[1]):
+        mine = active[:, i].nonzero().flatten()
+        if not len(mine):
+            continue
+        columns = theta[:, mine]
+        scale = columns.norm(dim=0).clamp_min(1e-300)
+        found[mine, i] = least_squares(columns / scale, rest[:, i]) / scale
+        error = (rest[:, i] - columns @ found[mine, i]).square().sum()
+        cost += 0.5 * len(dx) * float((error / dx[:, i].square().sum() + tolerance**2).log())
+    return found, cost
+
+
+def _step(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> Tensor:
+    """Return the Gauss-Newton step of the shapes, `(S,)`."""
+    shapes, n = library.shapes, len(library)
+
+    def _both(x: Tensor, u: Tensor) -> Tensor:
+        slopes = library.by_shapes(x, u, shapes).mT @ xi  # (N, S, n_x)
+        return torch.cat([library(x, u), slopes.flatten(-2)], -1)
+
+    both, dx = rows(_both, generate(library, xi))
+    theta, slopes = both[:, :n], both[:, n:].unflatten(-1, (len(shapes), -1))
+    error = dx - theta @ xi
+    normal, target = [], []
+    for i in range(xi.shape[1]):
+        weight = 1 / (error[:, i].norm() + tolerance * dx[:, i].norm()).clamp_min(1e-300)
+        basis = torch.linalg.qr(_unit(theta[:, active[:, i]]))[0]
+        own = slopes[:, :, i] - basis @ (basis.mT @ slopes[:, :, i])
+        normal.append(weight * own)
+        target.append(weight * error[:, i : i + 1])
+    columns = torch.cat(normal)
+    scale = columns.norm(dim=0).clamp_min(1e-300)
+    return least_squares(columns / scale, torch.cat(target)).flatten() / scale
+
+
+def _unit(columns: Tensor) -> Tensor:
+    return columns / columns.norm(dim=0).clamp_min(1e-300)
+
+
+COUPLINGS = (-0.03, -0.1, -0.3, -0.6, -0.85)
+"""Numbers p that are tried where the angle is looked for that the mass matrix depends on."""
+
+
+def one_quotient(library: Library, free: Tensor, rows: Callable[[Library], Rows]) -> Tensor:
+    """Leave free in the equations what one angle turns, the angle whose quotients explain the rates of change best.
+
+    A mass matrix has one determinant, by which all equations of the machine are divided. The functions of the angles
+    that are not chosen are left out, but for those of gravity.
+
+    Args:
+        library: candidate functions; of quotients, those whose number is fitted are compared.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        rows: Averages the functions of a library, `(N, n_features)`, and the rates of change, `(N, n_x)`.
+
+    Returns:
+        What stays free, bool `(n_features, n_x)`; all of it where there is one angle or none.
+    """
+    kept = {angle: free & own.unsqueeze(-1) for angle, own in of_one_angle(library).items()}
+    if len(kept) < 2:
+        return free
+    costs = dict.fromkeys(kept, math.inf)
+    for number in COUPLINGS:
+        trial = [number if shape.function in QUOTIENTS else shape.frequency for shape in library.shapes]
+        theta, dx = rows(library.with_shapes(trial))
+        triangle = torch.linalg.qr(torch.cat([theta, dx], -1), mode="r")[1]
+        for angle, support in kept.items():
+            costs[angle] = min(
+                costs[angle], unexplained(support, triangle[:, : len(library)], triangle[:, len(library) :])
+            )
+    return kept[min(costs, key=costs.__getitem__)]
+
+
+def of_one_angle(library: Library) -> dict[tuple[str, ...], Tensor]:
+    """Return which functions an equation may have, by the angle of its quotients, bool `(n_features,)` each.
+
+    They are those of that angle, those of gravity, and those of no angle; empty where the library has no quotients.
+
+    Args:
+        library: candidate functions.
+    """
+    angles = [_angle(shape) for shape in library.shapes if shape.function in QUOTIENTS]
+    if not angles:
+        return {}
+    owners = [_owner(feature, angles) for feature in library.features]
+    pulls = [len(feature.factors) < 2 and not _divided(feature) for feature in library.features]
+    return {
+        angle: torch.tensor([pull or own in (None, angle) for pull, own in zip(pulls, owners, strict=True)])
+        for angle in angles
+    }
+
+
+def _divided(feature: Feature) -> bool:
+    return any(factor.function in QUOTIENTS for factor in feature.factors)
+
+
+def _owner(feature: Feature, angles: Sequence[tuple[str, ...]]) -> tuple[str, ...] | None:
+    """Return the angle that turns a force: that of its quotient, else that of a sine or cosine; None of no angle."""
+    quotients = sorted(feature.factors, key=lambda factor: factor.function not in QUOTIENTS)
+    return next((_angle(factor) for factor in quotients if _angle(factor) in angles), None)
+
+
+def _angle(factor: Factor) -> tuple[str, ...]:
+    """Return the angle that a sine, a cosine or a quotient reads, as `_turned` takes it; of other functions none."""
+    name, _, word = factor.function.removeprefix("per_").partition("_")
+    return (*factor.variables, *([word] if word else [])) if name in ("sin", "cos", "cos2") else ()

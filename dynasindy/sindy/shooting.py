@@ -1,0 +1,623 @@
+"""Multiple shooting: trajectories of windows, their sensitivities, and the linear model of their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
+from dynasindy.sindy.library import Feature, Library
+from dynasindy.sindy.noise import Noise, estimated, news, remaining, whiten
+from dynasindy.sindy.sensitivity import Parameters, Propagator, chained
+from dynasindy.sindy.windows import Windows
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.transitions import Transitions
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Say how trajectories are fitted.
+
+    Attributes:
+        window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
+        joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
+            chosen where small errors grow along the trajectory, as in chaos.
+        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
+        correlated: whether a coefficient must be worth the more, the longer errors last.
+        pushed: whether windows on their own are corrected by a Kalman filter, as far as random pushes on the plant and
+            noise of the sensors, both estimated, explain what it leaves over.
+        coloured: whether errors of a trajectory are taken to last, as long as they do.
+    """
+
+    window: int
+    joined: bool | None = None
+    max_rounds: int = 30
+    correlated: bool = False
+    pushed: bool = False
+    coloured: bool = False
+
+    @property
+    def joins(self) -> bool:
+        """Tell whether windows may join."""
+        return self.joined is not False and not self.pushed
+
+
+EXACT = 1e-100
+"""Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
+ROUNDING = 1e-12
+"""Part of a state below which errors are those of arithmetic, which differ from processor to processor."""
+FINE, COARSE, STABLE, MOST_STEPS = 0.1, 0.3, 1.5, 10
+"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions and
+delays are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
+
+
+@dataclass
+class Estimate:
+    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
+
+    library: Library
+    xi: Tensor
+    nodes: Tensor
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Hold the trajectories of all windows; their sensitivities are computed when they are first asked for.
+
+    Attributes:
+        estimate: coefficients and nodes.
+        parameters: coefficients to differentiate by, P of them.
+        windows: the recording.
+        predicted: states at the ends of the intervals, `(W, L, n_x)`.
+    """
+
+    estimate: Estimate
+    parameters: Parameters
+    windows: Windows
+    predicted: Tensor
+
+    @classmethod
+    def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
+        """Integrate all windows."""
+        return cls(estimate, parameters, windows, states_of(estimate, windows))
+
+    @cached_property
+    def steps(self) -> Tensor:
+        """Derivatives of the end of each interval by its beginning, shapes and Xi, `(W, L, n_x, n_x + S + P)`.
+
+        Intervals that follow each other cost as many small operations as there are of them. Here the states are known,
+        and all intervals are computed side by side.
+        """
+        estimate, windows = self.estimate, self.windows
+        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
+        begins = torch.cat([estimate.nodes.unsqueeze(1), self.predicted[:, :-1]], 1).flatten(0, 1)
+        steps = propagator.transfer(begins, windows.inputs.flatten(0, 1), windows.dt, windows.substeps)[1]
+        return steps.unflatten(0, self.predicted.shape[:2])
+
+    @cached_property
+    def s(self) -> Tensor:
+        """Derivatives of the states by the window's start, shapes and Xi, `(W, L, n_x, n_x + S + P)`."""
+        slopes = [self.steps[:, 0]]
+        for step in self.steps.unbind(1)[1:]:
+            slopes.append(chained(step, slopes[-1]))
+        return torch.stack(slopes, 1)
+
+    def lost(self) -> Tensor:
+        """Return which windows the model runs away in, bool `(W,)`."""
+        finite = self.predicted.square().isfinite().all(-1).all(-1)
+        if bool(finite.all()):
+            finite = self.s.square().isfinite().flatten(1).all(-1)
+        return ~finite
+
+    def sigma(self) -> Tensor:
+        """Return the error of each state, `(n_x,)`, not below rounding; of lasting ones what is new.
+
+        It is `EXACT` where none was measured, or a state is zero throughout.
+        """
+        windows = self.windows
+        error = white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
+        size = (windows.measured * windows.mask).square().sum((0, 1))
+        squares = (error.squeeze(-1).square().sum((0, 1)), ROUNDING**2 * size)
+        return (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
+
+
+def states_of(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return the states at the ends of the intervals of all windows, `(W, L, n_x)`."""
+    if not bool(estimate.xi.isfinite().all()):
+        return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
+    field, x, states = generate(estimate.library, estimate.xi), estimate.nodes, []
+    for u in windows.inputs.unbind(1):
+        x = moved(field, x, u, windows.dt, windows.substeps)
+        states.append(x)
+    return torch.stack(states, 1)
+
+
+def white(rows: Tensor, windows: Windows) -> Tensor:
+    """Return errors and slopes, zero where not measured, `(W, L, n_x, C)`; of errors that last what is new."""
+    return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
+
+
+def growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
+    """Follow an error of a start state along the windows that join, relative to the spreads of the states.
+
+    Args:
+        flow: what was integrated.
+        farthest: growth beyond which a window begins at a state of its own.
+
+    Returns:
+        The largest growth without such a beginning, and which windows continue the one before with it, bool `(W,)`.
+    """
+    nodes, windows = flow.estimate.nodes, flow.windows
+    spread = nodes.std(0, correction=0).clamp_min(1e-12)
+    whole, part, largest, joined = torch.eye(len(spread), dtype=nodes.dtype), None, 0.0, windows.joined.clone()
+    for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
+        whole = step @ whole if windows.joined[j] else step
+        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
+        longer = step @ part if part is not None and windows.joined[j] else step
+        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= farthest)
+        part = longer if joined[j] else step
+    return largest, joined
+
+
+def turn_of(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
+    """Return the length of an interval by the time of the fastest motion of a model: its rate times `dt`.
+
+    A difference equation does not move within its steps, so that it is 0, however fast the equation is.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        x: states that occur, `(N, n_x)`.
+        u: inputs there, `(N, n_u)`.
+        dt: length of an interval [s].
+    """
+    if library.step is not None or not bool(xi.any()):
+        return 0.0
+    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
+    rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
+    return dt * float(torch.quantile(rates[-100_000:], 0.999)) if len(rates) else 0.0
+
+
+def substeps_for(turn: float, turned: float = FINE) -> int:
+    """Return into how many Runge-Kutta steps an interval is divided.
+
+    Args:
+        turn: what `turn_of` returned.
+        turned: the same of a step that is wanted.
+    """
+    return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
+
+
+DEGREES = {"id": 1.0, "abs": 1.0, "sqrt": 0.5, "sign": 0.0}
+"""Elementary functions of one variable that are c^p times themselves where it is c times itself, and p."""
+SMALL = 1e-9
+"""What counts as zero among singular values and exponents."""
+
+
+def free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> tuple[Tensor, Tensor]:
+    """Return which units of hidden states are free, and how coefficients change with them.
+
+    A unit is held by a coefficient that is given, as a known equation has, and by a function that is no power, as a
+    sine or a bend at a given level. Units of several hidden states may be free only together.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        free: which of them were fitted, bool `(n_features, n_x)`; others are given.
+        unseen: states that no sensor sees, bool `(n_x,)`.
+
+    Returns:
+        Scales, `(D, n_x)`, D of them, and the exponents of the coefficients for each, `(D, n_features, n_x)`.
+    """
+    names, used = library.signature.state_names, xi != 0
+    degrees = torch.tensor([[_degree(f, name) for name in names] for f in library.features], dtype=torch.float64)
+    degrees = torch.where(used.any(-1, keepdim=True), degrees, 0.0)
+    own = torch.eye(len(names), dtype=torch.float64).unsqueeze(1) - degrees.mT.unsqueeze(-1)
+    exponents = torch.where(used, own.nan_to_num(), 0.0)
+    takes_part = unseen & ~degrees.isnan().any(0) & (exponents != 0).flatten(1).any(-1)
+    given = exponents[:, used & ~free]  # these may not change
+    held = torch.cat([given.mT, torch.diag(1 - takes_part.double())])
+    _, singular, directions = torch.linalg.svd(held)
+    rank = int((singular > SMALL).sum())
+    scales = directions[rank:]
+    return scales, torch.einsum("di,ifx->dfx", scales, exponents)
+
+
+def unscaled(library: Library, xi: Tensor, free: Tensor, data: Transitions) -> tuple[str, ...]:
+    """Return the names of the hidden states whose unit nothing tells.
+
+    Args:
+        library: candidate functions.
+        xi: coefficients, `(n_features, n_x)`.
+        free: which of them were fitted, bool `(n_features, n_x)`; others are given.
+        data: the recording, NaN where a state was not measured.
+    """
+    unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
+    if not bool(unseen.any()):
+        return ()
+    takes_part = free_scales(library, xi, free, unseen)[0].abs().sum(0) > SMALL
+    return tuple(n for n, part in zip(library.signature.state_names, takes_part.tolist(), strict=True) if part)
+
+
+def _degree(feature: Feature, name: str) -> float:
+    """Return the power with which a function grows with a variable; NaN if it is no power."""
+    mine = [factor for factor in feature.factors if name in factor.variables]
+    return sum(
+        factor.power * (DEGREES.get(factor.function, torch.nan) if not factor.fitted else torch.nan) for factor in mine
+    )
+
+
+def holding(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
+    """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`.
+
+    Nothing measured depends on such a change, so the fit of everything else is the same with them.
+
+    Args:
+        exponents: of the coefficients, `(D, n_features, n_x)`.
+        xi: coefficients, `(n_features, n_x)`.
+        rows: slopes by the F fixed unknowns and the P coefficients, and errors, `(M, F + P + 1)`.
+        places: rows and columns of the coefficients in Xi, `(P,)` both.
+    """
+    features, states = places
+    count = len(features)
+    norms = rows[:, -1 - count : -1].norm(dim=0)
+    # The direction in which the fit would move, in coefficients by which the errors move alike.
+    along = exponents[:, features, states] * xi[features, states] * norms
+    held = rows.new_zeros(len(exponents), rows.shape[1])
+    held[:, -1 - count : -1] = along * norms / along.norm(dim=-1, keepdim=True).clamp_min(1e-300)
+    return held
+
+
+LARGEST = 500.0
+"""Logarithm of the largest factor on a cost."""
+FAINT = 0.01
+"""Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
+
+
+class RunsAway(ValueError):
+    """A model leaves all bounds within the shortest of windows."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Hold the condensed linear model at an estimate.
+
+    Attributes:
+        triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
+        scale: norms of the columns.
+        cost: sum of squared errors and of squared gaps between windows, both weighted; of whitened errors times the
+            geometric mean of their variances, so that its logarithm is that of the likelihood. What is unlikely of
+            the coefficients counts as squared errors do.
+        unlikely: sum of squared coefficients over their variances before the recording tells them.
+        moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
+        sigma: error of each state, `(n_x,)`.
+        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
+            how the plant is pushed.
+    """
+
+    triangle: Tensor
+    scale: Tensor
+    cost: float
+    moves: Tensor
+    sigma: Tensor
+    errors: Tensor
+    unlikely: float = 0.0
+
+
+def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
+    """Take all windows with their sensitivities and eliminate the nodes that continue a window.
+
+    Args:
+        flow: the trajectories.
+        sigma: error of each state, `(n_x,)`, the weights; from the errors themselves if omitted.
+
+    Raises:
+        RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
+    """
+    if sigma is None:
+        _require_bounded(flow)
+        sigma = flow.sigma()
+    rows, moves, errors, cost = _rows(flow, sigma)
+    parameters = flow.parameters
+    n_fixed = moves.shape[-1] - len(parameters) - 1
+    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
+    target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
+    triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
+    return Linearised(triangle, scale, cost, moves, sigma, errors, _unlikely(flow))
+
+
+def certainty(flow: Flow) -> Covariance | None:
+    """Return the covariance of the coefficients of trajectories that fit best, starts and shapes unknown as well.
+
+    It is None where nothing is estimated, or the model runs away.
+
+    Args:
+        flow: the trajectories.
+    """
+    if not len(flow.parameters) or bool(flow.lost().any()):
+        return None
+    rows, windows = _rows(flow, flow.sigma())[0], flow.windows
+    samples = windows.length if bool(windows.joined.any()) else windows.length + 1
+    count = len(windows) * samples * windows.mask.shape[-1]
+    always = rows[count:] if count < len(rows) else None
+    # Errors within a window have its start in common, so it is left out as a whole where there are enough of them.
+    parts = len(windows) if len(windows) >= STRETCHES else len(windows) * samples
+    factor = jackknife(rows[:count].unflatten(0, (parts, -1)), always)
+    if factor is None:
+        return None
+    return Covariance.of(flow.parameters, factor[len(factor) - len(flow.parameters) :])
+
+
+def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost."""
+    rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
+    estimate, parameters, windows = flow.estimate, flow.parameters, flow.windows
+    if windows.likely is not None:
+        rows = torch.cat([rows, _small(flow, rows.shape[1])])
+    unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
+    if bool(unseen.any()):
+        may = parameters.support(estimate.xi.shape)
+        exponents = free_scales(estimate.library, estimate.xi, may, unseen)[1]
+        held = holding(exponents, estimate.xi, rows, (parameters.features, parameters.states))
+        rows = torch.cat([rows, held])
+    return rows, moves, errors, cost
+
+
+def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
+    estimate, windows = flow.estimate, flow.windows
+    error, begun = (windows.measured - flow.predicted) * windows.mask, ~windows.joined
+    start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
+    moves = _condense(flow)
+    n_x = estimate.xi.shape[1]
+    # error - d predicted: the node's move, then shapes and coefficients.
+    columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
+    n_own = flow.s.shape[-1] - n_x
+    columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
+    columns[..., -1] = error - columns[..., -1]
+    columns = white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
+    starts = moves[begun].clone()
+    starts[..., -1] = start_error - starts[..., -1]
+    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
+    rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
+    rows = torch.cat([rows, _held(estimate, begun, rows)])
+    return rows, moves, *_errors_of_joined(flow, sigma)
+
+
+def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
+    return 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
+
+
+def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return the weighted errors of one trajectory, `(W, L, n_x)`, and its cost."""
+    estimate, windows = flow.estimate, flow.windows
+    error = (windows.measured - flow.predicted) * windows.mask
+    weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+    starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
+    gaps = _gaps(flow) / _gap_sigma(sigma, estimate)
+    # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
+    gap_weight = 10.0 * windows.mask.shape[1]
+    cost = float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
+    return weighed, cost + _unlikely(flow)
+
+
+def cost_of(flow: Flow, sigma: Tensor) -> float:
+    """Return the cost of a trial, as `linearise` has it. No slopes are computed: only a better trial needs them.
+
+    Args:
+        flow: trajectories of the trial.
+        sigma: error of each state, the weights.
+    """
+    if bool(flow.windows.joined.any()):
+        return _errors_of_joined(flow, sigma)[1]
+    error, seen = _errors(flow)
+    return _weighed((error * seen).unsqueeze(-1), seen, flow, sigma)[1]
+
+
+def _unlikely(flow: Flow) -> float:
+    """Return the sum of squared coefficients over their variances before the recording tells them."""
+    if flow.windows.likely is None:
+        return 0.0
+    parameters = flow.parameters
+    return float((parameters.read(flow.estimate.xi) / parameters.read(flow.windows.likely)).square().sum())
+
+
+def _small(flow: Flow, width: int) -> Tensor:
+    """Return rows that say of each coefficient that it is likely to be small, `(P, F + P + 1)`."""
+    assert flow.windows.likely is not None
+    parameters = flow.parameters
+    weight = 1 / parameters.read(flow.windows.likely)
+    rows = torch.zeros(len(parameters), width, dtype=weight.dtype)
+    rows[:, width - 1 - len(parameters) : -1] = torch.diag(weight)
+    rows[:, -1] = -weight * parameters.read(flow.estimate.xi)
+    return rows
+
+
+def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Return the same of windows on their own.
+
+    Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
+    """
+    n_x, (every, seen) = flow.predicted.shape[-1], _every(flow)
+    every, cost = _weighed(every, seen, flow, sigma)
+    rows = every.flatten(1, 2)
+    # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
+    finite = rows.nan_to_num(0.0, 0.0, 0.0)
+    best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
+    moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
+    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, every[:, 1:, :, -1], cost
+
+
+def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
+    spread, windows = 1.0, flow.windows
+    if windows.noise is None:
+        every = white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
+    else:
+        every, half = whiten(every, seen, flow.steps[..., : every.shape[2]], windows.noise, windows.dt)
+        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
+        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
+    return every, spread * (float(every[..., -1].square().sum()) + _unlikely(flow))
+
+
+def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
+    """Return errors of each window's start and samples, and 1 where one was measured, else 0, `(W, L + 1, n_x)`."""
+    windows = flow.windows
+    start_error = windows.first - flow.estimate.nodes
+    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
+    return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
+
+
+def _every(flow: Flow) -> tuple[Tensor, Tensor]:
+    """Return slopes and errors of each window's start and samples, `(W, L + 1, n_x, n_x + S + P + 1)`, and which count.
+
+    They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
+    """
+    n_x, (error, seen) = flow.predicted.shape[-1], _errors(flow)
+    first = torch.zeros_like(flow.s[:, 0])
+    first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
+    slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
+    return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
+
+
+def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
+    """Return rows that keep starts where they are which nothing measured depends on, `(S n_x, F + P + 1)`.
+
+    The start of a state that forgets it within a sample would move to any number for an error that is not its own.
+    """
+    n_start = int(begun.sum()) * estimate.nodes.shape[1]
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12).repeat(int(begun.sum()))
+    faint = rows[:, :n_start].norm(dim=0) * spread < FAINT
+    held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
+    held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
+    return held
+
+
+def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
+    """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+        pushed: states whose rates may be pushed, bool `(n_x,)`.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow)
+    rows, seen = _every(flow)
+    n_x = estimate.xi.shape[1]
+    rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    return estimated(rows, seen, flow.steps[..., :n_x], pushed, spread, windows.dt)
+
+
+def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return which part of an error of each state is left a sample later, `(n_x,)`, by what a trajectory leaves over.
+
+    Args:
+        estimate: coefficients and nodes.
+        windows: the recording.
+    """
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    _require_bounded(flow)
+    return remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
+
+
+def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
+    """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    seen = sigma > EXACT
+    relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
+    return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
+
+
+def _require_bounded(flow: Flow) -> None:
+    if bool((lost := flow.lost()).any()):
+        raise RunsAway(
+            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+            f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
+            "there, lower refinement.window, or choose another refinement.method"
+        )
+
+
+def _condense(flow: Flow) -> Tensor:
+    """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
+
+    A window that continues another one starts where that one ends:
+    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
+    """
+    nodes, windows, s = flow.estimate.nodes, flow.windows, flow.s
+    n_x = nodes.shape[1]
+    n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
+    moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
+    gaps, seen = _gaps(flow), 0
+    for j, joined in enumerate(windows.joined.tolist()):
+        if joined:
+            moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
+            moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
+            moves[j, :, -1] += gaps[j]
+        else:
+            moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
+            seen += n_x
+    return moves
+
+
+def _gaps(flow: Flow) -> Tensor:
+    """Return by how much windows end beside those that continue them, `(W, n_x)`; zero at those that begin anew."""
+    nodes, windows = flow.estimate.nodes, flow.windows
+    ends = torch.cat([nodes[:1], flow.predicted[:-1, -1]])
+    return torch.where(windows.joined.unsqueeze(-1), ends - nodes, 0.0)
+
+
+def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: float = 0.0) -> Estimate:
+    """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly.
+
+    Args:
+        flow: the trajectories.
+        model: their linear model.
+        kept: places of the unknowns that move; the others become zero.
+        damping: of Levenberg and Marquardt.
+
+    Raises:
+        RunsAway: the linear model is not finite.
+    """
+    kept, estimate, parameters = torch.as_tensor(kept), flow.estimate, flow.parameters
+    square, n_fixed = model.triangle[:, kept], len(model.scale) - len(parameters)
+    old = torch.cat([torch.zeros(n_fixed), parameters.read(estimate.xi)]) * model.scale
+    target = model.triangle[:, -1]
+    if damping:
+        square = torch.cat([square, damping**0.5 * torch.eye(len(kept), dtype=square.dtype)])
+        target = torch.cat([target, damping**0.5 * old[kept]])
+    if not bool(square.isfinite().all() & target.isfinite().all()):
+        raise RunsAway(
+            "refinement.method=trajectory: the trajectories leave all finite numbers; give a better first guess, "
+            "lower refinement.window, or choose another refinement.method"
+        )
+    solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+    values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
+    step = values.clone()
+    step[n_fixed:] -= parameters.read(estimate.xi)
+    nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1]
+    library, shapes = estimate.library, estimate.library.shapes
+    if shapes:
+        numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
+        library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
+    return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)
+
+
+def left_over(model: Linearised, windows: Windows) -> float:
+    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together.
+
+    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign; the
+    cost of whitened errors has it in it.
+    """
+    counts, sigma = windows.mask.sum((0, 1)), model.sigma
+    if windows.noise is not None:
+        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
+    seen = sigma > EXACT
+    return float((counts * sigma.log())[seen].sum()) + 0.5 * model.unlikely

@@ -1,0 +1,495 @@
+"""Gauss-Newton on the error of whole trajectories, start states estimated too, and the functions it needs."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from dynasindy.sindy.functions import QUOTIENTS
+from dynasindy.sindy.library import Feature, Library
+from dynasindy.sindy.noise import repetition
+from dynasindy.sindy.prior import likely
+from dynasindy.sindy.regression import reconsider, walk_down
+from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.sindy.shooting import (
+    COARSE,
+    EXACT,
+    FINE,
+    Descent,
+    Estimate,
+    Flow,
+    Linearised,
+    RunsAway,
+    cost_of,
+    growth,
+    lasting_of,
+    left_over,
+    linearise,
+    move,
+    noise_of,
+    substeps_for,
+    turn_of,
+)
+from dynasindy.sindy.windows import ENOUGH, Windows, spread
+from dynasindy.systems.transitions import Transitions
+from dynasindy.told import tell
+
+
+def plainer(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
+    """Return coefficients in which a quotient is left out, its terms standing without it; None where that cannot be.
+
+    It cannot be where the number is one of another function, where it is not in use, or where a term has no free
+    coefficient without the quotient.
+
+    Args:
+        library: candidate functions, with the numbers inside them as they were found.
+        xi: coefficients, `(n_features, n_x)`.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        place: place of the quotient among the fitted numbers, `library.shapes`.
+    """
+    shape, found = library.shapes[place], xi.clone()
+    if shape.function not in QUOTIENTS:
+        return None
+    places = {feature.key: k for k, feature in enumerate(library.features)}
+    for k, feature in enumerate(library.features):
+        if shape not in (factor.base for factor in feature.factors) or not bool(found[k].any()):
+            continue
+        bare = places.get(Feature(tuple(factor for factor in feature.factors if factor.base != shape)).key)
+        if bare is None or not bool((free[bare] & free[k])[found[k] != 0].all()):
+            return None
+        found[bare] += found[k]
+        found[k] = torch.zeros_like(found[k])
+    return None if torch.equal(found, xi) else found
+
+
+NOISY = 1e-7
+"""Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
+ROUGH, MOVES_LITTLE = 1e-4, 1e-5
+"""Part of the cost that a step gains, below which steps end: where functions may still go, and where none does."""
+TRIES = 10
+"""Sets of functions that are tried at most."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Say what a coefficient must be worth, and how many steps are made.
+
+    Attributes:
+        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
+        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
+        correlated: whether it must be worth the more, the longer errors last.
+    """
+
+    price: float
+    max_rounds: int
+    correlated: bool = False
+
+    def at(self, errors: Tensor, windows: Windows) -> float:
+        """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
+        return self.price * repetition(errors, windows.mask, windows.joined) if self.correlated else self.price
+
+
+def price(n: int, free: Tensor) -> float:
+    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
+
+    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
+    Chen 2008).
+
+    Args:
+        n: transitions.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+    """
+    return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
+
+
+def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+    """Converge, drop and reconsider until there is nothing better.
+
+    What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
+    before stays, and the coefficients that came in are not tried again.
+    """
+    flow = Flow.of(estimate, Parameters.where((estimate.xi != 0) & free), windows)
+    came = failed = torch.zeros_like(free)
+    best: tuple[Flow, Linearised] | None = None
+    least, fewest = math.inf, 0
+    for _ in range(TRIES):
+        try:
+            flow, model = _descended(flow, limits)
+        except RunsAway:
+            if best is None:
+                raise
+            break
+        if model is None:
+            break
+        limit, left = limits.at(model.errors, windows), left_over(model, windows)
+        if best is not None and 2 * (left - least) + limit * (len(flow.parameters) - fewest) >= 0:
+            flow, model = best
+            support = flow.parameters.support(free.shape)
+            if not bool((came & ~support & ~failed).any()):
+                break  # it only left functions out, and would do so again
+            failed = failed | (came & ~support)
+        else:
+            best, least, fewest = (flow, model), left, len(flow.parameters)
+            support = flow.parameters.support(free.shape)
+        active, others = flow.parameters, Parameters.where(free & ~support & ~failed)
+        if not len(others):
+            break
+        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
+        wider = replace(flow, parameters=active + others)
+        model = linearise(wider)
+        n_fixed = len(model.scale) - len(wider.parameters)
+        better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
+        if better is None:
+            break
+        kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
+        changed = _changed(wider, model, kept)
+        if changed is None:
+            break
+        flow, came = changed, changed.parameters.support(free.shape)
+    found = flow.estimate if best is None else best[0].estimate
+    for place in range(len(found.library.shapes)):
+        simple = plainer(found.library, found.xi, free, place)
+        if simple is not None:
+            found = _cheaper(found, replace(found, xi=simple), free, windows, limits)
+    return found
+
+
+def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+    """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
+    with suppress(RunsAway):
+        simple, support = descend(simple, (simple.xi != 0) & free, windows, limits)
+        flows = (Flow.of(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
+        (before, full), (after, _) = ((left_over(model, windows), model) for model in map(linearise, flows))
+        if bool(support.any()) and 2 * (after - before) <= limits.at(full.errors, windows):
+            return simple
+    return estimate
+
+
+def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
+    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
+    flow = _descended(Flow.of(estimate, Parameters.where(support), windows), limits)[0]
+    return flow.estimate, flow.parameters.support(support.shape)
+
+
+def _descended(flow: Flow, limits: Limits) -> tuple[Flow, Linearised | None]:
+    """Return the trajectories after that, and the linear model there; none where no coefficient is left."""
+    before: tuple[Flow, Linearised] | None = None
+    model: Linearised | None = None
+    left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
+    while len(flow.parameters):
+        try:
+            flow, model = settled(flow, limits.max_rounds, enough, model)
+        except RunsAway:
+            if before is None:
+                raise
+            return before
+        cost = left_over(model, windows)
+        if before is not None and 2 * (cost - left) > allowed:
+            return settled(before[0], limits.max_rounds, MOVES_LITTLE, before[1])
+        limit, n_fixed = limits.at(model.errors, windows), len(model.scale) - len(flow.parameters)
+        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
+        if len(kept) == len(model.scale):
+            if enough == MOVES_LITTLE:
+                break
+            enough = MOVES_LITTLE  # what may go is judged once more where the steps have come to their end
+            continue
+        changed = _changed(flow, model, kept)
+        if changed is None:
+            break
+        before, left, allowed = (flow, model), cost, 2 * limit * (len(model.scale) - len(kept))
+        flow, model = changed, None
+    return flow, model
+
+
+def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
+    """Return the trajectories with the kept unknowns alone; None where they run away however they are made.
+
+    A whole step of the linear model comes first; where it is too long, what goes is only left out.
+    """
+    estimate, parameters = flow.estimate, flow.parameters
+    n_fixed = len(model.scale) - len(parameters)
+    chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
+    whole, bare = move(flow, model, kept), 0 * parameters.read(estimate.xi)
+    left_out = chosen.write(parameters.write(estimate.xi, bare), chosen.read(estimate.xi))
+    chosen = Parameters.where(chosen.support(estimate.xi.shape))
+    trials = (Flow.of(trial, chosen, flow.windows) for trial in (whole, replace(estimate, xi=left_out)))
+    return next((trial for trial in trials if not (len(chosen) and bool(trial.lost().any()))), None)
+
+
+def converge(
+    estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = MOVES_LITTLE
+) -> Estimate:
+    """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
+    return settled(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
+
+
+def settled(
+    flow: Flow, max_rounds: int, enough: float = MOVES_LITTLE, model: Linearised | None = None
+) -> tuple[Flow, Linearised]:
+    """Return the trajectories after the steps of `converge`, and the linear model there.
+
+    Args:
+        flow: trajectories to begin with.
+        max_rounds: limit on the steps.
+        enough: part of the cost that a step gains, below which steps end.
+        model: the linear model of `flow`, if it is known.
+    """
+    damping, parameters, windows = 0.0, flow.parameters, flow.windows
+    model = model or linearise(flow)
+    what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
+    for k in range(max_rounds):
+        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
+        candidate = move(flow, model, torch.arange(len(model.scale)), damping)
+        trial = Flow.of(candidate, parameters, windows)
+        cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf
+        lost = not cost < math.inf or (cost < model.cost and bool(trial.lost().any()))
+        after = linearise(trial) if cost < model.cost and not lost else None
+        if after is None or not bool(after.triangle.isfinite().all()):
+            if damping > 1e6 or (not lost and abs(cost - model.cost) < 1e-6 * model.cost):
+                break
+            damping = max(10 * damping, 1e-3)
+            continue
+        gain = (model.cost - cost) / model.cost
+        flow, model, damping = trial, after, damping / 10 if damping > 1e-6 else 0.0
+        if gain < enough:
+            break
+    return flow, model
+
+
+GROWN = 100.0
+"""Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
+FARTHEST = 1e6
+"""The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
+WORSE = 1.2
+"""Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
+TURNS = 4
+"""Turns at most in which the model, and the sizes of pushes and noise, are estimated."""
+SETTLED = 1e-3
+"""Part of a coefficient by which it may still change in the last of these turns."""
+SHORTEST = 2
+"""Sampling intervals in the shortest window."""
+LEAPS = (4, 2)
+"""Factors by which windows grow, the larger one where the model does not run away in windows as long as that."""
+NEGLIGIBLE = 1e-6
+"""Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
+
+
+class Fitted(NamedTuple):
+    """Hold the library with its shapes, coefficients `(n_features, n_x)`, the length of the windows, and their flow."""
+
+    library: Library
+    coefficients: Tensor
+    window: int
+    flow: Flow
+
+    @classmethod
+    def of(cls, found: Estimate, free: Tensor, windows: Windows) -> Fitted:
+        """Return what was found in windows, with their trajectories."""
+        flow = Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
+        return cls(found.library, found.xi, windows.length, flow)
+
+
+def refine_trajectory(
+    library: Library,
+    xi: Tensor,
+    free: Tensor,
+    data: Transitions,
+    descent: Descent,
+    start: Tensor | None = None,
+) -> Fitted:
+    """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: transitions in segments that are long against the window, NaN where a state was not measured.
+        descent: how they are fitted.
+        start: guess of the states before each transition, `(N, n_x)`; the measured ones if omitted.
+
+    Raises:
+        RunsAway: the model runs away within the shortest of windows.
+    """
+    data = data.to(torch.float64)
+    guess = data.x if start is None else start.to(torch.float64)
+    joined = descent.joined
+    some = spread(len(data), ENOUGH)
+    part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
+    weighed = descent.pushed or descent.coloured
+    first = Estimate(library, xi, guess[some])
+    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if weighed else COARSE)
+    if weighed:
+        return _refine_weighed(found, free, windows, (data, guess), limits, descent)
+    may_begin_anew = joined is None
+    # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
+    seen = not bool(data.x_next.isnan().any())
+    if may_begin_anew and not seen:
+        windows = replace(windows, joined=_grows(found, windows)[1])
+    if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
+        alone = replace(windows, joined=torch.zeros_like(windows.joined))
+        own = search(found, free, alone, limits)
+        windows = replace(windows, joined=_grows(own, windows)[1])
+        found = search(own, free, windows, limits)
+        if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
+            found, joined, may_begin_anew = own, False, False
+    else:
+        found = search(found, free, windows, limits)
+    if bool(some.all()):
+        found, windows = _finely(found, free, windows, limits)
+    else:
+        support = (found.xi != 0) & free
+        whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        if may_begin_anew:
+            windows = replace(windows, joined=_grows(whole, windows)[1])
+        found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
+    return Fitted.of(found, free, windows)
+
+
+def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Windows]:
+    """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
+    support = (found.xi != 0) & free
+    if not bool(support.any()):
+        return found, windows
+    wanted = substeps_for(turn_of(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt))
+    if wanted <= windows.substeps:
+        return found, windows
+    windows = replace(windows, substeps=wanted)
+    return descend(found, support, windows, limits)[0], windows
+
+
+def _refine_weighed(
+    found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
+) -> Fitted:
+    """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
+    data, guess = whole
+    if descent.coloured:  # errors of a first guess last whatever the plant does
+        found = search(found, free, windows, limits)
+    for _ in range(TURNS):
+        windows = _weighed(found, free, windows, descent)
+        last, found = found, search(found, free, windows, limits)
+        if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
+            ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
+        ):
+            break
+    if len(data) > ENOUGH:
+        support = (found.xi != 0) & free
+        found, windows = _grown(replace(found, nodes=guess), support, data, descent)
+        windows = _weighed(found, free, windows, descent)
+        found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
+    return Fitted.of(found, free, windows)
+
+
+def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:
+    """Return the recording with what makes the errors of an estimate white."""
+    if descent.pushed:
+        return replace(windows, noise=noise_of(found, windows, free.any(0)))
+    return replace(windows, lasting=lasting_of(found, windows))
+
+
+def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
+    """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
+    return growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), FARTHEST)
+
+
+def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
+    """Return the error of each state; infinite where no coefficient is left."""
+    if not bool(estimate.xi.any()):
+        return torch.full((estimate.xi.shape[1],), math.inf)
+    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma()
+
+
+def few_steps(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
+) -> tuple[float, Estimate, Tensor | None]:
+    """Return N/2 log of the squared errors that a few steps leave, summed, their estimate, and errors by window.
+
+    There are no errors by window, `(W, n_x)`, where the model runs away in windows of the wanted length.
+
+    Args:
+        library: candidate functions.
+        xi: first estimate, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording.
+        descent: how many steps, over which windows.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
+    flow, model = settled(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
+    errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
+    return left_over(model, windows), flow.estimate, errors
+
+
+def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
+    """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 of unmeasured states.
+
+    With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
+    noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays; it is
+    infinite where no function is left.
+
+    Args:
+        library: candidate functions.
+        xi: what was found, `(n_features, n_x)`; its support stays.
+        free: coefficients that may be estimated, bool `(n_features, n_x)`.
+        data: the recording, NaN where a state was not measured.
+        descent: how many steps, over which windows.
+        start: guess of the states before each transition, `(N, n_x)`.
+    """
+    some = spread(len(data), ENOUGH)
+    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
+    if not bool(support.any()):
+        return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
+    first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None), COARSE)
+    if not bool(data.x_next.isnan().any()):
+        windows = replace(windows, joined=_grows(first, windows)[1])
+    alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
+    ends = (settled(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
+    error, own = (end.sigma() for end in ends)
+    told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
+    allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
+    floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
+    return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
+
+
+def _grown(
+    estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float = FINE
+) -> tuple[Estimate, Windows]:
+    """Return windows of the wanted length, or as long as there are, and an estimate that does not run away in them.
+
+    Args:
+        estimate: first estimate; its nodes are a guess of the states before each transition, `(N, n_x)`.
+        support: coefficients in the model.
+        data: the recording.
+        descent: wanted length, whether the windows join, and the limit on the steps of each length.
+        turned: Runge-Kutta step times the fastest rate of the model.
+    """
+    turn = turn_of(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
+    substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
+    guess, length = estimate.nodes, descent.window
+    prior = likely(estimate.library, estimate.xi, guess, data, length)
+
+    def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
+        windows = replace(Windows.of(data, length, descent.joins, substeps), likely=prior)
+        trial = replace(found, nodes=guess[windows.rows])
+        return trial, windows, bool(Flow.of(trial, parameters, windows).lost().any())
+
+    trial, windows, lost = _cut(estimate, length)
+    while lost and length > SHORTEST:
+        length = max(SHORTEST, length // LEAPS[0])
+        trial, windows, lost = _cut(estimate, length)
+    while length < descent.window:
+        trial = converge(trial, parameters, windows, descent.max_rounds)
+        guess = guess.index_copy(0, windows.rows, trial.nodes)
+        longer = [min(leap * length, descent.window) for leap in LEAPS]
+        cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))
+        found = next((cut for cut in cuts if not cut[2]), None)
+        if found is None:
+            break  # a model that runs away in longer windows is fitted to these
+        trial, windows, _, length = found
+    return trial, windows

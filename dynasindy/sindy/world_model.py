@@ -1,0 +1,132 @@
+"""A world model is a system that is fitted."""
+
+from __future__ import annotations
+
+import copy
+import json
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import partial, wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from torch import Tensor
+
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.transitions import Transitions
+
+Given = ParamSpec("Given")
+Returned = TypeVar("Returned")
+
+
+def whole(*names: str) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
+    """Return a decorator of methods that succeed as a whole: where one raises, named attributes are as before it.
+
+    Args:
+        names: attributes that the method replaces by others. What it changes inside of them stays changed.
+    """
+
+    def _of(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
+        @wraps(method)
+        def _called(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
+            before = {name: getattr(args[0], name) for name in names}
+            try:
+                return method(*args, **kwargs)
+            except BaseException:
+                for name, value in before.items():
+                    setattr(args[0], name, value)
+                raise
+
+        return _called
+
+    return _of
+
+
+class WorldModel(System):
+    """A vector field with the signature of the plant whose transitions it is fitted to.
+
+    Attributes:
+        delay: Time between an input of the plant and its effect [s]. The field itself is that of the inputs as they
+            take effect.
+    """
+
+    delay: float = 0.0
+
+    @property
+    def additive(self) -> bool:
+        """Whether `update` with new transitions equals `fit` to all of them, and `absorb` is known."""
+        return False
+
+    def update(self, transitions: Transitions) -> Any:
+        """Fit anew to all earlier data and to new transitions, and return a report.
+
+        Raises:
+            NotImplementedError: The model keeps no sums of earlier data.
+        """
+        raise NotImplementedError(f"{type(self).__name__} is fitted to all transitions at once; use fit")
+
+    def absorb(self, transitions: Transitions) -> None:
+        """Add transitions to the data of the next `update`, and leave the model as it is.
+
+        Raises:
+            NotImplementedError: The model keeps no sums of earlier data.
+        """
+        raise NotImplementedError(f"{type(self).__name__} is fitted to all transitions at once; use fit")
+
+    def kept(self) -> Callable[[], object]:
+        """Return what takes the model back to what it has learnt so far, its `state_dict`, when called."""
+        return partial(self.load_state_dict, copy.deepcopy(self.state_dict()))
+
+    @abstractmethod
+    def fit(self, transitions: Transitions) -> Any:
+        """Fit to transitions, forgetting earlier data, and return a report."""
+
+    @abstractmethod
+    def equations(self, digits: int = 4) -> list[str]:
+        """Return one readable equation per state."""
+
+    @abstractmethod
+    def save(self, path: str | Path) -> None:
+        """Write the model to a readable file."""
+
+
+class Oracle(WorldModel):
+    """A model that is right from the start and learns nothing.
+
+    Args:
+        signature: Names, units and ranges of the plant.
+        system: The plant.
+
+    Raises:
+        ValueError: The plant has another signature.
+    """
+
+    def __init__(self, signature: Signature, system: System) -> None:
+        super().__init__(signature)
+        if system.signature != signature:
+            raise ValueError(
+                f"the oracle was given a plant with states {system.signature.state_names} for one with "
+                f"{signature.state_names}; give it the plant of the experiment"
+            )
+        self.system = system
+
+    @property
+    def step(self) -> float | None:
+        """Step of the difference equation that it is [s]; None of a differential equation."""
+        return self.system.step
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return the plant's dx/dt, `(*batch, n_x)`."""
+        dx: Tensor = self.system(x, u)
+        return dx
+
+    def fit(self, transitions: Transitions) -> None:
+        """Do nothing: the plant needs no data."""
+
+    def equations(self, digits: int = 4) -> list[str]:
+        """Name the plant; its equations stand in its own file."""
+        return [f"{name}' = that of {type(self.system).__name__}" for name in self.signature.state_names]
+
+    def save(self, path: str | Path) -> None:
+        """Write which plant this is."""
+        Path(path).write_text(json.dumps({"oracle": type(self.system).__name__}, indent=2) + "\n")

@@ -1,1 +1,0 @@
-"""A sparse model in other words: torch code, machine code, formulas, tables of text, and files."""

@@ -1,0 +1,140 @@
+"""The covariance of a fit is that of least squares where errors are independent, and of the scatter where they last."""
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.sindy.covariance import Covariance, jackknife, of_rates, of_sums
+from dynasindy.sindy.regression import RunningSums
+
+XI = torch.tensor([[0.5, 0.0], [2.0, 1.0], [0.0, -3.0], [1.0, 0.0]], dtype=torch.float64)
+FREE = torch.ones(4, 2, dtype=torch.bool)
+
+
+def regression(n: int, seed: int, lasting: float = 0.0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return functions that change slowly, two of them alike, rates with errors of size 0.1, and the fit."""
+    rng = np.random.default_rng(seed)
+    theta, errors = np.zeros((n, 4)), np.zeros((n, 2))
+    for k in range(n):
+        theta[k] = 0.8 * theta[k - 1] + 0.6 * rng.normal(size=4)
+        errors[k] = lasting * errors[k - 1] + 0.1 * np.sqrt(1 - lasting**2) * rng.normal(size=2)
+    theta[:, 1] += 3 * theta[:, 0]
+    theta, errors = torch.from_numpy(theta), torch.from_numpy(errors)
+    dx, found = theta @ XI + errors, torch.zeros(4, 2, dtype=torch.float64)
+    for i in range(2):
+        active = XI[:, i].nonzero().flatten()
+        found[active, i] = torch.linalg.lstsq(theta[:, active], dx[:, i : i + 1]).solution.flatten()
+    return theta, dx, found
+
+
+def summed(theta, dx) -> RunningSums:
+    sums = RunningSums(4, 2)
+    sums.add((theta, dx))
+    return sums
+
+
+def test_the_covariance_of_sums_is_that_of_least_squares():
+    theta, dx, xi = regression(500, 0)
+    found = of_sums(xi, FREE, summed(theta, dx))
+    assert (found.features.tolist(), found.states.tolist()) == ([0, 1, 3, 1, 2], [0, 0, 0, 1, 1])
+    for i, active in enumerate(([0, 1, 3], [1, 2])):
+        a = theta[:, active].numpy()
+        error = (dx[:, i] - theta @ xi[:, i]).numpy()
+        wanted = error @ error / (500 - len(active)) * np.linalg.inv(a.T @ a)
+        mine = (found.states == i).nonzero().flatten()
+        np.testing.assert_allclose(found.matrix[mine][:, mine], wanted, rtol=1e-9)
+        np.testing.assert_allclose(found.errors[mine], np.sqrt(np.diag(wanted)), rtol=1e-9)
+    assert torch.equal(found.table(xi.shape) != 0, xi != 0)
+
+
+def test_standard_errors_cover_the_truth_as_often_as_they_should():
+    inside = []
+    for seed in range(200):
+        theta, dx, xi = regression(100, seed)
+        errors = of_sums(xi, FREE, summed(theta, dx)).table(xi.shape)[XI != 0]
+        inside.append((xi - XI)[XI != 0].abs() < 1.985 * errors)  # Student, 97 degrees of freedom
+    assert float(torch.stack(inside).double().mean()) == pytest.approx(0.95, abs=0.025)
+
+
+@pytest.mark.parametrize("lasting", [0.0, 0.95])
+def test_stretches_that_are_left_out_tell_the_scatter_over_seeds(lasting):
+    fits, stated, alone = [], [], []
+    for seed in range(60):
+        theta, dx, xi = regression(900, seed, lasting)
+        fits.append(xi[XI != 0])
+        stated.append(of_rates(xi, FREE, theta, dx).table(xi.shape)[XI != 0])
+        alone.append(of_sums(xi, FREE, summed(theta, dx)).table(xi.shape)[XI != 0])
+    scatter = torch.stack(fits).std(0)
+    told, textbook = (torch.stack(each).square().mean(0).sqrt() / scatter for each in (stated, alone))
+    assert ((told > 1 / 1.4) & (told < 1.4)).all()
+    assert ((textbook < 0.6) if lasting else (textbook > 0.75)).all()  # which takes each error for a witness
+
+
+def test_coefficients_of_all_equations_go_together_as_their_errors_do():
+    theta, dx, _ = regression(900, 1)
+    dx = torch.stack([dx[:, 0], -2 * dx[:, 0]], -1)  # the error of one equation is that of the other one, doubled
+    found = of_rates(torch.linalg.lstsq(theta, dx).solution, FREE, theta, dx)
+    matrix = found.matrix
+    np.testing.assert_allclose(matrix[4:, :4], -2 * matrix[:4, :4], rtol=1e-6, atol=1e-12)
+    assert float(matrix[0, 1] / (matrix[0, 0] * matrix[1, 1]).sqrt()) < -0.8  # functions that are alike replace another
+
+
+def test_leaving_out_is_done_as_if_the_rows_had_never_been():
+    rng = np.random.default_rng(0)
+    rows, always = torch.from_numpy(rng.normal(size=(6, 2, 4))), torch.from_numpy(rng.normal(size=(3, 4)))
+    found, steps = jackknife(rows, always, 3), []
+    for out in (slice(0, 2), slice(2, 4), slice(4, 6)):
+        kept = np.concatenate([np.delete(rows.numpy(), out, 0).reshape(-1, 4), always.numpy()])
+        steps.append(np.linalg.lstsq(kept[:, :3], kept[:, 3], rcond=None)[0])
+    steps = np.stack(steps, -1)
+    wanted = 2 / 3 * (steps - steps.mean(-1, keepdims=True)) @ (steps - steps.mean(-1, keepdims=True)).T
+    np.testing.assert_allclose(found @ found.mT, wanted, rtol=1e-9)
+
+
+def test_fewer_rows_than_stretches_are_left_out_one_by_one():
+    rows = torch.from_numpy(np.random.default_rng(0).normal(size=(4, 1, 2)))
+    assert jackknife(rows).shape == (1, 4)
+    assert jackknife(rows[:1]).tolist() == [[0.0]]  # one row tells nothing of its error
+
+
+def test_draws_have_the_covariance_and_leave_other_coefficients_alone():
+    factor = torch.tensor([[0.3, 0.0], [-0.2, 0.1]], dtype=torch.float64)
+    known = Covariance(torch.tensor([0, 2]), torch.tensor([0, 1]), factor)
+    drawn = known.draw(XI, 5000, torch.Generator().manual_seed(0)) - XI
+    np.testing.assert_allclose(torch.cov(torch.stack([drawn[:, 0, 0], drawn[:, 2, 1]])), known.matrix, rtol=0.06)
+    drawn[:, 0, 0] = drawn[:, 2, 1] = 0
+    assert not drawn.any()
+    assert known.shares(XI).tolist() == pytest.approx([0.6, np.sqrt(0.05) / 3])
+
+
+def test_an_unknown_that_the_rows_tell_nothing_of_is_held_by_those_that_stay():
+    rows = torch.from_numpy(np.random.default_rng(0).normal(size=(40, 1, 3)))
+    rows[..., 1] = 0
+    found = jackknife(rows, torch.tensor([[0.0, 1e12, 0.0]], dtype=torch.float64))
+    assert found[1].tolist() == [0.0] * 10
+    np.testing.assert_allclose(found[0], jackknife(rows[..., [0, 2]])[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("number", [torch.inf, torch.nan, 1e200])
+def test_nothing_is_told_where_numbers_grow_beyond_all_bounds(number):
+    rows = torch.ones(40, 1, 2, dtype=torch.float64)
+    rows[3, 0, 0] = number
+    assert jackknife(rows) is None
+    assert of_rates(torch.ones(1, 1).double(), FREE[:1, :1], rows[:, 0, :1], torch.zeros(40, 1).double()) is None
+
+
+def test_without_its_loosest_change_a_covariance_is_the_conditional_one():
+    """The oracle is the conditional covariance of a normal distribution, in shares of the coefficients."""
+    generator = torch.Generator().manual_seed(3)
+    xi = torch.tensor([[2.0], [-0.5], [10.0]], dtype=torch.float64)
+    factor = xi * torch.randn(3, 6, generator=generator, dtype=torch.float64)
+    factor += 30 * xi * torch.tensor([[1.0], [1.0], [-1.0]], dtype=torch.float64) @ torch.ones(1, 6).double()
+    known = Covariance(torch.arange(3), torch.zeros(3, dtype=torch.int64), factor)
+    change, rest = known.loosest(xi)
+    shares = np.asarray(known.matrix / (xi @ xi.mT))
+    sizes, directions = np.linalg.eigh(shares)
+    v = directions[:, -1]
+    assert abs(float(change @ torch.from_numpy(v))) == pytest.approx(1.0)
+    assert (np.sign(change.numpy()) == np.sign(change.numpy()[0]) * np.array([1, 1, -1])).all(), "growth in size"
+    left = shares - np.outer(shares @ v, shares @ v) / (v @ shares @ v)
+    assert np.allclose(rest.matrix / (xi @ xi.mT), left, atol=1e-9 * sizes[-1])

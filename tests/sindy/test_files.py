@@ -1,0 +1,315 @@
+"""A model survives its file to the last digit; a file that is damaged says so in one line."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.sindy.constraints import Constraints
+from dynasindy.sindy.functions import register_function
+from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
+from dynasindy.sindy.model_file import FORMAT, load, save
+from dynasindy.sindy.named_libraries import build_library
+from dynasindy.systems import Tras, Xi
+
+
+def coefficients(library: Library) -> torch.Tensor:
+    generator = np.random.default_rng(0)
+    size = 10.0 ** generator.uniform(-12, 12, (len(library), 6))
+    return torch.from_numpy(np.where(generator.random(size.shape) < 0.3, size * generator.normal(size=size.shape), 0))
+
+
+@pytest.fixture
+def written(tmp_path):
+    library = build_library("paper_table", Xi().signature)
+    save(library, coefficients(library), tmp_path / "model.json")
+    return tmp_path / "model.json"
+
+
+@pytest.mark.parametrize("name", ["paper_table", "paper_equation", "rotor", "rotor_reaction", "fourier"])
+def test_what_is_loaded_is_what_was_saved(tmp_path, name):
+    library = build_library(name, Tras().signature)
+    xi = coefficients(library)
+    save(library, xi, tmp_path / "model.json")
+    again, back, *_ = load(tmp_path / "model.json")
+    assert again.names == library.names and again.signature == library.signature
+    assert torch.equal(back, xi) and back.dtype == torch.float64
+
+
+def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
+    features = [CONSTANT, of("sin", "alpha_a", frequency=np.pi, power=2) * variable("u_a", -1), of("exp", "Omega_a")]
+    library = Library(Xi().signature, features)
+    save(library, torch.ones(3, 6, dtype=torch.float64), tmp_path / "model.json")
+    assert load(tmp_path / "model.json")[0].features == tuple(features)
+
+
+def test_a_file_can_be_read_by_a_person(written):
+    data = json.loads(written.read_text())
+    library, xi, *_ = load(written)
+    assert data["format"] == FORMAT
+    assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
+    assert data["signature"]["input_names"] == ["u_a", "u_p"]
+    numbers = {(s, n): v for s, row in data["coefficients"].items() for n, v in row.items()}
+    places = [(i, k) for i in range(6) for k in range(27) if xi[k, i]]
+    states = library.signature.state_names
+    assert numbers == {(states[i], library.names[k]): float(xi[k, i]) for i, k in places} and len(places) > 20
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is not JSON"),
+        ("{", "is not JSON"),
+        ("[1, 2]", "is not of the format"),
+        ('{"format": "another 2"}', "is not of the format"),
+        (json.dumps({"format": FORMAT}), "is damaged"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, text, said):
+    (tmp_path / "model.json").write_text(text)
+    with pytest.raises(ValueError, match=said) as error:
+        load(tmp_path / "model.json")
+    assert "\n" not in str(error.value) and "model.json" in str(error.value)
+
+
+def test_a_file_cut_short_is_refused(written):
+    written.write_text(written.read_text()[:-200])
+    with pytest.raises(ValueError, match="is not JSON"):
+        load(written)
+
+
+def remove_row(data):
+    del data["coefficients"]["omega_p"]
+
+
+def write_word(data):
+    data["coefficients"]["omega_p"]["u_p"] = "many"
+
+
+def forget_unit(data):
+    del data["signature"]["state_units"]
+
+
+def shorten_function(data):
+    data["library"]["u_p"] = [[["u_p"], "id"]]
+
+
+@pytest.mark.parametrize("damage", [remove_row, write_word, forget_unit, shorten_function])
+def test_a_file_damaged_inside_is_refused(written, damage):
+    data = json.loads(written.read_text())
+    damage(data)
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match="is damaged") as error:
+        load(written)
+    assert "\n" not in str(error.value)
+
+
+CALL = "__import__('os').system('touch canary')"
+
+
+def name_state(name):
+    def change(data):
+        old = data["signature"]["state_names"][0]
+        data["signature"]["state_names"][0] = name
+        data["coefficients"][name] = data["coefficients"].pop(old)
+        for factors in data["library"].values():
+            for factor in factors:
+                factor[0] = [name if variable == old else variable for variable in factor[0]]
+
+    return change
+
+
+def put(value, *path):
+    def change(data):
+        for step in path[:-1]:
+            data = data[step]
+        data[path[-1]] = value
+
+    return change
+
+
+HOSTILE = {
+    "state with code": name_state(CALL),
+    "state of two lines": name_state("a\nimport os"),
+    "state with a quote": name_state('a"b'),
+    "state with HTML": name_state("<script>"),
+    "state as a path": name_state("../../x"),
+    "state that is a number": name_state("1"),
+    "state without a name": name_state(""),
+    "long state": name_state("x" * 1000),
+    "state that is no text": put(7, "signature", "state_names", 0),
+    "names in one text": put("abcdef", "signature", "state_names"),
+    "too many states": put([f"s{k}" for k in range(100_000)], "signature", "state_names"),
+    "input with code": put(CALL, "signature", "input_names", 0),
+    "unit with mathematics": put("$\\frac{", "signature", "state_units", 0),
+    "unit with HTML": put("<b>", "signature", "state_units", 0),
+    "range": put(float("inf"), "signature", "x_scale", 0),
+    "word for a range": put("1", "signature", "x_scale", 0),
+    "another word": put([1], "signature", "__class__"),
+    "function with code": put([[["u_p"], CALL, 1, 1.0]], "library", "u_p"),
+    "function of torch": put([[["u_p"], "torch.load", 1, 1.0]], "library", "u_p"),
+    "function that is a list": put([[["u_p"], ["sin"], 1, 1.0]], "library", "u_p"),
+    "two arguments of sin": put([[["u_p", "u_a"], "sin", 1, 1.0]], "library", "u_p"),
+    "product of two": put([[["u_p", "u_a"], "id", 1, 1.0]], "library", "u_p"),
+    "no argument": put([[[], "sin", 1, 1.0]], "library", "u_p"),
+    "argument in one text": put([["u_p", "sin", 1, 1.0]], "library", "u_p"),
+    "another variable": put([[["x'); import os; ('"], "sin", 1, 1.0]], "library", "u_p"),
+    "power": put([[["u_p"], "id", 10**9, 1.0]], "library", "u_p"),
+    "power of many digits": put([[["u_p"], "id", 10**4000, 1.0]], "library", "u_p"),
+    "negative power": put([[["u_p"], "id", -(10**9), 1.0]], "library", "u_p"),
+    "broken power": put([[["u_p"], "id", 1.5, 1.0]], "library", "u_p"),
+    "infinite power": put([[["u_p"], "id", float("inf"), 1.0]], "library", "u_p"),
+    "word for a power": put([[["u_p"], "id", CALL, 1.0]], "library", "u_p"),
+    "frequency": put([[["u_p"], "sin", 1, float("nan")]], "library", "u_p"),
+    "word for a frequency": put([[["u_p"], "sin", 1, CALL]], "library", "u_p"),
+    "first guess": put([[["u_p"], "tanh", 1, 1.0, float("inf")]], "library", "u_p"),
+    "word for a first guess": put([[["u_p"], "tanh", 1, 1.0, ".inf"]], "library", "u_p"),
+    "infinite coefficient": put(float("inf"), "coefficients", "omega_p", "u_p"),
+    "no number": put(float("nan"), "coefficients", "omega_p", "u_p"),
+    "large coefficient": put(10**400, "coefficients", "omega_p", "u_p"),
+    "word for a coefficient": put("1.0", "coefficients", "omega_p", "u_p"),
+    "list for a coefficient": put([1.0], "coefficients", "omega_p", "u_p"),
+    "list for coefficients": put([1.0], "coefficients", "omega_p"),
+    "list for a library": put([1.0], "library"),
+    "empty library": put({}, "library"),
+    "many functions": put({str(k): [[["u_p"], "sin", 1, k + 0.5]] for k in range(20_000)}, "library"),
+    "constraints": put({"alpha_a": {"free": [], "given": {"u_p": float("nan")}}}, "constraints"),
+    "list for constraints": put([1], "constraints"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_model_of_a_stranger_is_numbers_and_registered_names_or_is_refused(written, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    data = json.loads(written.read_text())
+    HOSTILE[name](data)
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError) as error:  # noqa: PT011  the words differ from case to case
+        load(written)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 2000
+    assert not (tmp_path / "canary").exists()
+
+
+@pytest.mark.parametrize("place", [3, 4])
+@pytest.mark.parametrize("value", [".inf", "1.0", None, True, [1.0], float("nan")])
+def test_what_is_no_number_inside_a_function_is_said(written, place, value):
+    factor = [["u_p"], "tanh", 1, 1.0, 1.0]
+    factor[place] = value
+    data = json.loads(written.read_text())
+    data["library"]["u_p"] = [factor]
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"model.json is damaged \(TypeError: .* stands where a finite number belongs"):
+        load(written)
+
+
+def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
+    words = ["tanh(~7 Omega_a)", "Omega_p^2 per_cos2(~3 alpha_p)", "root(~0.1 alpha_a)", "tanh(7 Omega_a)"]
+    library = Library(Xi().signature, map(parse, words)).with_shapes([5 + 1 / 3, 10 / 3, np.pi / 30])
+    save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
+    again, _, _, delay, _ = load(tmp_path / "model.json")
+    assert again.features == library.features and delay == 0.1 / 3
+    numbers = [(shape.frequency, shape.fitted) for shape in again.shapes]
+    assert numbers == [(5 + 1 / 3, 7.0), (10 / 3, 3.0), (np.pi / 30, 0.1)]
+    save(library, coefficients(library), tmp_path / "model.json")
+    assert load(tmp_path / "model.json")[3] == 0.0 and "delay" not in json.loads((tmp_path / "model.json").read_text())
+
+
+@pytest.mark.parametrize("delay", [-0.01, float("nan"), "0.1", [0.1]])
+def test_a_delay_is_no_less_than_nothing(written, delay):
+    written.write_text(json.dumps({**json.loads(written.read_text()), "delay": delay}))
+    with pytest.raises(ValueError, match="is damaged"):
+        load(written)
+
+
+def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):
+    for kind, content in (("deep", b"[" * 200_000), ("bytes", b"\xff{}"), ("digits", b"9" * 5000)):
+        (tmp_path / kind).write_bytes(content)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(1_000_000_000)
+    for path in tmp_path.iterdir():
+        with pytest.raises(ValueError, match="is not JSON") as error:
+            load(path)
+        assert "\n" not in str(error.value)
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "nothing")
+
+
+def test_a_coefficient_of_no_function_is_refused(written):
+    data = json.loads(written.read_text())
+    data["coefficients"]["omega_p"]["u_p^3"] = 1.0
+    written.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"'u_p\^3' is not among the \d+ candidate functions"):
+        load(written)
+
+
+def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypatch):
+    from dynasindy.sindy.named_libraries import functions
+
+    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
+    register_function("cube_of_file_test", lambda z: z**3)
+    library = Library(Xi().signature, [of("cube_of_file_test", "Omega_a")])
+    save(library, torch.ones(1, 6), tmp_path / "model.json")
+    x, u = torch.full((1, 6), 2.0), torch.zeros(1, 2)
+    assert load(tmp_path / "model.json")[0](x, u).item() == 8.0
+    del functions._REGISTRY["cube_of_file_test"]
+    with pytest.raises(ValueError, match=r"'cube_of_file_test', .* is not known here.*register_function"):
+        load(tmp_path / "model.json")
+
+
+def test_what_is_known_of_the_equations_comes_back(tmp_path):
+    library = build_library("rotor", Tras().signature)
+    constraints = Constraints.build(library, {"alpha_a": "Omega_a"}, {"omega_p": ["u_p"]}, {"Omega_p": {"u_a": -0.3}})
+    save(library, coefficients(library), tmp_path / "model.json", constraints)
+    back = load(tmp_path / "model.json")[2]
+    assert torch.equal(back.free, constraints.free) and torch.equal(back.offset, constraints.offset)
+
+
+def test_a_file_without_a_word_of_constraints_has_none(written):
+    back = load(written)[2]
+    assert bool(back.free.all()) and not bool(back.offset.any())
+
+
+def known_coefficients(columns: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    rng = np.random.default_rng(3)
+    factor = rng.normal(size=(4, columns)) * np.array([[1e-9], [3.0], [1e6], [0.02]])
+    return torch.tensor([2, 5, 2, 7]), torch.tensor([0, 0, 3, 3]), torch.from_numpy(factor)
+
+
+@pytest.mark.parametrize("columns", [15, 4, 2])
+def test_the_covariance_of_coefficients_survives_its_file(tmp_path, columns):
+    library, known = build_library("paper_table", Xi().signature), known_coefficients(columns)
+    save(library, torch.ones(27, 6, dtype=torch.float64), tmp_path / "model.json", covariance=known)
+    features, states, factor = load(tmp_path / "model.json")[4]
+    assert torch.equal(features, known[0]) and torch.equal(states, known[1])
+    size = known[2].norm(dim=-1)
+    wanted = known[2] @ known[2].mT / size / size.unsqueeze(-1)
+    np.testing.assert_allclose(factor @ factor.mT / size / size.unsqueeze(-1), wanted, atol=1e-13)
+    told = json.loads((tmp_path / "model.json").read_text())["uncertainty"]["standard_errors"]
+    assert told["alpha_a"][library.names[5]] == pytest.approx(float(size[1])) and told["alpha_p"] == {}
+
+
+def test_a_file_of_before_tells_no_covariance(written):
+    assert "uncertainty" not in json.loads(written.read_text()) and load(written)[4] is None
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        {"standard_errors": {}},
+        {"standard_errors": {"alpha_a": {"1": -1.0}}, "correlation_factor": {"alpha_a": {"1": "1"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": ""}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": "1 nan"}}},
+        {"standard_errors": {"alpha_a": {"1": 1.0}}, "correlation_factor": {"alpha_a": {"1": "one"}}},
+        [1.0],
+    ],
+)
+def test_a_covariance_that_is_damaged_is_refused(written, spoilt):
+    data = json.loads(written.read_text())
+    if isinstance(spoilt, dict):
+        spoilt = {what: {s: {} for s in data["coefficients"]} | words for what, words in spoilt.items()}
+    written.write_text(json.dumps({**data, "uncertainty": spoilt}))
+    with pytest.raises(ValueError, match="damaged"):
+        load(written)

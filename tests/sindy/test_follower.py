@@ -1,0 +1,317 @@
+"""States that follow a signal are told from none, and their times and effects are those of the plant of the log."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.fit_report import Refined
+from dynasindy.sindy.lag_states import (
+    LONGER,
+    TIMES,
+    begins,
+    completed,
+    following,
+    lagging,
+    trials,
+    widened,
+)
+from dynasindy.systems.base import Signature
+from dynasindy.systems.integrators import rk4
+from dynasindy.systems.transitions import Transitions
+
+SIGNATURE = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
+DT, STEP = 0.02, 2 * math.pi / 4096
+WORDS = ["1", "q", "w", "u", "sin(q)", "u^2"]
+OVEN = Signature(("T",), ("degC",), ("u",), (120.0,))
+MINUTE = 10.0
+"""Sampling time of the oven [s]."""
+
+
+def levels(count, each, seed=0):
+    """Random levels of an input, each held for some samples, `(count * each, 1)`."""
+    rng = torch.Generator().manual_seed(seed)
+    return (2 * torch.rand(count, generator=rng).double() - 1).repeat_interleave(each)[:, None]
+
+
+def moved(field, start, u, dt):
+    """The states of a plant under held inputs, `(N + 1, n)`."""
+    x = [torch.tensor(start, dtype=torch.float64)]
+    for held in u:
+        now = x[-1]
+        for _ in range(4):
+            now = rk4(field, now, held, dt / 4)
+        x.append(now)
+    return torch.stack(x)
+
+
+def arm(lag=0.0, creep=0.0):
+    """An arm that hangs, read by an encoder: its motor may lag, and a spring may be fixed to what creeps after it."""
+
+    def field(x, u):
+        acting = x[2] if lag else u[0]
+        rates = [(u[0] - x[2]) / (lag or 1), (x[0] - x[3]) / 0.4]
+        return torch.stack([x[1], 8 * acting - 0.5 * x[1] - 9 * torch.sin(x[0]) - creep * (x[0] - x[3]), *rates])
+
+    u = levels(50, 25)
+    angle = (moved(field, [0.0] * 4, u, DT)[:, :1] / STEP).round() * STEP
+    return Transitions.from_trajectory(torch.cat([angle, torch.full_like(angle, math.nan)], -1), u, DT)
+
+
+def oven(noise=0.0, start=(80.0, 20.0), wall=1 / 200):
+    """An oven of 2 heat stores, air and wall, of which the air alone is measured; by the matrix exponential."""
+    u = levels(12, 40, seed=1)
+    a = torch.tensor([[-wall - 1 / 500 * (wall == 0), wall], [1 / 600, -1 / 600 - 1 / 900]], dtype=torch.float64)
+    b = torch.tensor([[0.12, 0.12], [0.0, 20 / 900]], dtype=torch.float64)
+    whole = torch.linalg.matrix_exp(MINUTE * torch.cat([torch.cat([a, b], 1), torch.zeros(2, 4).double()]))
+    x = [torch.tensor(start, dtype=torch.float64)]
+    for held in u:
+        x.append(whole[:2, :2] @ x[-1] + whole[:2, 2:] @ torch.cat([held, torch.ones(1).double()]))
+    air = torch.stack(x)[:, :1]
+    air += noise * torch.randn(air.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    return Transitions.from_trajectory(air, u, MINUTE)
+
+
+def made(signature=SIGNATURE, words=WORDS, known=None, method="trajectory"):
+    known = {"q": "w"} if known is None else known
+    return SindyModel(signature, words, Regression("bic"), Refinement(method, longest_delay=2.5 * DT), known=known)
+
+
+def of_oven(data, method="auto"):
+    model = made(OVEN, ["1", "T", "u", "T^2", "T u"], {}, method)
+    model.fit(data)
+    return model
+
+
+def terms(model, state):
+    column = model.coefficients[:, model.signature.state_index(state)].tolist()
+    return {name: value for name, value in zip(model.library.names, column, strict=True) if abs(value) > 1e-12}
+
+
+def test_the_time_of_a_lag_is_found_and_one_that_is_not_there_is_not():
+    data, model = arm(lag=0.15), made()
+    model.fit(data)
+    best = trials(model, data)[0]
+    near = min(TIMES, key=lambda n: abs(n * DT - 0.15)) * DT
+    wide = best.model
+    assert best.signal == "u" and 1 / float(wide.initial[-1, -1]) == pytest.approx(near)
+    assert wide.signature.state_names == ("q", "w", "u_lagging") and wide.signature.state_units[-1] == "1"
+    assert wide.followed == {"u_lagging": "u"} and wide.followers == {}
+    assert best.words() == ""  # nothing is fitted yet
+    wide.fit(widened(data))
+    assert 1 / float(wide.coefficients[-1, 2]) == pytest.approx(0.15, rel=0.02)
+    assert wide.library.names[-1] == "(u - u_lagging)" and wide.delay < 0.005
+    assert "u acts through a lag of 0.1" in best.words()
+    assert terms(wide, "w") == {
+        "u_lagging": pytest.approx(8, rel=0.02),
+        "w": pytest.approx(-0.5, rel=0.05),
+        "sin(q)": pytest.approx(-9, rel=0.02),
+    }
+    assert wide.coefficients[:, 0].tolist() == [float(name == "w") for name in wide.library.names]
+
+
+def test_a_plant_without_a_lag_has_none():
+    data, model = arm(), made()
+    model.fit(data)
+    assert trials(model, data) == []
+
+
+def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
+    """w' has -5 (q - q_lagging), and q_lagging' = (q - q_lagging) / 0.4."""
+    data, model = arm(creep=5.0), made()
+    model.fit(data)
+    best = trials(model, data)[0]
+    assert best.signal == "q" and best.model.followers == {2: 0}
+    best.model.fit(widened(data))
+    assert terms(best.model, "w")["(q - q_lagging)"] == pytest.approx(-5, rel=0.05)
+    assert terms(best.model, "q_lagging") == {"(q - q_lagging)": pytest.approx(2.5, rel=0.05)}
+
+
+@pytest.mark.parametrize("start", [(80.0, 20.0), (80.0, 90.0)])
+def test_a_second_heat_store_is_found_from_the_temperature_of_the_first(start):
+    """With a = (W - 8) / 0.6 the wall's W' = (T - W) / 600 + (20 - W) / 900 is a' = (T - a) / 360, and T' as below."""
+    data = oven(start=start)
+    model = of_oven(data)
+    best = trials(model, data)[0]
+    assert best.signal == "T" and best.model.followers == {1: 0}
+    assert best.model.signature.state_units == ("degC", "degC") and best.model.signature.x_scale == (120.0, 120.0)
+    best.model.fit(widened(data))
+    found = {"1": 0.16, "T": -0.002, "u": 0.12, "(T - T_lagging)": -0.003}
+    assert terms(best.model, "T") == {name: pytest.approx(value, rel=1e-4) for name, value in found.items()}
+    assert terms(best.model, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=1e-4)}
+    assert "sees follows T with a time constant of 360 s: it is the state T_lagging" in best.words()
+
+
+def test_a_second_heat_store_is_found_behind_noise():
+    data = oven(noise=0.05)
+    best = trials(of_oven(data), data)[0]
+    best.model.fit(widened(data))
+    assert terms(best.model, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=0.03)}
+    found = {"1": 0.16, "T": -0.002, "u": 0.12, "(T - T_lagging)": -0.003}
+    assert terms(best.model, "T") == {name: pytest.approx(value, rel=0.03) for name, value in found.items()}
+
+
+def commanded(data, samples):
+    """Return a recording whose inputs were commanded so many samples before they acted."""
+    rows = len(data) - samples
+    return replace(data.select(torch.arange(len(data)) < rows), u=data.u[samples:])
+
+
+def test_a_second_heat_store_is_found_though_inputs_act_late():
+    """The fan takes 30 s; the wall's time of 360 s was found to be 203 s by inputs that act at once."""
+    data = commanded(oven(), 3)
+    model = made(OVEN, ["1", "T", "u", "T^2", "T u"], {}, "auto")
+    model.refinement = replace(model.refinement, longest_delay=80.0)
+    model.fit(data)
+    assert model.delay == pytest.approx(30.0, abs=0.5)
+    best = trials(model, data)[0]
+    assert best.signal == "T"
+    best.model.fit(widened(data))
+    assert best.model.delay == pytest.approx(30.0, abs=0.1)
+    found = {"1": 0.16, "T": -0.002, "u": 0.12, "(T - T_lagging)": -0.003}
+    assert terms(best.model, "T") == {name: pytest.approx(value, rel=1e-3) for name, value in found.items()}
+    assert terms(best.model, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=1e-3)}
+
+
+def test_what_a_delay_stood_for_is_told_from_it():
+    """Without the spring that creeps the model takes its inputs to be 8 samples late; they are 2."""
+    data, model = commanded(arm(creep=20.0), 2), made()
+    model.refinement = replace(model.refinement, longest_delay=8 * DT)
+    model.fit(data)
+    assert model.delay > 6 * DT
+    best = trials(model, data)[0]
+    assert best.signal == "q" and best.model.initial is not None
+    initial = best.model.initial[:, 1]
+    assert float(initial[best.model.library.index("(q - q_lagging)")]) == pytest.approx(-20, rel=0.25)
+    assert float(initial[best.model.library.index("u")]) == pytest.approx(8, rel=0.1)
+
+
+def test_a_delay_alone_is_no_lag():
+    data, model = commanded(arm(), 3), made()
+    model.refinement = replace(model.refinement, longest_delay=8 * DT)
+    model.fit(data)
+    assert model.delay == pytest.approx(3 * DT, abs=0.02 * DT) and trials(model, data) == []
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.1])
+def test_an_oven_of_one_store_has_no_second_one(noise):
+    data = oven(noise=noise, wall=0.0)
+    assert trials(of_oven(data), data) == []
+
+
+def test_equations_that_are_known_beyond_rates_are_left_alone():
+    data = arm(lag=0.15)
+    fixed = SindyModel(
+        SIGNATURE, WORDS, Regression("bic"), Refinement("trajectory"), {"q": "w"}, fixed={"w": {"u": 8.0}}
+    )
+    assert trials(fixed, data) == []
+
+
+def test_one_state_more_is_seen_by_no_sensor():
+    data = arm()
+    wide = widened(data)
+    assert wide.x.shape[-1] == 3 and bool(wide.x[:, 2].isnan().all() and wide.x_next[:, 2].isnan().all())
+    assert torch.equal(wide.x[:, 0], data.x[:, 0]) and wide.dt == data.dt
+    assert lagging("u") == "u_lagging"
+
+
+def test_what_follows_a_step_is_an_exponential_and_each_stretch_begins_at_rest():
+    u = torch.cat([torch.zeros(40), torch.ones(60)]).double()
+    data = Transitions.from_trajectory(torch.zeros(101, 1).double(), u[:, None], DT)
+    starts, ends = following(u, data, 0.1)
+    after = torch.arange(1, 61) * DT
+    assert ends[40:].tolist() == pytest.approx((1 - torch.exp(-after / 0.1)).tolist()) and not ends[:40].any()
+    assert torch.equal(starts[1:], ends[:-1])
+    starts, _ = following(u, replace(data, segment=(torch.arange(100) >= 60).long()), 0.1)
+    assert starts[60] == 1.0
+
+
+@pytest.mark.parametrize(("rows", "stretches"), [(100, 1), (180, 1), (100, 5), (12, 1)])
+def test_a_log_too_short_for_a_lag_has_none_and_one_of_many_stretches_tries_short_ones(rows, stretches):
+    data, model = arm(lag=0.15), made()
+    model.fit(data)
+    short = data.select(torch.arange(len(data)) < rows * stretches)
+    cut = replace(short, segment=torch.arange(len(short)) // rows)
+    times = [1 / float(trial.model.initial[-1, -1]) / DT for trial in trials(model, cut)]
+    assert all(min(abs(time - n) for n in LONGER) < 1e-6 and time <= 0.25 * rows for time in times)
+    if rows == 12:
+        assert not times
+
+
+def test_a_recording_gets_the_states_that_its_model_has_and_no_others():
+    data, model = arm(), made()
+    model.fit(data)
+    assert completed(data, ("q", "w"), model) is data
+    wide = trials(model, arm(lag=0.15))[0].model
+    assert completed(data, ("q", "w"), wide).x.shape[-1] == 3
+    for names, other in ((("q", "v"), wide), (("q",), model)):
+        with pytest.raises(ValueError, match="give a model of the plant that the log is of"):
+            completed(data, names, other)
+
+
+def test_states_that_follow_begin_where_the_log_had_them():
+    """Those of inputs between the commands and zero; one of a state by as much beside it as there.
+
+    What follows a ramp of 0.5 K/s with 20 s is 10 K behind in the end.
+    """
+    names = Signature(("T", "v_lagging", "T_lagging"), ("K", "1", "K"), ("u", "v"), (1.0, 1.0, 1.0))
+    own = {"v_lagging": ["(v - v_lagging)"], "T_lagging": ["(T - T_lagging)"]}
+    model = SindyModel(names, ["T", "v_lagging", "(v - v_lagging)", "(T - T_lagging)"], allowed=own)
+    model.set_coefficients(torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 1 / 20]]).double())
+    x = torch.full((401, 3), math.nan).double()
+    x[:, 0] = 80 + 0.5 * torch.arange(401)
+    data = Transitions.from_trajectory(x, torch.tensor([[-0.5, 0.25], [0.5, 0.75]]).double().repeat(200, 1), 1.0)
+    found = begins(model, data)
+    assert found[1] == (0.0, 0.75)
+    assert found[2] == (pytest.approx(-10, rel=0.03), pytest.approx(0.0, abs=0.3))
+
+
+def behind(motor, samples):
+    """A wheel, w' = 8 a - 0.5 w, whose motor a lags its commands, which come some samples late; its log, and a."""
+    shown = levels(24, 20, seed=3)
+    acting = torch.cat([shown[:1].expand(samples, 1), shown])[: len(shown)]
+    left, driven = math.exp(-DT / motor), [0.0]
+    for held in acting[:, 0].tolist():
+        driven.append(held + (driven[-1] - held) * left)
+
+    def field(x, u):
+        return torch.stack([8 * x[1] - 0.5 * x[0], (u[0] - x[1]) / motor])
+
+    return Transitions.from_trajectory(moved(field, [0.0, 0.0], acting, DT)[:, :1], shown, DT), torch.tensor(driven)
+
+
+def of_wheel(data):
+    """The model with a motor that lags, of a wheel whose motor was first taken for a delay of ten samples."""
+    model = made(Signature(("w",), ("rad/s",), ("u",), (3.0,)), ["1", "w", "u", "w^2"], {}, "auto")
+    model.refinement = replace(model.refinement, longest_delay=None)
+    model.delay = 10 * DT
+    return trials(model, data)[0]
+
+
+def test_a_trial_tells_a_delay_from_a_lag_where_both_were_taken_for_one_delay():
+    data, _ = behind(0.15, 5)
+    best = of_wheel(data)
+    assert best.signal == "u" and best.model.initial_delay == pytest.approx(5 * DT)
+    best.model.fit(widened(data))
+    assert best.model.delay == pytest.approx(5 * DT, abs=0.02 * DT)
+    assert terms(best.model, "u_lagging") == {"(u - u_lagging)": pytest.approx(1 / 0.15, rel=0.01)}
+    assert terms(best.model, "w") == {"u_lagging": pytest.approx(8, rel=0.01), "w": pytest.approx(-0.5, rel=0.02)}
+
+
+def test_the_fit_of_a_trial_begins_from_inputs_as_late_as_the_trial_says():
+    """The guess of the motor is its response to each held command, five samples after that was given."""
+    data, driven = behind(0.16, 5)
+    wide, handed = of_wheel(data).model, []
+
+    class Kept(Refinement):
+        def run(self, library, coefficients, constraints, data, guess=None, late=0.0):
+            handed.append((guess.x[:, 1], late))
+            return Refined(library, coefficients, late)
+
+    wide.refinement = Kept("auto", longest_delay=None)
+    wide.fit(widened(data))
+    ((guessed, late),) = handed
+    assert late == pytest.approx(5 * DT) and wide.delay == late
+    torch.testing.assert_close(guessed[40:], driven[40:-1].double(), rtol=0, atol=0.01)

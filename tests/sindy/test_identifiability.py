@@ -1,0 +1,106 @@
+"""What the samples can tell: rank and condition as numpy has them, advice in words."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.sindy.identifiability import Identifiability
+from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.regression import RunningSums
+from dynasindy.systems.base import Signature
+
+SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u", "v"), (1.0, 1.0))
+LIBRARY = Library(SIGNATURE, [CONSTANT, variable("a"), variable("b"), variable("u"), variable("v")])
+
+
+def samples(n: int = 500, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = np.random.default_rng(seed)
+    return torch.from_numpy(generator.uniform(-1, 1, (n, 2))), torch.from_numpy(generator.uniform(-1, 1, (n, 2)))
+
+
+def judge(library: Library, x, u, xi=None, noise=0.0) -> Identifiability:
+    xi = torch.ones(len(library), 2, dtype=torch.float64) if xi is None else xi
+    theta = library(x, u)
+    dx = theta @ xi + noise * torch.from_numpy(np.random.default_rng(1).normal(size=(len(x), 2)))
+    sums = RunningSums(len(library), 2)
+    sums.add((theta, dx))
+    return Identifiability.of(library, sums)
+
+
+def test_rank_and_condition_are_numpy_s_of_unit_columns():
+    x, u = samples()
+    found = judge(LIBRARY, x * torch.tensor([1e-4, 1e5]), u)
+    theta = LIBRARY(x, u).numpy()
+    assert found.condition == pytest.approx(np.linalg.cond(theta / np.linalg.norm(theta, axis=0)), rel=1e-6)
+    assert (found.rank, found.n_features) == (5, 5)
+    assert found.advice == ("the functions are well apart: the data can tell them from each other",)
+    assert found.to_text() == (
+        "the data can tell all 5 candidate functions apart "
+        f"(condition number {found.condition:.2g}; below 1,000,000 is good)"
+    )
+
+
+def test_one_signal_on_both_inputs_is_named():
+    x, u = samples()
+    found = judge(LIBRARY, x, u[:, :1].expand(-1, 2))
+    assert found.rank == 4 and found.condition > 1e10
+    (one, first), (two, second) = found.weakest
+    assert {one, two} == {"u", "v"}
+    assert first == pytest.approx(-second) and abs(first) == pytest.approx(math.sqrt(0.5))
+    assert found.advice == ("u and v move together: give the inputs different signals",)
+    told = found.to_text()
+    assert told.startswith(
+        "1 of 5 candidate functions cannot be told apart from others by these data: "
+    ) and found.to_text().endswith(found.advice[0])
+
+
+def test_a_silent_input_is_named():
+    x, u = samples()
+    found = judge(LIBRARY, x, u * torch.tensor([1.0, 0.0]))
+    assert found.rank == 4 and found.condition == math.inf
+    assert found.weakest == (("v", 1.0),)
+    assert found.advice == ("v was zero all the time: excite it",)
+
+
+def test_every_silent_input_is_named():
+    x, u = samples()
+    found = judge(LIBRARY, x, 0 * u)
+    assert found.rank == 3 and found.weakest == (("u", 1.0), ("v", 1.0))
+    assert found.advice == ("u was zero all the time: excite it", "v was zero all the time: excite it")
+
+
+def test_small_swings_and_speeds_of_one_sign_are_named():
+    x, u = samples()
+    swing = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a"), of("cos", "a")])
+    small = judge(swing, 1e-4 * x, u)
+    assert small.condition > 1e6 and small.advice == ("functions of a look alike over its range: let it swing further",)
+    assert small.to_text().startswith(
+        "these of 4 candidate functions can hardly be told apart by these data (condition number"
+    )
+    drag = Library(SIGNATURE, [variable("b"), of("abs", "b")])
+    one_signed = judge(drag, x.abs(), u)
+    assert one_signed.rank == 1 and one_signed.advice[0].startswith("b kept its sign, so that |b| is no other function")
+    assert judge(drag, x, u).rank == 2
+
+
+def test_states_that_move_as_one_are_named():
+    x, u = samples()
+    (advice,) = judge(LIBRARY, x[:, :1] * torch.tensor([1.0, 2.0]), u).advice
+    assert advice.endswith("look alike: these data do not tell them apart") and {"a", "b"} <= set(advice[:4])
+
+
+def test_an_input_that_follows_a_state_is_not_said_to_move_with_another_input():
+    x, u = samples()
+    (advice,) = judge(LIBRARY, x, torch.stack([x[:, 0], u[:, 1]], -1)).advice
+    assert advice.endswith("look alike: these data do not tell them apart") and {"a", "u"} <= set(advice[:4])
+
+
+def test_a_speed_that_changed_its_sign_is_not_said_to_have_kept_it():
+    x, u = samples()
+    drag = Library(SIGNATURE, [variable("a"), variable("b"), variable("b") * of("abs", "b"), variable("b", 2)])
+    both = torch.stack([x[:, 1] * x[:, 1].abs(), x[:, 1]], -1)  # a is b |b|, for a b of both signs
+    (advice,) = judge(drag, both, u).advice
+    assert "sign" not in advice and advice.endswith("look alike: these data do not tell them apart")
+    assert "b kept its sign" in judge(drag, both.abs(), u).to_text()

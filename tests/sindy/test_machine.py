@@ -1,0 +1,245 @@
+"""Machine code moves states as Runge-Kutta steps in double precision do, and its derivatives are those of autograd."""
+
+import copy
+import math
+
+import pytest
+import torch
+
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.codegen import machine
+from dynasindy.sindy.functions import register_function, unregister_function
+from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.systems import Tras, integrate
+from dynasindy.systems import compiler as compiling
+from dynasindy.systems.base import Signature
+from dynasindy.systems.compiler import compiler
+from dynasindy.systems.stops import Stops
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
+SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+A, B, U = variable("a"), variable("b"), variable("u")
+FEATURES = {
+    "products": [CONSTANT, A * B, U * B * B, A * A * A],
+    "sin": [of("sin", "a"), of("sin", "b", frequency=3.0) * U],
+    "cos": [of("cos", "a", frequency=2.0) * B],
+    "abs": [of("abs", "b") * B, of("abs", "u")],
+    "sign": [of("sign", "b") * A],
+    "exp": [of("exp", "a")],
+    "tanh": [of("tanh", "b", frequency=10.0), of("tanh", "a", frequency=0.05)],
+    "sqrt": [of("sqrt", "a")],
+    "bell": [of("bell", "b", frequency=2.0)],
+    "root": [of("root", "a", frequency=-2.0, fitted=True)],
+    "hinge": [of("hinge", "b", frequency=0.2, fitted=True)],
+    "ahead": [of("ahead", "a", "b"), of("ahead", "u", "b")],
+    "slack": [of("slack", "a", "b", frequency=0.4, fitted=True)],
+    "per_cos2": [of("per_cos2", "a", frequency=3.0, fitted=True) * U],
+}
+
+
+def drawn(rows, *, reach=2.0, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    whole = reach * (2 * torch.rand(rows, 3, generator=generator) - 1)
+    return whole[:, :2].contiguous(), (whole[:, 2:] / reach).contiguous()
+
+
+def made(features, seed=1):
+    library = Library(SIGNATURE, features)
+    generator = torch.Generator().manual_seed(seed)
+    return library, torch.randn(len(library), 2, generator=generator, dtype=torch.float64)
+
+
+def reference(library, xi, x, u, dt, substeps, stops=None):
+    """Integrate with the library's own functions in double precision."""
+    return integrate(lambda x, u: library(x, u) @ xi, x.double(), u.double(), dt, substeps, stops)
+
+
+@pytest.mark.parametrize("name", FEATURES)
+def test_states_and_derivatives_equal_double_precision(name):
+    library, xi = made([A, *FEATURES[name]])
+    x, u = drawn(67)  # not a multiple of the rows that are handled at once
+    code = machine(library, xi)
+    samples, _ = code.integrate(x, u, 0.1, 3)
+    torch.testing.assert_close(samples, reference(library, xi, x, u, 0.1, 3)[0].float(), rtol=2e-5, atol=2e-6)
+    a, b = code.sensitivities(x, u, 0.1, 2)
+    whole = torch.cat([x, u], -1).double()
+    slopes = torch.func.vmap(
+        torch.func.jacrev(lambda z: reference(library, xi, z[:2], z[2:], 0.1, 2)[0][-1])
+    )(whole)  # fmt: skip
+    torch.testing.assert_close(torch.cat([a, b], -1), slopes.float(), rtol=5e-5, atol=5e-6)
+
+
+def test_functions_hold_far_from_zero():
+    features = [of("sin", "a"), of("cos", "b"), of("tanh", "a"), of("exp", "b")]
+    library = Library(SIGNATURE, features)
+    x, u = drawn(500, reach=30.0)
+    for k in range(4):
+        xi = torch.zeros(4, 2, dtype=torch.float64)
+        xi[k, 0] = 1.0
+        x = x.clamp(-30, 8)
+        moved = machine(library, xi).integrate(x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0]
+        slope = (reference(library, xi, x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0].double()).float()
+        torch.testing.assert_close(moved, slope, rtol=1e-5, atol=4e-6)
+
+
+def test_stops_hold_positions_and_say_where_they_were_touched():
+    library, xi = made([CONSTANT, B, U])
+    xi[:, 0] = torch.tensor([0.0, 1.0, 0.0])
+    xi[:, 1] = torch.tensor([0.0, 0.0, 5.0])
+    stops = Stops((0,), (1,), (-0.3,), (0.4,))
+    x, u = drawn(97, reach=0.5)
+    samples, touched = machine(library, xi).integrate(x, u, 0.4, 4, stops)
+    wanted, where = reference(library, xi, x, u, 0.4, 4, stops)
+    torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
+    assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
+    assert not machine(library, xi).integrate(x, u, 0.4, 4)[1].any()
+
+
+def test_shapes_of_a_batch_stay():
+    library, xi = made([A, B, U])
+    x, u = drawn(24)
+    code = machine(library, xi)
+    samples, touched = code.integrate(x.reshape(2, 3, 4, 2), u.reshape(2, 3, 4, 1), 0.1, 5)
+    assert samples.shape == (2, 3, 4, 5, 2) and touched.shape == (2, 3, 4)
+    assert torch.equal(samples.flatten(0, 2), code.integrate(x, u, 0.1, 5)[0])
+    transposed = code.integrate(x.mT.contiguous().mT, u, 0.1, 5)[0]  # by column in memory
+    assert torch.equal(transposed, samples.flatten(0, 2))
+    a, b = code.sensitivities(x.reshape(2, 12, 2), u.reshape(2, 12, 1), 0.1, 1)
+    assert a.shape == (2, 12, 2, 2) and b.shape == (2, 12, 2, 1)
+
+
+def test_what_runs_away_is_not_finite_and_leaves_other_rows_alone():
+    library, xi = made([A * A * A])
+    xi[:] = torch.tensor([[50.0, 0.0]])
+    x, u = drawn(40)
+    x[3] = 1e20
+    samples = machine(library, xi).integrate(x, u, 0.1, 5)[0]
+    assert not samples[3, -1, 0].isfinite()
+    x[3] = 0.0
+    alone = machine(library, xi).integrate(x, u, 0.1, 5)[0]
+    assert torch.equal(samples[4:], alone[4:]) or torch.allclose(samples[4:], alone[4:], equal_nan=True)
+
+
+def test_other_numbers_in_the_same_functions_need_no_compiler(monkeypatch):
+    library, xi = made([A, B, of("per_cos2", "a", frequency=3.0, fitted=True)])
+    machine(library, xi)
+    monkeypatch.setattr(compiling, "build_fast", lambda *_: pytest.fail("compiled again"))
+    x, u = drawn(5)
+    changed = library.with_shapes([1.5])
+    samples = machine(changed, 2 * xi).integrate(x, u, 0.1, 1)[0]
+    torch.testing.assert_close(samples, reference(changed, 2 * xi, x, u, 0.1, 1)[0].float(), rtol=1e-5, atol=1e-6)
+
+
+def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
+    library, xi = made([A, B, U, A * B, of("sin", "a", frequency=3.0)])
+    x, u = (part.double() for part in drawn(7))
+    rng = torch.Generator().manual_seed(5)
+    for _ in range(6):
+        drawn_kinds = torch.randint(4, xi.shape, generator=rng)
+        changed = torch.where(drawn_kinds == 0, 0.0, torch.where(drawn_kinds == 1, 1.0, xi))
+        changed = torch.where(drawn_kinds == 2, torch.full_like(xi, 3.0), changed)  # as the number in the sine
+        found = machine(library, changed, torch.float64).integrate(x, u, 0.1, 2)[0]
+        torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
+
+
+def test_a_name_that_is_registered_anew_is_the_new_function():
+    x, u = (part.double() for part in drawn(5))
+    for formula, compute in (("2.0 * {0}", lambda z: 2.0 * z), ("{0} * {0}", lambda z: z * z)):
+        register_function("twice_test", compute, formula=formula)
+        library, xi = made([A, of("twice_test", "b")])
+        found = machine(library, xi, torch.float64).integrate(x, u, 0.1, 1)[0]
+        torch.testing.assert_close(found, reference(library, xi, x, u, 0.1, 1)[0], rtol=1e-13, atol=1e-14)
+    unregister_function("twice_test")
+
+
+def test_a_function_without_a_formula_is_refused():
+    register_function("wild_test", lambda z: torch.special.erf(z))
+    library, xi = made([A, of("wild_test", "a")])
+    with pytest.raises(ValueError, match="'wild_test', which has no formula"):
+        machine(library, xi)
+    model = SindyModel(SIGNATURE, library)
+    model.set_coefficients(xi)
+    x, u = drawn(4)
+    with pytest.warns(UserWarning, match="SindyModel stays torch code"):
+        assert model.compiled(x, u) is None
+    assert model.compiled(x, u) is None  # and says so once
+    unregister_function("wild_test")
+
+
+def test_a_model_has_machine_code_for_what_it_can_compute_and_as_it_is_now(monkeypatch):
+    library, xi = made([A, B, U])
+    model = SindyModel(SIGNATURE, library)
+    model.set_coefficients(xi)
+    x, u = drawn(6)
+    code = model.compiled(x, u)
+    assert code is not None and model.compiled(x, u) is code
+    double = x.double(), u.double()
+    assert model.compiled(*double) not in (None, code)
+    exact = reference(library, xi, *double, 0.1, 2)[0]
+    torch.testing.assert_close(integrate(model, *double, 0.1, 2)[0], exact, rtol=1e-13, atol=1e-14)
+    assert model.compiled(x, u.double()) is None
+    assert model.compiled(x, u[:1]) is None
+    torch.testing.assert_close(integrate(model, x, u, 0.1, 2)[0], reference(library, xi, x, u, 0.1, 2)[0].float())
+    before = integrate(model, x, u, 0.1, 2)[0]
+    model.set_coefficients(2 * xi)
+    assert not torch.allclose(integrate(model, x, u, 0.1, 2)[0], before)
+    copied = copy.deepcopy(model)
+    assert torch.equal(integrate(copied, x, u, 0.1, 2)[0], integrate(model, x, u, 0.1, 2)[0])
+    # What carries a gradient is left to torch.
+    slope = integrate(model, x.requires_grad_(), u, 0.1, 2)[0].sum()
+    assert slope.requires_grad
+    assert SindyModel(SIGNATURE, library, machine_code=False).compiled(x.detach(), u) is None
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    alone = SindyModel(SIGNATURE, Library(SIGNATURE, [A, A * B * U]))
+    assert alone.compiled(x.detach(), u) is None
+    assert integrate(alone, x.detach(), u, 0.1, 2)[0].shape == (6, 2, 2)
+
+
+def test_a_model_that_moves_otherwise_than_its_equations_has_none():
+    class Slowed(SindyModel):
+        def forward(self, x, u):
+            return 0.5 * super().forward(x, u)
+
+    library, xi = made([A, B, U])
+    model = Slowed(SIGNATURE, library)
+    model.set_coefficients(xi)
+    x, u = drawn(6)
+    assert model.compiled(x, u) is None
+    wanted = reference(library, 0.5 * xi, x, u, 0.1, 2)[0]
+    torch.testing.assert_close(integrate(model, x, u, 0.1, 2)[0], wanted.float())
+
+
+def test_the_twin_rotor_has_derivatives_like_autograd():
+    model = SindyModel(Tras().signature, "rotor")
+    generator = torch.Generator().manual_seed(2)
+    model.set_coefficients(torch.randn(model.coefficients.shape, generator=generator) * 1e-3)
+    x, u = torch.randn(33, 6, generator=generator), torch.rand(33, 2, generator=generator)
+    code = model.compiled(x, u)
+    a, b = code.sensitivities(x, u, 0.05, 1)
+    z = torch.cat([x, u], -1).double()
+    slopes = torch.func.vmap(torch.func.jacrev(lambda z: integrate(model, z[:6], z[6:], 0.05, 1)[0][-1]))(z)
+    torch.testing.assert_close(torch.cat([a, b], -1), slopes.float(), rtol=1e-4, atol=1e-6)
+
+
+def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
+    register_function("third_test", lambda z: z / 3, formula="1 / 3 * {0}")
+    register_function("half_test", lambda z: z / 2, formula="{0} / 2")
+    library = Library(SIGNATURE, [of("third_test", "a"), of("half_test", "a")])
+    xi = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    code, (x, u) = machine(library, xi), drawn(5)
+    torch.testing.assert_close(code.integrate(x, u, 0.3, 1)[0], reference(library, xi, x, u, 0.3, 1)[0].float())
+    slopes = code.sensitivities(x, u, 0.3, 1)[0][:, :, 0]
+    wanted = torch.tensor([math.exp(0.1), 1.5 * (math.exp(0.1) - 1)])  # of a' = a / 3, b' = a / 2 over 0.3 s
+    torch.testing.assert_close(slopes, wanted.expand(5, 2), rtol=1e-5, atol=1e-6)
+    for name in ("third_test", "half_test"):
+        unregister_function(name)
+
+
+def test_the_wrong_number_of_inputs_is_no_business_of_machine_code():
+    library, xi = made([A, B, U])
+    model = SindyModel(SIGNATURE, library)
+    model.set_coefficients(xi)
+    x, u = drawn(6)
+    assert model.compiled(x, u) is not None
+    assert model.compiled(x, u[:, :0]) is None and model.compiled(x[:, :1], u) is None

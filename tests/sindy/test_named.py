@@ -1,0 +1,261 @@
+"""Named libraries hold the functions that they are named for, as PySINDy computes them."""
+
+import math
+
+import numpy as np
+import pysindy
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.functions import register_function
+from dynasindy.sindy.library import Library, of, variable
+from dynasindy.sindy.named_libraries import (
+    NAMED,
+    auto,
+    auto_rig,
+    build_library,
+    dead_zone,
+    fourier,
+    friction,
+    paper_equation,
+    paper_table,
+    polynomial,
+    product_of,
+    rotor,
+    sum_of,
+    terms,
+)
+from dynasindy.systems import Tras, Xi
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+
+
+def _points(n: int = 5) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return tuple(2 * torch.rand(n, k, generator=generator, dtype=torch.float64) - 1 for k in (6, 2))
+
+
+def test_the_paper_s_libraries_have_27_and_40_functions_in_its_order():
+    table = paper_table(Xi().signature)
+    assert len(table) == 27
+    assert table.names[0] == "1"
+    assert table.names[9:11] == ("alpha_a cos(alpha_p)", "alpha_p cos(alpha_p)")
+    assert table.names[17] == "alpha_a^2 sin(alpha_p)"
+    assert table.names[25:] == ("sin(alpha_p)", "cos(alpha_p)")
+    assert len(paper_equation(Xi().signature)) == 40
+
+
+def test_numbers_of_polynomial_and_fourier_functions():
+    assert len(polynomial(SIGNATURE, degree=3)) == 20
+    assert len(fourier(SIGNATURE, n_frequencies=2, variables=["a"])) == 4
+
+
+def test_sums_keep_each_function_once_and_products_multiply():
+    one = Library(SIGNATURE, [variable("a"), variable("b")])
+    two = Library(SIGNATURE, [variable("b"), of("sin", "a")])
+    assert (one + two).names == ("a", "b", "sin(a)")
+    assert (one * two).names == ("a b", "b^2", "a sin(a)", "b sin(a)")
+    builders = [lambda s: polynomial(s, 1), lambda s: fourier(s)]
+    assert len(sum_of(SIGNATURE, builders)) == 4 + 6
+    assert len(product_of(SIGNATURE, builders)) == 4 * 6
+
+
+def test_user_functions_can_be_used_by_name():
+    register_function("cube_test", lambda z: z**3)
+    x, u = torch.tensor([[2.0, 3.0]]), torch.zeros(1, 1)
+    assert terms(SIGNATURE, ["cube_test"], ["b"])(x, u).tolist() == [[27.0]]
+
+
+def test_the_rotor_library_says_which_function_belongs_to_which_equation():
+    library = rotor(Tras().signature)
+    assert set(library.allowed["omega_p"]) == {
+        "1",
+        "u_p",
+        "omega_p",
+        "|omega_p|",
+        "omega_p |omega_p|",
+        "omega_p^2",
+    }
+    assert "omega_p |omega_p|" not in library.allowed["Omega_a"]
+
+
+def test_degrees_and_harmonics_below_one_are_refused():
+    with pytest.raises(ValueError, match="degree 0"):
+        polynomial(SIGNATURE, degree=0)
+    with pytest.raises(ValueError, match="0 harmonics"):
+        fourier(SIGNATURE, n_frequencies=0)
+
+
+def _wide_points(n: int = 60) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = np.random.default_rng(0)
+    return torch.from_numpy(generator.uniform(-2, 2, (n, 6))), torch.from_numpy(generator.uniform(-1, 1, (n, 2)))
+
+
+def _values(library, z) -> np.ndarray:
+    return np.asarray(library.fit(z).transform(z))
+
+
+def _same_functions(ours: torch.Tensor, theirs: np.ndarray) -> bool:
+    """Whether columns are equal up to their order."""
+    if ours.shape != theirs.shape:
+        return False
+    one, two = (table[:, np.lexsort(np.round(table, 9))] for table in (ours.numpy(), theirs))
+    return np.allclose(one, two, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_polynomials_are_pysindy_s(degree):
+    x, u = _wide_points()
+    theirs = _values(pysindy.PolynomialLibrary(degree), torch.cat([x, u], -1).numpy())
+    assert theirs.shape[1] == math.comb(8 + degree, degree)
+    assert _same_functions(polynomial(Xi().signature, degree)(x, u), theirs)
+
+
+@pytest.mark.parametrize("harmonics", [1, 3])
+def test_harmonics_are_pysindy_s(harmonics):
+    x, u = _wide_points()
+    theirs = _values(pysindy.FourierLibrary(harmonics), torch.cat([x, u], -1).numpy())
+    assert _same_functions(fourier(Xi().signature, harmonics)(x, u), theirs)
+
+
+def test_the_paper_s_libraries_are_made_of_pysindy_s():
+    x, u = _wide_points()
+    z = torch.cat([x, u], -1).numpy()
+    linear = _values(pysindy.PolynomialLibrary(1, include_bias=False), z)
+    trigonometric = _values(pysindy.FourierLibrary(1), z)
+    sine, cosine = _values(pysindy.FourierLibrary(1), z[:, 1:2]).T[:, :, None]
+    products = [linear, linear * cosine, linear**2 * sine]
+    table = np.concatenate([np.ones((60, 1)), *products, sine, cosine], 1)
+    assert np.allclose(paper_table(Xi().signature)(x, u), table)  # in the order of the table
+    assert _same_functions(paper_equation(Xi().signature)(x, u), np.concatenate([*products, trigonometric], 1))
+
+
+def test_the_angle_of_the_paper_s_library_may_be_another():
+    x, u = _wide_points()
+    theta = paper_table(Xi().signature, angle="alpha_a")(x, u)
+    assert torch.allclose(theta[:, 25], torch.sin(x[:, 0])) and torch.allclose(theta[:, 26], torch.cos(x[:, 0]))
+
+
+@pytest.mark.parametrize("rate", ["Omega_p", "omega_a", "omega_p"])
+def test_the_rotor_library_represents_the_equations_of_tras(rate):
+    # Exact derivatives of the first-principles plant lie in the span of the functions allowed in that equation.
+    library, plant = rotor(Tras().signature), Tras()
+    x, u = _wide_points(400)
+    x = x * torch.tensor([1, 0.3, 1, 1, 2000, 1500])
+    allowed = [library.index(n) for n in library.allowed[rate]]
+    theta, dx = library(x, u)[:, allowed], plant(x, u)[:, [plant.signature.state_index(rate)]]
+    scaled = theta / theta.norm(dim=0)
+    rest = dx - scaled @ torch.linalg.lstsq(scaled, dx, driver="gelsd").solution
+    assert float(rest.norm() / (dx - dx.mean()).norm()) < 1e-3
+
+
+@pytest.mark.parametrize("name", list(NAMED))
+def test_every_named_library_is_finite_and_without_repeats(name):
+    library = build_library(name, Xi().signature)
+    theta = library(*_wide_points())
+    assert theta.shape == (60, len(library)) and bool(theta.isfinite().all())
+    assert len(set(library.names)) == len(library)
+
+
+def test_libraries_are_built_from_words_builders_and_libraries():
+    words = build_library(["1", "alpha_p", "omega_a |omega_a|", "Omega_a^2 sin(2 alpha_p)"], Xi().signature)
+    x, u = _wide_points()
+    expected = [torch.ones(60).double(), x[:, 1], x[:, 4] * x[:, 4].abs(), x[:, 2] ** 2 * torch.sin(2 * x[:, 1])]
+    assert torch.allclose(words(x, u), torch.stack(expected, -1))
+    assert build_library(words, Xi().signature) is words
+    assert len(build_library(lambda s: polynomial(s, 1), Xi().signature)) == 9
+
+
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: build_library("papertable", SIGNATURE), "'papertable' does not exist; allowed are paper_table"),
+        (lambda: build_library(["a +"], SIGNATURE), "cannot be read"),
+        (lambda: build_library(["sinus(a)"], SIGNATURE), "'sinus' is not known"),
+        (lambda: paper_table(SIGNATURE), "names alpha_p, which is no state and no input"),
+    ],
+)
+def test_what_cannot_be_built_is_refused_in_one_line(build, said):
+    with pytest.raises(ValueError, match=r".") as error:
+        build()
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+AXIS = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+MOTOR, SPRING, VISCOUS = 8.0, 2.5, 0.6
+COULOMB, EXTRA = {1: 1.5, -1: 0.9}, {1: 1.0, -1: 0.5}
+"""Dry friction that turns one way and the other, and what sticking adds to it [rad/s^2]."""
+WIDTH, SLIP = 30.0, 4.0
+
+
+def axis(t: float, z: np.ndarray, u: float) -> list[float]:
+    """An axis against a spring, written direction by direction."""
+    way = 1 if z[1] > 0 else -1
+    dry = (COULOMB[way] + EXTRA[way] * math.exp(-((SLIP * z[1]) ** 2))) * math.tanh(WIDTH * z[1])
+    return [z[1], MOTOR * u - SPRING * z[0] - VISCOUS * z[1] - dry]
+
+
+def log_of_an_axis(n: int = 1500, dt: float = 0.01) -> Transitions:
+    """Angle and rate under a sum of sines, sampled and held, by scipy."""
+    t = dt * np.arange(n)
+    u = 0.25 * sum(np.sin(2 * np.pi * f * t + phase) for f, phase in ((0.2, 0), (0.5, 1), (0.9, 2), (1.7, 4)))
+    x = [np.zeros(2)]
+    for held in u:
+        x.append(solve_ivp(axis, (0, dt), x[-1], args=(held,), rtol=1e-9, atol=1e-11).y[:, -1])
+    return Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt)
+
+
+def test_friction_that_differs_by_direction_is_identified_from_a_log():
+    refinement = Refinement("one_step", rounds=4)
+    model = SindyModel(AXIS, "friction", Regression("bic"), refinement, known={"a": "w"})
+    model.fit(log_of_an_axis())
+    width, slip = (shape.frequency for shape in model.library.shapes)
+    assert (width, slip) == (pytest.approx(WIDTH, rel=1e-3), pytest.approx(SLIP, rel=1e-3))
+    found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
+    dry, stuck = (f"tanh({width:g} w)", f"exp(-({slip:g} w)^2) tanh({width:g} w)")
+    assert found[dry] + found[f"sign(w) {dry}"] == pytest.approx(-COULOMB[1], rel=1e-3)
+    assert found[dry] - found[f"sign(w) {dry}"] == pytest.approx(-COULOMB[-1], rel=1e-3)
+    assert found[stuck] + found[f"sign(w) {stuck}"] == pytest.approx(-EXTRA[1], rel=2e-3)
+    assert found[stuck] - found[f"sign(w) {stuck}"] == pytest.approx(-EXTRA[-1], rel=2e-3)
+    linear = {"a": -SPRING, "w": -VISCOUS, "u": MOTOR, "1": 0.0}
+    assert {name: found[name] for name in linear} == pytest.approx(linear, rel=1e-3, abs=1e-3)
+
+
+def test_a_dead_zone_with_two_edges_is_identified_from_a_noisy_log():
+    signature, rng = Signature(("v",), ("m/s",), ("u",), (1.0,)), np.random.default_rng(1)
+    u, v, phi = rng.uniform(-1, 1, 100).repeat(10), [0.0], math.exp(-1.5 * 0.02)
+    for held in u:  # v' = -1.5 v + 6 d(u), its closed form
+        through = held - 0.25 if held > 0.25 else min(held + 0.14, 0.0)
+        v.append(phi * v[-1] + (1 - phi) / 1.5 * 6 * through)
+    x = torch.tensor(v).double() + 0.01 * torch.from_numpy(rng.normal(size=1001))
+    model = SindyModel(signature, "dead_zone", Regression("bic"), Refinement("auto", rounds=4))
+    model.fit(Transitions.from_trajectory(x[:, None], torch.from_numpy(u)[:, None], 0.02))
+    assert [shape.frequency for shape in model.library.shapes] == pytest.approx([0.25, -0.14], abs=0.01)
+    # 1, v, u, and one bend at either edge; u + 0.14 up to the lower edge and nothing from there to the upper one.
+    expected = [6 * 0.14, -1.5, 6.0, 6.0, -6.0]
+    assert model.coefficients[:, 0].tolist() == pytest.approx(expected, rel=0.03)
+
+
+def test_friction_is_that_of_the_rates_of_a_plant_or_of_the_states_that_are_named():
+    assert {s.variables for s in build_library("friction", Xi().signature).shapes} == {("Omega_a",), ("Omega_p",)}
+    headings = Signature(("y", "z"), ("-", "-"), ("u",), (2.0, 40.0))
+    shapes = {(s.variables[0], s.function): s.frequency for s in build_library("friction", headings).shapes}
+    # Full at a twentieth of the range, no longer sticking beyond a quarter of it.
+    assert shapes == {("y", "tanh"): 10.0, ("y", "bell"): 2.0, ("z", "tanh"): 0.5, ("z", "bell"): 0.1}
+    assert {s.variables for s in friction(headings, ["z"]).shapes} == {("z",)}
+    assert len(dead_zone(Xi().signature, ["u_a"])) == 9 + 2
+
+
+def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns():
+    one = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 4.0))
+    assert set(auto_rig(one).names) - set(auto(one).names) == {"tanh(5 w)"}  # full beyond a 20th of the range
+    cart = Signature(("p", "a", "v", "w"), ("m", "rad", "m/s", "rad/s"), ("u",), (1.0, 1.0, 2.0, 10.0))
+    dry = {"tanh(10 v)", "tanh(2 w)"}
+    assert set(auto_rig(cart).names) - set(auto(cart).names) == dry | {f"{f} cos(a)" for f in dry}
+    assert all(shape.fitted for shape in auto_rig(one).shapes)
+    tank = Signature(("h",), ("cm",), ("u",), (1.0,))
+    assert auto_rig(tank).names == auto(tank).names

@@ -1,0 +1,173 @@
+"""Noise of sensors, told from what a model lacks and from random pushes by what single steps miss."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import expm
+
+from dynasindy.sindy.library import Library, variable
+from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.noise import looks_noisy, sensor_noise, stands_on_steps
+from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.regression import Regression
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+N = 20_000
+
+
+def noisy(*errors: np.ndarray, segments: np.ndarray | None = None) -> bool:
+    """What is said of a model that says that nothing moves, where states move by these errors at each step."""
+    n, n_x = len(errors[0]), len(errors)
+    names = tuple(f"y{k}" for k in range(n_x))
+    library = Library(Signature(names, ("-",) * n_x, ("u",), (1.0,) * n_x), [variable(names[0])])
+    x = torch.zeros(n, n_x, dtype=torch.float64)
+    labels = torch.zeros(n, dtype=torch.int64) if segments is None else torch.from_numpy(segments)
+    moved = torch.from_numpy(np.stack(errors, -1))
+    data = Transitions(x, torch.zeros(n, 1, dtype=torch.float64), moved, 0.1, labels)
+    return looks_noisy(library, torch.zeros(1, n_x, dtype=torch.float64), data)
+
+
+def white(seed: int, n: int = N) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=n)
+
+
+def sensor(seed: int, n: int = N) -> np.ndarray:
+    """Errors of single steps that white noise of a sensor makes, of variance 1."""
+    return np.diff(white(seed, n + 1))
+
+
+def test_noise_of_a_sensor_is_told_beneath_far_larger_errors_that_last():
+    """A model that lacks a slow state misses every step in the same way for long: neighbours correlate by almost 1."""
+    lasting = 20 * np.sin(np.arange(N) / 50)
+    both = lasting + sensor(0)
+    assert np.corrcoef(both[:-1], both[1:])[0, 1] > 0.9
+    assert noisy(both) and noisy(sensor(0))
+    assert not noisy(lasting) and not noisy(np.full(N, 0.5))
+
+
+@pytest.mark.parametrize(("ratio", "told"), [(0.0, False), (0.45, False), (0.55, True)])
+def test_random_pushes_are_told_from_noise_up_to_twice_its_variance(ratio, told):
+    """Changes of w_k + n_k+1 - n_k correlate by -(1 + 4 r)/(2 + 6 r), r the variance of n over that of w."""
+    assert (-(1 + 4 * ratio) / (2 + 6 * ratio) < -0.6) == told
+    errors = white(1, 200_000) + np.sqrt(ratio) * sensor(2, 200_000)
+    assert noisy(errors) == told
+
+
+def test_one_noisy_state_is_enough():
+    """Its noise stands in the functions of all equations."""
+    assert noisy(white(3), sensor(4)) and not noisy(white(3), white(5))
+
+
+def test_changes_across_two_segments_are_none():
+    errors = np.tile([1.0, 1.0, 1.0, -2.0, -2.0, -2.0], 10)  # within each segment nothing changes
+    assert not noisy(errors, segments=np.arange(60) // 3)
+    alternating = np.tile([1.0, -1.0], 30)
+    assert noisy(alternating) and not noisy(alternating, segments=np.arange(60))
+
+
+@pytest.mark.parametrize("n", [50, 100, 200])
+def test_few_random_pushes_are_not_taken_for_noise_but_noise_is(n):
+    """By chance the changes of fifty pushes correlate by less than -0.6 in every seventh recording."""
+    states = range(4)
+    pushed = [noisy(*(white(10 * seed + k, n) for k in states)) for seed in range(100)]
+    sensed = [noisy(*(sensor(10 * seed + k, n) for k in states)) for seed in range(100)]
+    assert sum(pushed) <= 3 and sum(sensed) >= 97
+
+
+@pytest.mark.parametrize(("w", "damping", "dt"), [(8.0, 0.4, 0.25), (8.0, 0.7, 0.1875), (8.0, 0.4, 0.05)])
+def test_a_clean_log_with_long_steps_and_an_input_that_jumps_at_each_is_not_noisy(w, damping, dt):
+    """The motion is that of a'' = w^2 (u - a) - 2 damping w a', by its matrix exponential."""
+    step = expm(dt * np.array([[0, 1, 0], [-(w**2), -2 * damping * w, w**2], [0, 0, 0]]))
+    rng, x = np.random.default_rng(0), [np.zeros(2)]
+    u = rng.uniform(-1, 1, 600)
+    for held in u:
+        x.append((step @ [*x[-1], held])[:2])
+    signature = Signature(("a", "b"), ("m", "m/s"), ("u",), (1.0, w))
+    model = SindyModel(signature, ["a", "b", "u"], Regression("bic"), Refinement("auto"), known={"a": "b"})
+    found = model.fit(Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt))
+    assert model.delay == 0 and any("do not look like noise" in note for note in found.notes)
+    assert model.coefficients[:, 1].tolist() == pytest.approx([-(w**2), -2 * damping * w, w**2], rel=1e-5)
+
+
+@pytest.mark.parametrize("own", [-0.6, 0.5, 0.95])
+@pytest.mark.parametrize(("sensor_part", "told"), [(1.0, True), (0.0, False)])
+def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part, told):
+    """x+ = own x + u + w, seen through noise n: R is the variance of n, and 0 where pushes are all there is."""
+    rng, n, size = np.random.default_rng(5), 4000, 0.1
+    u, x = rng.standard_normal(n), np.zeros(n + 1)
+    for k in range(n):
+        x[k + 1] = own * x[k] + u[k] + (1 - sensor_part) * size * rng.standard_normal()
+    seen = torch.from_numpy(x + sensor_part * size * rng.standard_normal(n + 1)).unsqueeze(-1)
+    data = Transitions.from_trajectory(seen, torch.from_numpy(u).unsqueeze(-1), 0.2)
+    signature = Signature(("x",), ("-",), ("u",), (1.0,))
+    library = Library(signature, [variable("x"), variable("u")], step=0.2)
+    xi = torch.tensor([[(own - 1) / 0.2], [1 / 0.2]], dtype=torch.float64)
+    noise, share = sensor_noise(library, xi, data)
+    assert float(noise) == pytest.approx(0.01 * sensor_part, abs=0.001)
+    assert looks_noisy(library, xi, data) == told == (float(share) > 0.6)
+
+
+def read_in_steps(step: float, moving: np.ndarray) -> Transitions:
+    """Readings of a motion, a sample every 0.1 s."""
+    x = torch.from_numpy(step * np.round(moving / step) if step else moving).unsqueeze(-1)
+    return Transitions.from_trajectory(x, torch.zeros(len(x) - 1, 1, dtype=torch.float64), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (
+            read_in_steps(0.5, 5 * np.sin(np.arange(2000) / 100)),
+            True,
+        ),  # at most a tenth of a step from sample to sample
+        (read_in_steps(0.01, 5 * np.sin(np.arange(2000) / 100)), False),  # five steps
+        (read_in_steps(0.0, 5 * np.sin(np.arange(2000) / 100)), False),
+        (read_in_steps(0.0, np.maximum(0, np.sin(np.arange(2000) / 100) - 0.5)), False),  # at rest for two thirds
+    ],
+)
+def test_a_reading_that_stands_still_between_steps_is_told_from_a_plant_that_does(data, told):
+    assert stands_on_steps(data).tolist() == [told]
+
+
+@pytest.mark.parametrize(
+    ("moves", "told"),
+    [
+        ([1.0, 0.0, 0.0, -1.0, 0.0] * 40, True),
+        ([1.0, 0.0, 0.0, -1.0, 0.0] * 4, False),  # eight moves are too few
+        ([1.0, -1.0] * 100, False),  # it never stands still
+        ([1.0, 0.0, 0.0, -1.3, 0.0, 0.0, 0.3, 0.0] * 40, False),  # not in whole steps
+        ([1.0, 0.0, 0.0, -1.3, 0.0, 0.0, 1.15, 0.0] * 40, False),
+        ([1.0, 0.0, 0.0, -4.0, 0.0, 0.0, 3.0, 0.0, 0.0] * 40, False),  # it mostly passes several at once
+    ],
+)
+def test_a_reading_stands_on_steps_where_most_of_its_many_moves_are_one_of_them(moves, told):
+    x = torch.tensor([0.0, *moves], dtype=torch.float64).cumsum(0).unsqueeze(-1)
+    data = Transitions.from_trajectory(x, torch.zeros(len(x) - 1, 1, dtype=torch.float64), 0.1)
+    assert stands_on_steps(data).tolist() == [told]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_heater_that_is_read_in_coarse_steps_is_within_its_standard_errors(seed):
+    """T' = 0.1 u(t - 7 s) - T / 600 s, sampled every 2 s and read in steps of 0.5 K, which it takes long to pass."""
+    rng, kept = np.random.default_rng(seed), math.exp(-1 / 600)  # within a second
+    u = np.repeat(rng.uniform(0, 1, 25), 60)
+    x = np.zeros(len(u) + 1)
+    for k in range(len(u)):  # what was given 7 s before changes in the middle of a period
+        first, then = (60 * u[max(place, 0)] * (place >= 0) for place in (k - 4, k - 3))
+        x[k + 1] = kept**2 * x[k] + (1 - kept) * (kept * first + then)
+    read = torch.from_numpy(0.5 * np.round(x / 0.5)).unsqueeze(-1)
+    model = SindyModel(
+        Signature(("T",), ("K",), ("u",), (30.0,)),
+        ["T", "u", "T^2"],
+        Regression(method="bic"),
+        Refinement(method="auto", longest_delay=20.0),
+    )
+    model.fit(Transitions.from_trajectory(read, torch.from_numpy(u).unsqueeze(-1), 2.0))
+    xi = model.coefficients[:, 0]
+    assert model.delay == pytest.approx(7.0, abs=0.2) and model.covariance is not None and float(xi[2]) == 0
+    errors = model.covariance.shares(model.coefficients).flatten() * xi[:2].abs()
+    assert bool(((xi[:2] - torch.tensor([-1 / 600, 0.1])).abs() < 3 * errors).all())
+    assert bool((errors < 0.01 * xi[:2].abs()).all())

@@ -1,0 +1,197 @@
+"""A reward out of what was paid, against rewards written down by hand."""
+
+import copy
+import math
+from functools import partial
+
+import gymnasium
+import pytest
+import torch
+
+from dynasindy.agents import TD3
+from dynasindy.data import DynaReplay
+from dynasindy.dyna.experiment import Recipe
+from dynasindy.dyna.loop import Settings, train
+from dynasindy.envs import Foreign, GymnasiumEnv
+from dynasindy.excitation import Multisine
+from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay
+from dynasindy.sindy import OwnReward, SindyModel
+from dynasindy.systems import Diverged, Signature
+
+SIGNATURE = Signature(("a", "b"), ("m", "m"), ("u",), (2.0, 4.0))
+FREE = torch.tensor(False)
+PENDULUM = ["1", "c", "c^2", "c^3", "sqrt(c - -1)", "c sqrt(c - -1)", "w^2", "torque^2"]
+
+
+def drawn(rows=300, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    x, x_next, u = (torch.randn(rows, n, generator=generator).double() for n in (2, 2, 1))
+    return x, u.clamp(-1.0, 1.0), x_next
+
+
+def earned(task, x, u, x_next):
+    return task.earned(x, u, x_next, torch.zeros(0), torch.zeros(1), FREE)
+
+
+@pytest.mark.parametrize("later", [False, True])
+def test_a_reward_of_either_end_of_the_period_is_found(later):
+    x, u, x_next = drawn()
+    a, b = (x_next if later else x).unbind(-1)
+    paid = 3.0 - 2.0 * a**2 + 0.5 * a * b - 0.1 * u[:, 0] ** 2
+    task = OwnReward(SIGNATURE)
+    assert not earned(task, x, u, x_next).any()  # nothing is known yet
+    task.learn(x, u, x_next, paid)
+    torch.testing.assert_close(earned(task, *drawn(20, 1)), _by_hand(*drawn(20, 1), later), atol=1e-6, rtol=1e-6)
+    where = "at the end of a period" if later else "at its start"
+    assert task.words().startswith("3 - 2 a^2 + 0.5 a b - 0.1 u^2, of the state " + where + ", leaves ")
+    assert task.unit == pytest.approx(float(paid.std()))
+
+
+def _by_hand(x, u, x_next, later):
+    a, b = (x_next if later else x).unbind(-1)
+    return 3.0 - 2.0 * a**2 + 0.5 * a * b - 0.1 * u[:, 0] ** 2
+
+
+def test_what_a_library_cannot_express_is_refused_in_one_line_and_changes_nothing():
+    x, u, x_next = drawn()
+    task = OwnReward(SIGNATURE)
+    task.learn(x, u, x_next, x[:, 0])
+    before = earned(task, x, u, x_next)
+    with pytest.raises(Diverged, match=r"leave [\d.]+ % over of what the plant pays, more than 10 %") as refused:
+        task.learn(x, u, x_next, torch.sin(9.0 * x[:, 0]))
+    assert "\n" not in str(refused.value)
+    assert torch.equal(earned(task, x, u, x_next), before)
+    # What is left over is counted in deviations: a wave of a twelfth of them passes, of a fifth it does not.
+    scale = float(x[:, 0].std()) * math.sqrt(2)
+    task.learn(x, u, x_next, x[:, 0] + scale / 12 * torch.sin(40.0 * x[:, 0]))
+    with pytest.raises(Diverged):
+        task.learn(x, u, x_next, x[:, 0] + scale / 5 * torch.sin(40.0 * x[:, 0]))
+
+
+def test_a_reward_that_is_always_the_same_is_refused():
+    with pytest.raises(Diverged, match="paid 1 in each of 300 periods, which tells no good state from a bad one"):
+        OwnReward(SIGNATURE).learn(*drawn(), torch.ones(300))
+
+
+def test_a_reward_of_inputs_alone_is_refused():
+    """As of MountainCarContinuous-v0 before it has reached the flag."""
+    x, u, x_next = drawn()
+    with pytest.raises(Diverged, match="depends on inputs alone, so that the best is to rest"):
+        OwnReward(SIGNATURE).learn(x, u, x_next, -0.1 * u[:, 0] ** 2)
+
+
+def test_a_given_reward_is_used_and_compared_with_what_was_paid():
+    x, u, x_next = drawn()
+
+    def reward(x, u, x_next):
+        return x[..., 0] - 2.0 * x_next[..., 1] * u[..., 0]
+
+    task = OwnReward(SIGNATURE, reward)
+    torch.testing.assert_close(earned(task, x, u, x_next), x[:, 0] - 2.0 * x_next[:, 1] * u[:, 0])
+    task.learn(x, u, x_next, reward(x, u, x_next))
+    assert "the function that was given, leaves 0 % over" in task.words()
+    off = reward(x, u, x_next)
+    task.learn(x, u, x_next, off + 0.5 * off.std())  # half a deviation beside it, everywhere
+    assert "leaves 50 % over of what 300 periods paid" in task.words()
+
+
+@pytest.mark.parametrize(
+    "reward", [lambda x, u, x_next: x[..., :1], lambda x, u, x_next: x[..., 0] / 0.0, lambda x, u, x_next: x.sum()]
+)
+def test_a_given_reward_of_another_shape_or_without_a_number_is_refused(reward):
+    x, u, x_next = drawn()
+    with pytest.raises(
+        Diverged, match=r"task\.reward returned numbers of shape .*one finite number per period, \(300,\)"
+    ):
+        OwnReward(SIGNATURE, reward).learn(x, u, x_next, x[:, 0])
+
+
+def test_a_plant_that_pays_no_number_is_told():
+    x, u, x_next = drawn()
+    paid = x[:, 0].clone()
+    paid[3] = torch.nan
+    with pytest.raises(Diverged, match="paid what is no finite number in 1 periods"):
+        OwnReward(SIGNATURE, lambda x, u, x_next: x[..., 0]).learn(x, u, x_next, paid)
+
+
+def test_what_was_learnt_is_kept():
+    x, u, x_next = drawn()
+    task, other = OwnReward(SIGNATURE), OwnReward(SIGNATURE)
+    task.learn(x, u, x_next, x_next[:, 1] ** 2 - u[:, 0])
+    other.load_state_dict(copy.deepcopy(task.state_dict()))
+    assert torch.equal(earned(other, x, u, x_next), earned(task, x, u, x_next))
+    assert (other.words(), other.unit) == (task.words(), task.unit)
+
+
+def test_a_reward_without_inputs_is_that_of_inputs_of_zero():
+    x, u, x_next = drawn()
+    task = OwnReward(SIGNATURE)
+    task.learn(x, u, x_next, x[:, 0] - 7.0 * u[:, 0])
+    torch.testing.assert_close(task.reward(x, x_next, torch.zeros(0), torch.zeros(1), FREE), x[:, 0])
+
+
+def of_pendulum(planning, seed=0):
+    """Return the parts of an experiment on Pendulum-v1 under its own reward."""
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"], stops=["w"])
+    products = ["1", "c", "s", "w", "torque", "c s", "c w", "s w", "s^2", "c torque", "s torque"]
+    return Recipe(
+        system=system,
+        task=partial(OwnReward, library=PENDULUM, max_steps=100),
+        env=GymnasiumEnv,
+        excitation=partial(Multisine, duration=5.0, amplitude=1.0, seed=seed),
+        world_model=partial(SindyModel, library=products),
+        agent=partial(TD3, hidden=(16,)),
+        replay=partial(DynaReplay, 1000, 16),
+        planning=planning,
+        gate=Gate(),
+        train=Settings(1, 0.1),
+        seed=seed,
+    ).build()
+
+
+@pytest.mark.parametrize(
+    "planning",
+    [
+        partial(ImaginedReplay, rollouts=4, horizon=3),
+        partial(GradientPlanning, updates=2, more_updates=1, rollouts=4, window=5, searches=1),
+    ],
+    ids=["dyna", "gradient"],
+)
+def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing):
+    """-(angle^2 + 0.1 w^2 + 0.001 torque^2) of the state at the start, as Gymnasium documents it; torques up to 2."""
+    parts = of_pendulum(planning)
+    assert parts.model_env.task is parts.plant.task
+    heard = hearing()
+    train(parts, Settings(1, 0.1), heard)
+    for rows in heard.rollouts:
+        angle = torch.atan2(rows["state"][:, 1], rows["state"][:, 0])
+        torque = 2.0 * rows["action"][:, 0].clamp(-1.0, 1.0)
+        paid = -(angle**2 + 0.1 * rows["state"][:, 2] ** 2 + 0.001 * torque**2)
+        torch.testing.assert_close(rows["next", "reward"][:, 0].double(), paid, rtol=1e-4, atol=1e-4)
+        assert torch.equal(rows["next", "reward"], rows["next", "own_reward"])
+    x = torch.tensor([[math.cos(k), math.sin(k), 2.0] for k in (0.0, 0.5, -1.0, 2.0)])
+    u = torch.tensor([[0.0], [1.0], [-1.0], [0.5]])
+    imagined = parts.model_env.step(parts.model_env.start_from(x).set("action", u))["next", "reward"]
+    by_hand = -(torch.tensor([0.0, 0.5, -1.0, 2.0]) ** 2 + 0.4)
+    torch.testing.assert_close(imagined[:, 0], by_hand, rtol=0, atol=0.35)
+    resumed = of_pendulum(planning)
+    resumed.load_state_dict(parts.state_dict())
+    assert resumed.plant.task.words() == parts.plant.task.words() != ""
+
+
+def test_an_episode_that_the_environment_ends_is_worth_nothing_afterwards():
+    """The flag of the car pays 100 once; the value of what follows is not asked for."""
+    system = Foreign("MountainCarContinuous-v0", {"p": 1.2, "v": 0.07})
+    env = GymnasiumEnv(system, OwnReward(system.signature, max_steps=300), dt=1.0)
+
+    def pumping(tensordict):
+        return tensordict.set("action", tensordict["state"][..., -1:].sign().float())
+
+    rows = env.rollout(300, pumping)
+    end = rows["next"][-1]
+    assert len(rows) < 200 and bool(end["terminated"]) and bool(end["done"])
+    assert not rows["next", "terminated"][:-1].any()
+    assert float(end["reward"]) == pytest.approx(99.9, abs=0.2)
+    copies = gymnasium.make("MountainCarContinuous-v0")
+    copies.reset(seed=0)
+    assert copies.step([1.0])[1] == pytest.approx(-0.1)

@@ -1,0 +1,153 @@
+"""Errors of prediction on plants whose motion is known in closed form."""
+
+import math
+
+import numpy as np
+import torch
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop, variance
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.transitions import Transitions
+
+MATRIX = np.array([[0.0, 1.0], [-4.0, -0.4]])
+
+
+class Linear(System):
+    """x' = A x + (0, 3) u."""
+
+    def __init__(self, matrix):
+        super().__init__(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)))
+        self.matrix = torch.from_numpy(matrix)
+
+    def forward(self, x, u):
+        return x @ self.matrix.to(x).mT + torch.cat([torch.zeros_like(u), 3 * u], -1)
+
+
+class Explosion(Linear):
+    """x' = x^3, infinite after a finite time."""
+
+    def forward(self, x, u):
+        return x**3
+
+
+def recording(dt: float = 0.1, seed: int = 0, n: int = 40) -> Transitions:
+    """Two segments of the exact motion under held inputs."""
+    step = expm(dt * np.block([[MATRIX, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    generator, parts = np.random.default_rng(seed), []
+    for _ in range(2):
+        u, states = generator.uniform(-1, 1, (n, 1)), [generator.normal(size=2)]
+        for held in u:
+            states.append(step[:2, :2] @ states[-1] + step[:2, 2:] @ held)
+        parts.append(Transitions.from_trajectory(torch.from_numpy(np.array(states)), torch.from_numpy(u), dt))
+    return Transitions.cat(parts)
+
+
+def test_the_true_model_errs_by_its_integration_only_and_that_by_fourth_order():
+    data = recording()
+    model = Linear(MATRIX)
+    coarse, fine = one_step_error(model, data), one_step_error(model, data, substeps=2)
+    assert float(coarse.max()) < 1e-4
+    assert bool(((coarse / fine > 12) & (coarse / fine < 20)).all())
+    assert float(nrmse(open_loop(model, data, substeps=20), data).max()) < 1e-8
+
+
+def test_the_error_of_a_wrong_model_is_that_of_its_matrix_exponential():
+    data, wrong = recording(), MATRIX + np.array([[0.0, 0.0], [0.5, 0.1]])
+    step = expm(0.1 * np.block([[wrong, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    predicted = data.x.numpy() @ step[:2, :2].T + data.u.numpy() @ step[:2, 2:].T
+    expected = np.sqrt(np.mean((predicted - data.x_next.numpy()) ** 2, 0)) / np.std(data.x_next.numpy(), 0, ddof=1)
+    assert np.allclose(one_step_error(Linear(wrong), data, substeps=10), expected, rtol=1e-6)
+
+
+def test_open_loop_starts_anew_with_each_segment_and_reads_inputs_only():
+    data, wrong = recording(), MATRIX + np.array([[0.0, 0.0], [0.5, 0.1]])
+    step = expm(0.1 * np.block([[wrong, np.array([[0.0], [3.0]])], [np.zeros((1, 3))]]))
+    expected = []
+    for k in range(80):
+        x = data.x[k].numpy() if k in (0, 40) else expected[-1]
+        expected.append(step[:2, :2] @ x + step[:2, 2:] @ data.u[k].numpy())
+    assert np.allclose(open_loop(Linear(wrong), data, substeps=10), expected, atol=1e-7)
+
+
+def test_relative_errors_are_those_of_the_formula():
+    x = torch.tensor([[0.0, 0.0], [1.0, 5.0], [2.0, 5.0], [3.0, 5.0]], dtype=torch.float64)
+    data = Transitions.from_trajectory(x, torch.zeros(3, 1), 0.1)
+    error = nrmse(data.x_next + torch.tensor([0.5, 0.0]), data)
+    assert error.tolist() == [0.5, 0.0]  # 1, 2, 3 deviate by 1
+
+
+def test_lost_samples_do_not_count_in_relative_errors():
+    x = torch.tensor([[0.0, 1.0], [1.0, 1.0], [math.nan, 1.0], [2.0, 1.0], [3.0, 1.0]], dtype=torch.float64)
+    x[:, 1] = math.nan
+    data = Transitions.from_trajectory(x, torch.zeros(4, 1), 0.1)
+    assert nrmse(x[1:].nan_to_num() + 0.5, data).tolist() == [0.5, math.inf]
+
+
+def test_a_prediction_that_overflows_has_an_infinite_error():
+    data = recording(n=60)
+    predicted = open_loop(Explosion(MATRIX), data)
+    assert not bool(predicted.isfinite().all())
+    assert nrmse(predicted, data).tolist() == [math.inf, math.inf]
+
+
+def swing() -> SindyModel:
+    """a' = b, b' = -9 sin a - 0.3 b + 2 u, as a sparse model."""
+    model = SindyModel(Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0)), ["b", "sin(a)", "u"])
+    model.set_coefficients(torch.tensor([[1.0, -0.3], [0.0, -9.0], [0.0, 2.0]]))
+    return model
+
+
+def solved(x0, inputs, dt) -> np.ndarray:
+    """States after each held input, by SciPy."""
+    states = [np.asarray(x0, dtype=float)]
+    for held in inputs:
+        ends = solve_ivp(
+            lambda t, x, u=held: [x[1], -9 * math.sin(x[0]) - 0.3 * x[1] + 2 * u],
+            (0, dt), states[-1], rtol=1e-11, atol=1e-12,
+        )  # fmt: skip
+        states.append(ends.y[:, -1])
+    return np.array(states)
+
+
+def test_substeps_of_predictions_and_simulations_approach_scipy_by_fourth_order():
+    model, inputs = swing(), [0.5, -1.0, 0.8]
+    x0, u = torch.tensor([[0.8, 0.5]], dtype=torch.float64), torch.tensor(inputs, dtype=torch.float64)
+    exact = solved([0.8, 0.5], inputs, 0.3)
+    errors = []
+    for substeps in (1, 2, 4, 32):
+        with torch.no_grad():
+            path = model.simulate(x0, u.reshape(1, 3, 1), 0.3, substeps)
+            once = model.predict(x0, u[:1].unsqueeze(0), 0.3, substeps)
+        assert path.shape == (1, 4, 2) and torch.equal(path[:, 0], x0) and torch.equal(path[:, 1], once)
+        errors.append(float((once[0] - torch.from_numpy(exact[1])).abs().max()))
+    assert np.allclose(path[0], exact, atol=1e-6)
+    assert all(9 < coarse / fine < 40 for coarse, fine in zip(errors[:2], errors[1:3])) and errors[3] < 1e-7
+
+
+def test_substeps_of_both_errors_approach_scipy():
+    model, inputs = swing(), [0.5, -1.0, 0.8, 0.1, -0.4]
+    exact = torch.from_numpy(solved([0.8, 0.5], inputs, 0.3))
+    data = Transitions.from_trajectory(exact, torch.tensor(inputs, dtype=torch.float64).unsqueeze(-1), 0.3)
+    coarse, fine = (one_step_error(model, data, substeps=n) for n in (1, 2))
+    assert float((coarse / fine).min()) > 7 and float(one_step_error(model, data, substeps=30).max()) < 1e-6
+    assert float(nrmse(open_loop(model, data, substeps=30), data).max()) < 1e-5
+
+
+def test_a_variance_is_that_of_the_samples_that_there_are():
+    x = np.random.default_rng(0).normal(size=(20, 3)) * [1.0, 3.0, 0.1]
+    x[[3, 7], 0], x[1:, 1] = np.nan, np.nan
+    found = variance(torch.from_numpy(x)).numpy()
+    np.testing.assert_allclose(found[[0, 2]], np.nanvar(x[:, [0, 2]], 0, ddof=1), rtol=1e-12)
+    assert np.isnan(found[1])  # a single sample has none
+
+
+def test_a_prediction_that_is_no_number_is_infinitely_wrong_and_a_sample_that_was_lost_does_not_count():
+    x = torch.tensor([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0]], dtype=torch.float64)
+    x[2, 1] = math.nan
+    data, predicted = Transitions.from_trajectory(x, torch.zeros(3, 1), 0.1), torch.tensor([[1.0, 1.5]] * 3).double()
+    predicted[2, 0] = math.nan
+    # The second state misses 1 by 0.5 and 3 by 1.5: a mean square of 1.25, beside a variance of 2.
+    np.testing.assert_allclose(nrmse(predicted, data), [math.inf, math.sqrt(1.25 / 2)])

@@ -1,0 +1,121 @@
+"""The prior on coefficients: its sizes by hand, and what it does to functions that all but cancel one another."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
+from dynasindy.sindy.named_libraries import mechanical
+from dynasindy.sindy.prior import SHARE, likely, shares
+from dynasindy.sindy.regression import Regression, RunningSums, eliminate
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+SIGNATURE = Signature(("a", "b"), ("rad", "m"), ("u",), (1.0, 1.0))
+LIBRARY = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a") * variable("u"), of("cos", "a")])
+
+
+def recorded():
+    """Two states and an input in three stretches, `a` between 0 and 101 and `b` at rest."""
+    a, b, u = [0.0, 1.0, 3.0, 100.0, 101.0], [5.0] * 5, [2.0, -2.0, 2.0, 9.0]
+    x = torch.tensor([a, b]).double().T
+    # The third transition leads from one stretch to the next: nothing moved along it.
+    return Transitions(x[:-1], torch.tensor(u).double()[:, None], x[1:], 0.5, segment=torch.tensor([0, 0, 1, 2]))
+
+
+def test_a_term_is_likely_to_be_some_times_the_rate_of_change_of_its_equation():
+    data, none = recorded(), torch.zeros(4, 2).double()
+    found = likely(LIBRARY, none, data.x, data)
+    # Within the first stretch a moves by 1 in 0.5 s; the others have one sample each.
+    rate = 1.0 / 0.5
+    turned = [math.sin(value) * u for value, u in zip((0, 1, 3, 100), (2, -2, 2, 9), strict=True)]
+    sizes = [math.sqrt(sum(v**2 for v in column) / 4) for column in (turned, map(math.cos, (0, 1, 3, 100)))]
+    sizes.insert(0, math.sqrt((0 + 1 + 9 + 100**2) / 4))
+    # A constant has none.
+    expected = [math.inf, *(SHARE * rate / size for size in sizes)]
+    assert found[:, 0].tolist() == pytest.approx(expected)
+    assert found[:, 1].tolist() == [math.inf] * 4  # b does not move, and tells no size
+
+
+def test_rates_of_change_are_those_of_a_first_guess_where_these_are_larger():
+    data, guess = recorded(), torch.zeros(4, 2).double()
+    guess[0] = torch.tensor([7.0, 0.1])
+    size = math.sqrt(sum(math.cos(value) ** 2 for value in (0, 1, 3, 100)) / 4)
+    found = likely(LIBRARY, guess, data.x, data)
+    assert found[3].tolist() == pytest.approx([SHARE * 7.0 / size, SHARE * 0.1 / size])
+    guess[0, 0] = 0.01  # less than the 2 per second that a moves
+    assert likely(LIBRARY, guess, data.x, data)[3, 0].item() == pytest.approx(SHARE * 2.0 / size)
+
+
+def test_noise_of_single_samples_is_no_rate_of_change():
+    x = torch.stack([torch.arange(9.0) + torch.tensor([0.0, 5.0] * 4 + [0.0]), torch.zeros(9)], -1).double()
+    data = Transitions.from_trajectory(x, torch.ones(8, 1).double(), 0.5)
+    none, size = torch.zeros(4, 2).double(), math.sqrt(float(x[:8, 0].cos().square().mean()))
+    by_one, by_two = (likely(LIBRARY, none, data.x, data, window)[3, 0].item() for window in (1, 2))
+    assert by_two == pytest.approx(SHARE * 2.0 / size)  # 2 in 1 s
+    assert by_one == pytest.approx(SHARE * math.sqrt((4 * 12.0**2 + 3 * 8.0**2) / 7) / size)
+
+
+def test_functions_of_angles_have_a_prior_and_others_have_none():
+    words = ["1", "b", "b^2", "u", "tanh(20 b)", "b |b|", "a", "a^2 u", "sin(a)", "cos(a) b", "sin(2 a) u"]
+    found = shares(Library(SIGNATURE, [parse(word) for word in words]))
+    assert found.tolist() == [math.inf] * 6 + [SHARE] * 5
+    # Where nothing is turned by a state it is no angle.
+    assert shares(Library(SIGNATURE, [parse(word) for word in words[:8]])).isinf().all()
+    quotient = of("per_cos2", "a", frequency=3.0, fitted=True)
+    assert shares(Library(SIGNATURE, [quotient, variable("a"), variable("b")])).tolist() == [SHARE, SHARE, math.inf]
+    library = mechanical(Signature(("p", "q", "v", "w"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1,) * 4))
+    turned = [any(name in words for name in "pq") for words in (feature.variables for feature in library.features)]
+    assert (shares(library) == SHARE).tolist() == turned and sum(turned) > 50
+
+
+def columns(noise: float, seed: int = 0, dry: float = 0.0):
+    """a'' = -9 sin a + 2 u at angles of some degrees, with functions that look like the sine there."""
+    rng = np.random.default_rng(seed)
+    a, u = 0.05 * rng.normal(size=2000), rng.normal(size=2000)
+    s, c = np.sin(a), np.cos(a)
+    theta = np.stack([a, s, a * c, s * c, a**3, np.sin(2 * a), u, a**2 * s, s * c**2], -1)
+    return theta, (-9 * s + 2 * u + dry * np.tanh(30 * a) + noise * rng.normal(size=2000))[:, None]
+
+
+def test_elimination_with_a_prior_solves_for_the_most_likely_coefficients():
+    theta, target = (part / np.linalg.norm(part, axis=0) for part in columns(0.5))
+    chosen, share = [0, 6], 0.05
+    left = target[:, 0] - theta[:, chosen] @ np.linalg.lstsq(theta[:, chosen], target[:, 0], rcond=None)[0]
+    variance = float(left @ left) / 2000
+    normal = theta[:, chosen].T @ theta[:, chosen] / variance + np.eye(2) / share**2
+    expected = np.linalg.solve(normal, theta[:, chosen].T @ target[:, 0] / variance)
+    support = torch.zeros(9, 1, dtype=torch.bool)
+    support[chosen] = True
+    found = eliminate(
+        torch.from_numpy(theta), torch.from_numpy(target), support, 2000, 1e-9, share=torch.full((9,), share).double()
+    )
+    assert found[chosen, 0].tolist() == pytest.approx(expected.tolist(), rel=1e-6)
+    assert abs(expected[1]) < 0.999 * np.linalg.lstsq(theta[:, chosen], target[:, 0], rcond=None)[0][1]
+
+
+@pytest.mark.parametrize(("share", "few", "large"), [(SHARE, True, False), (math.inf, False, True)])
+def test_functions_that_look_alike_cancel_one_another_only_without_it(share, few, large):
+    # No function of the library is the force that acts as dry friction does; differences of the others imitate it.
+    for seed in range(5):
+        theta, target = columns(0.05, seed, dry=0.3)
+        sums = RunningSums(9, 1)
+        sums.add((torch.from_numpy(theta), torch.from_numpy(target)))
+        free, nothing = torch.ones(9, 1, dtype=torch.bool), torch.zeros(9, 1).double()
+        found = Regression("bic").solve(sums, free, nothing, torch.full((9,), share).double())[:, 0].numpy()
+        terms = np.abs(found) * np.sqrt(np.square(theta).mean(0)) / np.sqrt(np.square(target).mean())
+        assert (np.count_nonzero(found) <= 4) == few and (terms.max() > 1e6) == large
+        assert terms.max() < 30 or large
+        assert found[6] == pytest.approx(2.0, abs=0.01)
+
+
+def test_what_data_tell_the_prior_leaves_alone():
+    theta, target = columns(1e-6)
+    theta, target = theta[:, [1, 6]], target
+    sums = RunningSums(2, 1)
+    sums.add((torch.from_numpy(theta), torch.from_numpy(target)))
+    free, nothing = torch.ones(2, 1, dtype=torch.bool), torch.zeros(2, 1).double()
+    found = Regression("bic").solve(sums, free, nothing, torch.full((2,), SHARE).double())[:, 0]
+    assert found.tolist() == pytest.approx([-9.0, 2.0], rel=1e-5)

@@ -1,0 +1,307 @@
+"""Regression from running sums equals regression from all samples, PySINDy's, and brute force."""
+
+import itertools
+import math
+
+import numpy as np
+import pysindy
+import pytest
+import torch
+
+from dynasindy.sindy import regression
+from dynasindy.sindy.regression import (
+    Regression,
+    RunningSums,
+    eliminate,
+    integral_form,
+    least_squares,
+    means,
+    simpson_form,
+    stlsq,
+)
+from dynasindy.systems.transitions import Transitions
+
+
+def problem(n: int = 300, noise: float = 0.05, seed: int = 0):
+    """Functions of very different sizes, three of eight active in each of two equations."""
+    generator = np.random.default_rng(seed)
+    theta = generator.normal(size=(n, 8)) * 10.0 ** np.arange(-3, 5)
+    xi = np.zeros((8, 2))
+    xi[[0, 3, 6], 0], xi[[1, 3, 7], 1] = [2e3, -1.5, 1e-3], [-300.0, 2.0, 2e-4]
+    dx = theta @ xi + noise * generator.normal(size=(n, 2))
+    return torch.from_numpy(theta), torch.from_numpy(dx), torch.from_numpy(xi)
+
+
+def sums_of(theta, dx) -> RunningSums:
+    sums = RunningSums(theta.shape[1], dx.shape[1])
+    sums.add((theta, dx))
+    return sums
+
+
+def solve(regression: Regression, theta, dx):
+    return regression.solve(sums_of(theta, dx), torch.ones(8, 2, dtype=torch.bool), torch.zeros(8, 2).double())
+
+
+def test_running_sums_hold_all_that_a_fit_needs():
+    theta, dx, xi = problem()
+    sums = RunningSums(8, 2)
+    for part in ((0, 5), (5, 6), (6, 300)):
+        sums.add((theta[slice(*part)], dx[slice(*part)]), block=50)
+    both = torch.cat([theta, dx], -1)
+    assert sums.count == 300 and sums.r.shape == (10, 10)
+    assert torch.allclose(sums.r.mT @ sums.r, both.mT @ both, rtol=1e-10)
+    assert torch.allclose(sums.norms(), both.norm(dim=0), rtol=1e-12)
+    assert torch.allclose(sums.residual(xi), (dx - theta @ xi).norm(dim=0), rtol=1e-9)
+    size = 10.0 ** torch.arange(-3, 5)
+    expected = np.linalg.lstsq((theta / size).numpy(), dx.numpy(), rcond=None)[0]
+    assert np.allclose(least_squares(sums.theta() / size, sums.targets()), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_copy_does_not_grow():
+    theta, dx, _ = problem()
+    sums = sums_of(theta, dx)
+    copied = sums.copy()
+    before = copied.norms()
+    sums.add((theta, dx))
+    assert copied.count == 300 and torch.equal(copied.norms(), before) and sums.count == 600
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_samples_that_are_not_finite_are_refused_and_counted(bad):
+    theta, dx, _ = problem()
+    theta[3, 1] = theta[7, 2] = dx[7, 1] = bad
+    with pytest.raises(ValueError, match="2 of 300 samples give functions that are not finite") as error:
+        sums_of(theta, dx)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.filterwarnings("ignore:Sparsity parameter is too big")
+@pytest.mark.parametrize("threshold", [0.0, 0.5, 2.0, 10.0, 1e9])
+def test_thresholding_equals_pysindy_on_the_same_data(threshold):
+    theta, dx, _ = problem(noise=3.0)
+    theirs = pysindy.STLSQ(threshold=threshold, alpha=0, normalize_columns=True, unbias=False)
+    theirs.fit(theta.numpy(), dx.numpy())
+    ours = solve(Regression(threshold=threshold), theta, dx)
+    assert np.array_equal(ours.mT != 0, theirs.coef_ != 0)
+    assert np.allclose(ours.mT, theirs.coef_, rtol=1e-8)
+
+
+def test_thresholds_lie_between_all_and_nothing():
+    theta, dx, xi = problem(noise=3.0)
+    counts = [int((solve(Regression(threshold=t), theta, dx) != 0).sum()) for t in (0.0, 10.0, 1e9)]
+    assert counts == [16, int((xi != 0).sum()), 0]
+
+
+def test_thresholding_is_repeated_until_the_support_stands_still():
+    # Orthonormal columns: a coefficient is the projection, so that the limit is exact on either side.
+    theta = torch.eye(4, dtype=torch.float64)
+    target = torch.tensor([[3.0], [0.5], [-0.51], [0.0]], dtype=torch.float64)
+    found = stlsq(theta, target, torch.ones(4, 1, dtype=torch.bool), torch.tensor([0.505]))
+    assert found.flatten().tolist() == pytest.approx([3.0, 0.0, -0.51, 0.0])
+    masked = stlsq(theta, target, torch.tensor([[False], [True], [True], [True]]), torch.tensor([0.505]))
+    assert masked.flatten().tolist() == pytest.approx([0.0, 0.0, -0.51, 0.0])
+
+
+def test_a_threshold_on_rms_columns_does_not_weaken_as_samples_accumulate():
+    theta, dx, _ = problem(noise=3.0)
+    many = [theta.repeat(40, 1), dx.repeat(40, 1)]
+
+    def support(normalize, data):
+        return solve(Regression(threshold=10.0, normalize=normalize), *data) != 0
+
+    assert torch.equal(support("rms", [theta, dx]), support("rms", many))
+    assert int(support("two_norm", many).sum()) > int(support("two_norm", [theta, dx]).sum())
+
+
+def test_both_normalisations_agree_at_a_thousand_samples():
+    theta, dx, _ = problem(1000, noise=30.0)
+    one, two = (solve(Regression(threshold=60.0, normalize=n), theta, dx) for n in ("rms", "two_norm"))
+    assert torch.allclose(one, two, rtol=1e-12) and 0 < int((one != 0).sum()) < 16
+
+
+def test_scaled_targets_make_the_threshold_independent_of_units():
+    theta, dx, _ = problem(noise=0.3)
+    scaled = Regression(threshold=0.5, scale_targets=True)
+    in_thousandths = solve(scaled, theta, dx * torch.tensor([1000.0, 0.001]))
+    assert torch.allclose(in_thousandths, solve(scaled, theta, dx) * torch.tensor([1000.0, 0.001]), rtol=1e-8)
+    assert 0 < int((in_thousandths != 0).sum()) < 16
+
+
+def criterion(theta, target, chosen, tolerance) -> float:
+    """N ln(rss + tolerance^2) + k ln N, from numpy's own least squares."""
+    rest = target - theta[:, chosen] @ np.linalg.lstsq(theta[:, chosen], target, rcond=None)[0] if chosen else target
+    return len(target) * math.log(float(rest @ rest) + tolerance**2) + len(chosen) * math.log(len(target))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.3])
+def test_elimination_finds_the_best_of_all_256_subsets(noise):
+    theta, dx, xi = problem(noise=noise)
+    theta, dx = theta / theta.norm(dim=0), dx / dx.norm(dim=0)
+    found = eliminate(theta, dx, torch.ones(8, 2, dtype=torch.bool), 300, 1e-5)
+    subsets = [list(s) for n in range(9) for s in itertools.combinations(range(8), n)]
+    for i in range(2):
+        best = min(subsets, key=lambda s: criterion(theta.numpy(), dx[:, i].numpy(), s, 1e-5))
+        assert found[:, i].nonzero().flatten().tolist() == best
+        expected = np.linalg.lstsq(theta[:, best].numpy(), dx[:, i].numpy(), rcond=None)[0]
+        assert np.allclose(found[best, i], expected, rtol=1e-8)
+    assert torch.equal(found != 0, xi != 0)
+
+
+def test_of_functions_that_repeat_each_other_one_stays():
+    theta, dx, xi = problem(noise=0.0)
+    twins = torch.cat([theta, 5 * theta], -1)
+    sums = sums_of(twins, dx)
+    found = Regression("bic").solve(sums, torch.ones(16, 2, dtype=torch.bool), torch.zeros(16, 2).double())
+    assert torch.allclose(found[:8] + 5 * found[8:], xi, rtol=1e-8, atol=1e-12)
+    assert (found != 0).sum(0).tolist() == [3, 3]
+
+
+@pytest.mark.parametrize("method", ["stlsq", "bic"])
+def test_given_coefficients_stay_and_silent_functions_get_none(method):
+    theta, dx, xi = problem(noise=0.0)
+    theta[:, 5] = 0.0
+    support, offset = torch.ones(8, 2, dtype=torch.bool), torch.zeros(8, 2, dtype=torch.float64)
+    support[3, 0], offset[3, 0] = False, -1.4
+    found = Regression(method, threshold=1e-3).solve(sums_of(theta, dx), support, offset)
+    assert found[3, 0] == -1.4 and found[5].tolist() == [0.0, 0.0]
+    expected = np.linalg.lstsq(
+        theta[:, [0, 1, 2, 4, 6, 7]].numpy(), (dx[:, 0] + 1.4 * theta[:, 3]).numpy(), rcond=None
+    )[0]
+    if method == "stlsq":
+        assert np.allclose(found[[0, 1, 2, 4, 6, 7], 0], expected, rtol=1e-7)
+    assert torch.allclose(found[:, 1], xi[:, 1], rtol=1e-8, atol=1e-12)
+
+
+def decay(dt: float) -> Transitions:
+    """x' = -x^2 from x = 1: x(t) = 1 / (1 + t)."""
+    t = torch.arange(21, dtype=torch.float64) * dt
+    return Transitions.from_trajectory((1 / (1 + t)).unsqueeze(-1), torch.zeros(20, 1), dt)
+
+
+def squared(x, u):
+    return x**2
+
+
+def test_the_trapezoidal_rule_within_an_interval_is_as_written_down():
+    x, u = torch.tensor([[1.0], [2.0], [4.0]]), torch.tensor([[10.0], [-10.0]])
+    theta, dx = integral_form(lambda x, u: torch.cat([x * x, u], -1), Transitions.from_trajectory(x, u, 0.5))
+    assert theta.tolist() == [[2.5, 10.0], [10.0, -10.0]] and dx.tolist() == [[2.0], [4.0]]
+    assert theta.dtype == dx.dtype == torch.float64
+
+
+def test_errors_of_the_two_integral_forms_shrink_by_the_second_and_the_fourth_order():
+    trapezoid, simpson = [], []
+    for dt in (0.1, 0.05):
+        theta, dx = integral_form(squared, decay(dt))
+        trapezoid.append(float((theta + dx)[0].abs()))
+        theta, dx = simpson_form(squared, lambda x, u: -(x**2), decay(dt))
+        simpson.append(float((theta + dx)[0].abs()))
+    assert trapezoid[0] / trapezoid[1] == pytest.approx(4, rel=0.15)
+    assert simpson[0] / simpson[1] == pytest.approx(16, rel=0.25)
+    assert simpson[0] < 0.05 * trapezoid[0]
+
+
+@pytest.mark.parametrize("wrong", [{"method": "lasso"}, {"normalize": "max"}, {"threshold": -0.1}])
+def test_settings_that_are_not_allowed_are_refused(wrong):
+    with pytest.raises(ValueError, match="allowed") as error:
+        Regression(**wrong)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", [50, 400])
+def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
+    # Orthonormal columns: without the second term the squared residual grows from s to s + g, and it stays
+    # if N ln((s + g) / s) > ln N, that is from g = s (N^(1/N) - 1) on.
+    rest = 0.01
+    just = rest * (count ** (1 / count) - 1)
+    for share, kept in ((1.02, 2), (0.98, 1)):
+        g = share * just
+        theta = torch.eye(3, dtype=torch.float64)[:, :2]
+        target = torch.tensor([[1.0], [g**0.5], [rest**0.5]], dtype=torch.float64)
+        found = eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), count, 1e-9)
+        assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(1.0)
+
+
+def test_below_the_tolerance_more_terms_gain_nothing():
+    theta = torch.eye(3, dtype=torch.float64)[:, :2]
+    target = torch.tensor([[1.0], [1e-7], [0.0]], dtype=torch.float64)
+    for tolerance, kept in ((1e-9, 2), (1e-5, 1)):
+        assert int((eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), 100, tolerance) != 0).sum()) == kept
+
+
+def test_terms_that_may_not_occur_do_not_whatever_they_are_worth():
+    theta, dx, xi = problem(noise=0.0)
+    theta, dx = theta / theta.norm(dim=0), dx / dx.norm(dim=0)
+    support = torch.ones(8, 2, dtype=torch.bool)
+    support[6, 0] = False
+    found = eliminate(theta, dx, support, 300, 1e-5)
+    assert found[6, 0] == 0 and found[:, 1].nonzero().flatten().tolist() == xi[:, 1].nonzero().flatten().tolist()
+    nothing = eliminate(theta, dx, torch.zeros(8, 2, dtype=torch.bool), 300, 1e-5)
+    assert not nothing.any()
+
+
+def unit_problem(count):
+    """Columns of 2-norm 1 and 3, orthogonal, with rates 5 and 0.5 of each unit column."""
+    theta = torch.zeros(count, 2, dtype=torch.float64)
+    theta[0, 0], theta[1, 1] = 1.0, 3.0
+    return theta, theta @ torch.tensor([[5.0], [0.5 / 3.0]], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("settings", "limit"),
+    [
+        ({}, 1.0),  # on coefficients of unit columns
+        ({"normalize": "rms"}, (250 / 1000) ** 0.5),  # the same at a thousand samples
+        ({"scale_targets": True}, (25.25 / 250) ** 0.5),  # times the root mean square of the rates
+        ({"normalize": "rms", "scale_targets": True}, (25.25 / 1000) ** 0.5),
+    ],
+)
+def test_each_rule_has_its_limit(settings, limit):
+    for factor, kept in ((0.99, 2), (1.01, 1)):
+        # The smaller coefficient, 0.5 on its unit column, stays below its limit.
+        regression = Regression(threshold=factor * 0.5 / limit, **settings)
+        theta, dx = unit_problem(250)
+        sums = RunningSums(2, 1)
+        sums.add((theta, dx))
+        found = regression.solve(sums, torch.ones(2, 1, dtype=torch.bool), torch.zeros(2, 1).double())
+        assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(5.0)
+
+
+def test_the_number_of_refits_is_limited():
+    # Each refit makes the next coefficient small: 1, 1/2, 1/4 ... of a chain of ever less independent columns.
+    theta = torch.eye(4, dtype=torch.float64)
+    theta[0, 1:] = 1.0
+    target = theta @ torch.tensor([[0.1], [1.0], [1.0], [1.0]], dtype=torch.float64)
+    everything = torch.ones(4, 1, dtype=torch.bool)
+    supports = [
+        (stlsq(theta, target, everything, torch.tensor([0.5]), max_iterations=n) != 0).sum().item() for n in (0, 1, 20)
+    ]
+    assert supports[0] == 4 and supports[1] == supports[2] == 3
+
+
+def test_by_default_a_target_is_refitted_twenty_times_at_most(monkeypatch):
+    # Each fit leaves ones, and one coefficient that is too small: 30 functions lose one per refit.
+    def fit(theta, target):
+        return torch.cat([torch.zeros(1, *target.shape[1:]), torch.ones(theta.shape[1] - 1, *target.shape[1:])])
+
+    monkeypatch.setattr(regression, "least_squares", fit)
+    theta = torch.eye(30)
+    found = stlsq(theta, theta[:, :1], torch.ones(30, 1, dtype=torch.bool), torch.tensor([0.5]))
+    assert found.flatten().nonzero().flatten().tolist() == [*range(21, 30)]
+
+
+def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
+    x, u = torch.tensor([[1.0], [2.0]]), torch.tensor([[3.0]])
+    data = Transitions.from_trajectory(x, u, 0.8)
+    theta, dx = simpson_form(lambda x, u: x * x + u, lambda x, u: 10 * x, data)
+    middle = 1.5 + 0.8 / 8 * (10 - 20)
+    assert theta.item() == pytest.approx(((1 + 3) + 4 * (middle**2 + 3) + (4 + 3)) / 6)
+    assert dx.item() == pytest.approx(1 / 0.8)
+
+
+def test_means_are_those_of_rows_that_follow_each_other():
+    rows = torch.arange(12.0).reshape(6, 2), torch.arange(6.0).square().reshape(6, 1)
+    theta, dx = means(rows, 3)
+    assert theta.tolist() == [[2, 3], [4, 5], [6, 7], [8, 9]]
+    assert dx[:, 0].tolist() == pytest.approx([5 / 3, 14 / 3, 29 / 3, 50 / 3])
+    assert means(rows, 1) is rows and [len(part) for part in means(rows, 7)] == [0, 0]

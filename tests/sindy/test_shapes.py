@@ -1,0 +1,152 @@
+"""Numbers inside functions are found from recordings of plants whose numbers are known."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from dynasindy.data.simulated import record
+from dynasindy.excitation import Multisine
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.library import Library, parse
+from dynasindy.sindy.shape_parameters import fit_shapes, stayed
+from dynasindy.systems import Tras
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+DT = 0.02
+CART = Signature(("v",), ("m/s",), ("u",), (1.0,))
+ARM = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+
+
+def recording(rate, start: list[float], n: int = 400, seed: int = 0) -> Transitions:
+    """States of an equation under random inputs, each held for five samples, by scipy."""
+    u, x = np.random.default_rng(seed).uniform(-3, 3, n // 5).repeat(5), [np.array(start)]
+    for held in u:
+        x.append(solve_ivp(lambda _, z, v=held: rate(z, v), (0, DT), x[-1], rtol=1e-10, atol=1e-12).y[:, -1])
+    return Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], DT)
+
+
+def cart(z: np.ndarray, u: float) -> list[float]:
+    return [-0.4 * z[0] - 1.2 * np.tanh(6.5 * z[0]) + 2.0 * u]
+
+
+def arm(z: np.ndarray, u: float) -> list[float]:
+    return [z[1], (3.0 * u - 0.8 * z[1]) / (1 + 1.7 * np.cos(z[0]) ** 2)]
+
+
+def found(model: SindyModel) -> dict[tuple[str, str], float]:
+    """Coefficients by state and function, the numbers inside the functions left out of the names."""
+    names = [" ".join(f"{f.function}({f.variables[0]})" for f in feature.factors) for feature in model.library.features]
+    states = model.signature.state_names
+    return {(states[i], names[k]): float(model.coefficients[k, i]) for k, i in model.coefficients.nonzero().tolist()}
+
+
+@pytest.mark.parametrize("guess", [2.0, 20.0])
+def test_the_width_of_dry_friction_is_found(guess):
+    words = ["v", f"tanh(~{guess:g} v)", "u", "1"]
+    model = SindyModel(CART, words, Regression("bic"), Refinement("integral", rounds=4))
+    model.fit(recording(cart, [0.0]))
+    assert model.library.shapes[0].frequency == pytest.approx(6.5, rel=0.02)
+    expected = {("v", "id(v)"): -0.4, ("v", "tanh(v)"): -1.2, ("v", "id(u)"): 2.0}
+    assert found(model) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("guess", [0.5, 6.0])
+def test_the_inertia_of_an_arm_is_found_with_its_torques(guess):
+    words = ["w", f"w per_cos2(~{guess:g} a)", f"u per_cos2(~{guess:g} a)", "u"]
+    model = SindyModel(ARM, words, Regression("bic"), Refinement("integral", rounds=4), known={"a": "w"})
+    model.fit(recording(arm, [0.3, 0.0]))
+    assert model.library.shapes[0].frequency == pytest.approx(1.7, rel=1e-3)
+    expected = {("a", "id(w)"): 1.0, ("w", "id(w) per_cos2(a)"): -0.8, ("w", "id(u) per_cos2(a)"): 3.0}
+    assert found(model) == pytest.approx(expected, rel=1e-3)
+
+
+def exact(number: float, n: int = 200):
+    """Rates of v' = -0.4 v - 1.2 tanh(number v) + 2 u at random points, as a row per point."""
+    rng = np.random.default_rng(4)
+    v, u = rng.uniform(-1, 1, (n, 1)), rng.uniform(-1, 1, (n, 1))
+    dx = torch.from_numpy(-0.4 * v - 1.2 * np.tanh(number * v) + 2 * u)
+    x, held = torch.from_numpy(v), torch.from_numpy(u)
+    return lambda theta, field: (theta(x, held), dx)
+
+
+def library(guess: float) -> Library:
+    return Library(CART, map(parse, ["v", f"tanh(~{guess:g} v)", "u"]))
+
+
+def fitted(guess: float, rows, start=(-1.0, -1.0, 1.0), free=(True, True, True), **more) -> tuple[float, list[float]]:
+    xi, may = torch.tensor(start, dtype=torch.float64)[:, None], torch.tensor(free)[:, None]
+    shaped, xi = fit_shapes(library(guess), xi, may, rows, 1e-9, **more)
+    return shaped.shapes[0].frequency, xi.flatten().tolist()
+
+
+@pytest.mark.parametrize("guess", [1.0, 4.0, 30.0])
+def test_exact_rates_give_exact_numbers(guess):
+    number, xi = fitted(guess, exact(5.0), rounds=30)
+    assert number == pytest.approx(5.0, rel=1e-5) and xi == pytest.approx([-0.4, -1.2, 2.0], rel=1e-4)
+
+
+def test_one_step_is_that_of_gauss_and_newton():
+    # A single round from 4: the step of least squares in all unknowns, from the best coefficients there.
+    rows = exact(5.0)
+    theta, dx = (t.numpy() for t in rows(library(4.0), None))
+    best = np.linalg.lstsq(theta, dx, rcond=None)[0][:, 0]
+    v = theta[:, :1]
+    slope = best[1] * v / np.cosh(4.0 * v) ** 2
+    step = np.linalg.lstsq(np.concatenate([theta, slope], 1), dx, rcond=None)[0][3, 0]
+    number, xi = fitted(4.0, rows, rounds=1)
+    assert number == pytest.approx(4.0 + step, rel=1e-9)
+    again = np.linalg.lstsq(rows(library(4.0).with_shapes([number]), None)[0].numpy(), dx, rcond=None)[0][:, 0]
+    assert xi == pytest.approx(again.tolist(), rel=1e-9)
+
+
+def test_what_is_not_free_stays_and_what_is_not_in_the_model_is_not_fitted():
+    number, xi = fitted(4.0, exact(5.0), start=(-0.4, -1.0, 1.0), free=(False, True, True), rounds=30)
+    assert number == pytest.approx(5.0, rel=1e-5) and xi == pytest.approx([-0.4, -1.2, 2.0], rel=1e-4)
+    assert xi[0] == pytest.approx(-0.4, rel=1e-15)
+    number, xi = fitted(4.0, exact(5.0), start=(-1.0, 0.0, 1.0))
+    assert (number, xi) == (4.0, [-1.0, 0.0, 1.0])
+    assert fitted(4.0, exact(5.0), start=(-1.0, -1.2, 1.0), free=(True, False, True))[0] == 4.0
+
+
+@pytest.mark.parametrize(("guess", "limit"), [(0.1, 3.0), (900.0, 30.0)])
+def test_no_number_goes_farther_from_its_guess_than_thirtyfold(guess, limit):
+    number, _ = fitted(guess, exact(5.0 if guess == 0.1 else 2.0), rounds=40)
+    assert number == pytest.approx(limit)
+
+
+def test_the_inertia_of_the_azimuth_is_found_from_a_guess_that_is_far_off():
+    """The bench's J_h is .02379038 cos^2 + .00300962 kg m^2; the guess of their quotient is 3."""
+    u = Multisine(2, duration=10.0, amplitude=(0.5, 0.3), offset=(-0.1, 0.2)).samples(0.05).repeat_interleave(5, 0)
+    rates = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+    model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement("integral"), known=rates)
+    model.fit(record(Tras(), u, dt=0.01))
+    assert model.library.shapes[0].frequency == pytest.approx(0.02379038 / 0.00300962, rel=1e-3)
+
+
+def test_a_number_that_stays_at_its_guess_is_told_if_its_function_is_used():
+    library = Library(CART, [parse(word) for word in ("v", "u", "tanh(~20 v)", "v exp(~3 u)")])
+    both = torch.ones(4, 1, dtype=torch.float64)
+    first, second = stayed(library, both)
+    assert first == (
+        "the number in tanh(20 v) did not move from its first guess 20: the data probably do not determine it"
+    )
+    assert "exp(3 u)" in second and "guess 3:" in second
+    assert stayed(library, torch.tensor([[1.0], [1.0], [0.0], [0.0]])) == []
+    assert stayed(library.with_shapes([20.5, 2.9]), both) == []
+    assert len(stayed(library.with_shapes([20.001, 2.9]), both)) == 1  # a part of 5e-5
+
+
+def test_a_fit_says_that_a_number_inside_a_function_means_nothing():
+    """Of dry friction that is full throughout no data tell the width."""
+    u, v = np.random.default_rng(0).uniform(1, 2, 80).repeat(5), [3.0]
+    for held in u:  # v' = 2 u - 0.4 v - 1.2, and v > 0.1
+        rest = (2 * held - 1.2) / 0.4
+        v.append(rest + (v[-1] - rest) * np.exp(-0.4 * DT))
+    assert min(v) > 0.1
+    full = Transitions.from_trajectory(torch.tensor(v).double()[:, None], torch.from_numpy(u)[:, None], DT)
+    for data, guess, silent in ((full, 1000, False), (recording(cart, [0.0]), 20, True)):
+        model = SindyModel(CART, ["v", "u", f"tanh(~{guess} v)"], Regression("bic"), Refinement("integral", rounds=4))
+        told = f"note: the number in tanh({guess} v) did not move from its first guess" in model.fit(data).to_text()
+        assert told != silent

@@ -1,0 +1,391 @@
+"""The sparse model finds the published table, equals PySINDy, and survives a file."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pysindy
+import pytest
+import torch
+from scipy.linalg import expm
+from torch import Tensor
+
+from dynasindy.excitation import Chirp, Excitation, HeldRandom, Multisine
+from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.fit_report import Refined
+from dynasindy.sindy.library import CONSTANT, Library, variable
+from dynasindy.systems import Diverged, Pendulum, Tras, Xi, integrate, rk4
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.transitions import Transitions
+
+# The paper, table "SINDY model Xi matrix": 19 coefficients.
+PUBLISHED = {
+    ("alpha_a", "Omega_a"): 1.0,
+    ("alpha_p", "Omega_p"): 1.0,
+    ("Omega_a", "Omega_a"): -10.0573,
+    ("Omega_a", "omega_a cos(alpha_p)"): 9.8316e-4,
+    ("Omega_a", "u_p cos(alpha_p)"): -0.7025,
+    ("Omega_a", "cos(alpha_p)"): 0.9479,
+    ("Omega_p", "1"): 0.5961,
+    ("Omega_p", "Omega_p"): -0.414,
+    ("Omega_p", "omega_p"): 0.0013,
+    ("Omega_p", "u_a"): 0.1303,
+    ("Omega_p", "Omega_a^2 sin(alpha_p)"): -16.3547,
+    ("Omega_p", "sin(alpha_p)"): -3.54373,
+    ("Omega_p", "cos(alpha_p)"): -1.7473,
+    ("omega_a", "1"): 262.7,
+    ("omega_a", "omega_a"): -5.2281,
+    ("omega_a", "u_a"): 3.7e4,
+    ("omega_p", "1"): -8.54,
+    ("omega_p", "omega_p"): -1.4193,
+    ("omega_p", "u_p"): 6.1e3,
+}
+HOVER = (-0.11, 0.25)
+KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
+
+
+def _points(n: int = 2000) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    x = (2 * torch.rand(n, 6, generator=generator, dtype=torch.float64) - 1) * torch.tensor([1, 1, 1, 1, 3000, 2000.0])
+    return x, 2 * torch.rand(n, 2, generator=generator, dtype=torch.float64) - 1
+
+
+def _found(model: SindyModel) -> dict[tuple[str, str], float]:
+    return {
+        (state, name): float(model.coefficients[k, i])
+        for i, state in enumerate(model.signature.state_names)
+        for k, name in enumerate(model.library.names)
+        if model.coefficients[k, i]
+    }
+
+
+def _recording(plant: System, excitation: Excitation) -> Transitions:
+    u = excitation.samples(0.01)
+    x, states = torch.zeros(1, 6, dtype=torch.float64), [torch.zeros(1, 6, dtype=torch.float64)]
+    for k in range(len(u)):
+        samples, touched = integrate(plant, x, u[k : k + 1], 0.01, 2, plant.stops)
+        x = samples[:, -1]
+        assert not bool(touched)
+        states.append(x)
+    return Transitions.from_trajectory(torch.cat(states), u, 0.01)
+
+
+def test_exact_derivatives_give_the_published_table_and_nothing_else():
+    x, u = _points()
+    model = SindyModel(Xi().signature, "paper_table", Regression(threshold=0.9))
+    model.fit_derivatives(x, u, Xi()(x, u))
+    found = _found(model)
+    assert found.keys() == PUBLISHED.keys()
+    assert max(abs(found[k] / v - 1) for k, v in PUBLISHED.items()) < 1e-11
+
+
+def test_equals_pysindy_on_the_same_data():
+    x, u = _points()
+    dx = Xi()(x, u)
+    model = SindyModel(Xi().signature, "paper_table", Regression(threshold=0.9))
+    model.fit_derivatives(x, u, dx)
+    optimizer = pysindy.STLSQ(threshold=0.9, alpha=0, normalize_columns=True)
+    optimizer.fit(model.library(x, u).numpy(), dx.numpy())
+    theirs = torch.from_numpy(np.asarray(optimizer.coef_)).mT
+    scale = theirs.abs().amax(0)
+    assert torch.equal(theirs != 0, model.coefficients != 0)
+    assert float(((model.coefficients - theirs) / scale).abs().max()) < 1e-8
+
+
+def test_ten_seconds_of_held_inputs_give_the_published_terms():
+    data = _recording(Xi(), HeldRandom(2, 10.0, amplitude=(0.6, 0.45), offset=HOVER, seed=1))
+    model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("one_step"))
+    model.fit(data)
+    found = _found(model)
+    assert found.keys() == PUBLISHED.keys()
+    assert max(abs(found[k] / v - 1) for k, v in PUBLISHED.items()) < 1e-6
+
+
+def test_the_rotor_model_predicts_the_first_principles_plant_over_an_episode():
+    model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement(), known=KNOWN)
+    model.fit(_recording(Tras(), Chirp(2, 10.0, amplitude=(0.3, 0.2), offset=HOVER)))
+    unseen = _recording(Tras(), Multisine(2, 10.0, amplitude=(0.3, 0.2), offset=(-0.11, 0.3), seed=0))
+    with torch.no_grad():
+        predicted = model.simulate(unseen.x[:1], unseen.u.unsqueeze(0), 0.01)[0, 1:]
+    error = (predicted - unseen.x_next).square().mean(0).sqrt() / unseen.x_next.std(0)
+    assert float(error.max()) < 0.02
+
+
+def test_forward_is_theta_times_xi_and_follows_new_coefficients():
+    x, u = _points(7)
+    model = SindyModel(Xi().signature, "paper_equation")
+    for seed in (0, 1):
+        generator = torch.Generator().manual_seed(seed)
+        xi = torch.rand(40, 6, generator=generator, dtype=torch.float64)
+        model.set_coefficients(xi)
+        assert torch.allclose(model(x, u), model.library(x, u) @ xi)
+    assert model(x.float(), u.float()).dtype == torch.float32
+
+
+def test_coefficients_replaced_twice_between_predictions_are_the_ones_used():
+    # A fit sets coefficients before and after its refinement; the last tensor may lie where the first one lay.
+    x, u = _points(4)
+    model = SindyModel(Xi().signature, "paper_table")
+    for number in range(300):
+        model(x, u)
+        first = torch.rand(27, 6, dtype=torch.float64)
+        model.set_coefficients(first)
+        del first
+        model.coefficients.sum().item()
+        model.set_coefficients(torch.full((27, 6), float(number), dtype=torch.float64))
+        assert torch.allclose(model(x, u), model.library(x, u) @ model.coefficients)
+
+
+def test_prediction_is_runge_kutta_and_simulation_is_prediction_repeated():
+    x, u = _points(2)
+    model = SindyModel(Xi().signature)
+    model.fit_derivatives(*_points(), Xi()(*_points()))
+    once = model.predict(x, u, 0.01)
+    assert torch.allclose(once, rk4(Xi(), x, u, 0.01), rtol=1e-9)
+    path = model.simulate(x, u.unsqueeze(1).expand(-1, 2, -1), 0.01)
+    assert torch.equal(path[:, 2], model.predict(once, u, 0.01))
+
+
+def test_known_rows_masks_and_fixed_coefficients_are_kept():
+    x, u = _points()
+    model = SindyModel(
+        Xi().signature,
+        "paper_table",
+        known=KNOWN,
+        allowed={"omega_a": ["1", "omega_a", "u_a"]},
+        fixed={"omega_p": {"u_p": 6000.0}},
+    )
+    model.fit_derivatives(x, u, Xi()(x, u))
+    found = _found(model)
+    assert [v for (s, _), v in found.items() if s == "alpha_a"] == [1.0]
+    assert {n for s, n in found if s == "omega_a"} == {"1", "omega_a", "u_a"}
+    assert found["omega_p", "u_p"] == 6000.0
+    assert found["omega_p", "omega_p"] == pytest.approx(-1.4193, rel=0.1)
+
+
+def test_a_saved_model_predicts_as_it_did(tmp_path):
+    x, u = _points()
+    model = SindyModel(Xi().signature)
+    model.fit_derivatives(x, u, Xi()(x, u))
+    model.save(tmp_path / "model.json")
+    assert torch.equal(SindyModel.load(tmp_path / "model.json")(x, u), model(x, u))
+    assert json.loads((tmp_path / "model.json").read_text())["coefficients"]["omega_p"]["u_p"] == pytest.approx(6100)
+
+
+def test_an_update_equals_a_fit_to_all_data():
+    data = _recording(Xi(), HeldRandom(2, 4.0, amplitude=(0.5, 0.3), offset=HOVER, seed=3))
+    parts = [data.select(torch.arange(400) < 250), data.select(torch.arange(400) >= 250)]
+    whole, grown = SindyModel(Xi().signature), SindyModel(Xi().signature)
+    whole.fit(Transitions.cat(parts))
+    grown.fit(parts[0])
+    grown.update(parts[1])
+    assert torch.allclose(whole.coefficients, grown.coefficients, rtol=1e-5, atol=1e-5)
+
+
+def test_too_few_samples_wrong_widths_and_unfinished_numbers_are_refused():
+    model = SindyModel(Xi().signature)
+    zeros = torch.zeros(11, 6)
+    with pytest.raises(ValueError, match="10 samples; allowed are 27 or more"):
+        model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 2), 0.01))
+    with pytest.raises(ValueError, match="1 inputs; allowed are 6 and 2"):
+        model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 1), 0.01))
+    bad = torch.zeros(41, 6)
+    bad[3, 2] = float("inf")
+    with pytest.raises(ValueError, match="not finite"):
+        model.fit(Transitions.from_trajectory(bad, torch.zeros(41, 2), 0.01))
+    with pytest.raises(ValueError, match="coefficients got shape"):
+        model.set_coefficients(torch.zeros(3, 6))
+
+
+def test_a_loaded_model_keeps_what_was_known_and_is_fitted_as_it_is_told(tmp_path):
+    model = SindyModel(Xi().signature, "paper_table", known=KNOWN, fixed={"omega_p": {"u_p": 5e3}})
+    model.fit_derivatives(*(points := _points()), Xi()(*points))
+    model.save(tmp_path / "model.json")
+    again = SindyModel.load(tmp_path / "model.json", Regression("bic"))
+    again.fit_derivatives(*points, Xi()(*points) + 1.0)
+    found = _found(again)
+    assert {key: v for key, v in found.items() if key[0] in KNOWN} == dict.fromkeys(KNOWN.items(), 1.0)
+    assert found["omega_p", "u_p"] == 5e3 and again.regression.method == "bic"
+
+
+class Nothing(Refinement):
+    def run(self, library, coefficients, constraints, data, guess, late):
+        return Refined(library, constraints.offset)
+
+
+def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
+    data = _recording(Xi(), Multisine(2, 5.0, amplitude=(0.4, 0.3), offset=HOVER))
+    plain, refined = (SindyModel(Xi().signature, refinement=r, known=KNOWN) for r in (None, Nothing()))
+    assert "note: " not in plain.fit(data).to_text()
+    report = refined.fit(data)
+    assert torch.equal(refined.coefficients, plain.coefficients) and refined.coefficients.count_nonzero() > 2
+    assert "note: the refinement dropped every function, so the fit before it stays" in report.to_text()
+
+
+@pytest.mark.parametrize("time", ["continuous", "discrete"])
+@pytest.mark.parametrize("method", ["auto", "one_step", "trajectory", "integral"])
+def test_a_log_of_nothing_but_noise_is_no_error(method, time):
+    """White noise has no equation, so no function may stay through the refinement, whatever its method is."""
+    generator, signature = torch.Generator().manual_seed(0), Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
+    x = torch.randn(301, 2, generator=generator, dtype=torch.float64)
+    u = torch.randn(300, 1, generator=generator, dtype=torch.float64)
+    library = Library(signature, [CONSTANT, variable("u")])
+    model = SindyModel(signature, library, refinement=Refinement(method=method), time=time)
+    report = model.fit(Transitions(x[:-1], u, x[1:], 0.1, torch.zeros(300, dtype=torch.long)))
+    assert "note: the refinement dropped every function" in report.to_text() and model.covariance is None
+
+
+@pytest.mark.parametrize("stage", ["regression", "refinement"])
+def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
+    data = _recording(Xi(), HeldRandom(2, duration=5.0, amplitude=(0.6, 0.45), offset=HOVER, seed=0))
+    model = SindyModel(Xi().signature, "paper_table")
+    model.fit(data)
+    before = model.coefficients.clone()
+
+    class Spoilt:
+        def solve(self, *of):
+            return before.clone().index_fill_(0, torch.tensor(3), torch.nan)
+
+        def run(self, *of):
+            return Refined(model.library, before.clone().index_fill_(0, torch.tensor(3), torch.inf))
+
+    if stage == "regression":
+        model.regression = Spoilt()
+    else:
+        model.refinement = Spoilt()
+    told = rf"model learning: the {stage} on \d+ samples left 6 coefficients .* such as (nan|inf) of "
+    with pytest.raises(Diverged, match=told):
+        model.fit(data)
+    assert torch.equal(model.coefficients, before)
+
+
+def _pendulum(seed: int, noise: float, n: int = 400) -> Transitions:
+    """The angle of a pendulum under held inputs, some samples lost, and no rate."""
+    plant, rng = Pendulum(), np.random.default_rng(seed)
+    u = torch.from_numpy(rng.uniform(-1, 1, (n // 8, 1)).repeat(8, 0))
+    x = [torch.zeros(2, dtype=torch.float64)]
+    for held in u:
+        x.append(integrate(plant, x[-1], held, 0.02, 10)[0][-1])
+    seen = torch.stack(x) + noise * torch.from_numpy(rng.normal(size=(n + 1, 2)))
+    seen[:, 1] = torch.nan
+    seen[rng.choice(n, 20, replace=False), 0] = torch.nan
+    return Transitions.from_trajectory(seen, u, 0.02)
+
+
+def test_a_pendulum_is_found_from_its_angle_alone():
+    words = ["Omega", "sin(theta)", "u", "1", "cos(theta)", "theta"]
+    model = SindyModel(Pendulum().signature, words, Regression("bic"), Refinement(), known={"theta": "Omega"})
+    data = Transitions.cat([_pendulum(seed, 1e-3) for seed in (0, 1)])
+    assert model.fit(data).samples == 800
+    # Mass 1 kg, length 1 m, damping 0.5 N m s, torque 12 N m.
+    expected = {("theta", "Omega"): 1, ("Omega", "Omega"): -0.5, ("Omega", "sin(theta)"): -9.81, ("Omega", "u"): 12}
+    assert _found(model) == pytest.approx(expected, rel=5e-3)
+    assert model.delay == 0.0
+
+
+FLOW, DRAIN, THROUGH, OUT = 0.8, 1.2, 0.9, 0.4
+
+
+def _tanks(noise: float) -> Transitions:
+    """Exact levels of two tanks, h' = FLOW u - DRAIN h and l' = THROUGH h - OUT l; h is never measured."""
+    field = np.array([[-DRAIN, 0, FLOW], [THROUGH, -OUT, 0], [0, 0, 0]])
+    step, rng = expm(0.1 * field), np.random.default_rng(6)
+    u, x = rng.uniform(0, 2, 30).repeat(10), [np.zeros(2)]
+    for held in u:
+        x.append((step @ [*x[-1], held])[:2])
+    seen = np.array(x) + noise * rng.normal(size=(301, 2))
+    seen[:, 0] = np.nan
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.1)
+
+
+@pytest.mark.parametrize(("noise", "error"), [(1e-5, 1e-3), (1e-3, 0.02)])
+def test_a_state_that_nobody_ever_measured_is_found_from_a_first_guess(noise, error):
+    signature = Signature(("h", "l"), ("m", "m"), ("u",), (1.0, 1.0))
+    model = SindyModel(
+        signature,
+        ["h", "l", "u", "1"],
+        refinement=Refinement("trajectory"),
+        allowed={"h": ["h", "1"], "l": ["h", "l", "1"]},
+        fixed={"h": {"u": FLOW}},
+        initial={"h": {"h": -0.9}, "l": {"h": 0.7, "l": -0.6}},
+    )
+    model.fit(_tanks(noise))
+    expected = {("h", "h"): -DRAIN, ("h", "u"): FLOW, ("l", "h"): THROUGH, ("l", "l"): -OUT}
+    assert _found(model) == pytest.approx(expected, rel=error)
+
+
+def test_a_rate_that_was_not_measured_and_what_reads_a_hidden_state_have_no_unexplained_part():
+    """Of two tanks the upper is hidden: what the lower does is read off it, too. A state of its own was measured."""
+    signature = Signature(("h", "l", "t"), ("m", "m", "K"), ("u",), (1.0, 1.0, 1.0))
+    data = _tanks(1e-5)
+    own = torch.zeros_like(data.x[:, :1])
+    wide = replace(data, x=torch.cat([data.x, own], -1), x_next=torch.cat([data.x_next, own], -1))
+    model = SindyModel(signature, ["h", "l", "u"], initial={"h": {"h": -0.9, "u": 0.5}, "l": {"h": 0.7}})
+    assert model.fit(wide).unmeasured == {"h", "l"}
+
+
+def test_a_first_guess_is_the_model_before_its_refinement():
+    signature = Signature(("h", "l"), ("m", "m"), ("u",), (1.0, 1.0))
+    given = {"h": {"h": -0.9, "u": 0.5}, "l": {"h": 0.7}}
+    model = SindyModel(signature, ["h", "l", "u"], fixed={"h": {"u": FLOW}}, initial=given)
+    model.fit(_tanks(0.0))
+    assert _found(model) == {("h", "h"): -0.9, ("h", "u"): FLOW, ("l", "h"): 0.7}
+    with pytest.raises(ValueError, match="not among the 1 candidate functions"):
+        SindyModel(signature, ["h"], initial={"h": {"h^2": 1.0}})
+
+
+def test_what_a_fit_changes_besides_coefficients_is_kept_in_its_state():
+    signature = Signature(("v",), ("m/s",), ("u",), (1.0,))
+    model, copy = (SindyModel(signature, ["v", "tanh(~3 v)", "u"]) for _ in range(2))
+    model.set_coefficients(torch.tensor([[1.0], [2.0], [3.0]]))
+    model.library, model.delay = model.library.with_shapes([7.0]), 0.03
+    copy.load_state_dict(model.state_dict())
+    x, u = torch.tensor([[0.2]]).double(), torch.tensor([[0.5]]).double()
+    assert copy(x, u).item() == pytest.approx(0.2 + 2 * np.tanh(7 * 0.2) + 1.5)
+    assert copy.delay == 0.03
+
+
+PAIR = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
+
+
+def _oscillator(seed: int, noise: float = 0.01) -> Transitions:
+    """x' = v, v' = -4 x - v + 3 u in exact steps of 0.05 s, with white noise in both states."""
+    rng = np.random.default_rng(seed)
+    flow = expm(0.05 * np.array([[0.0, 1, 0], [-4, -1, 3], [0, 0, 0]]))
+    x, u = [np.zeros(2)], rng.uniform(-1, 1, 40).repeat(10)
+    for held in u:
+        x.append((flow @ [*x[-1], held])[:2])
+    seen = np.array(x) + noise * rng.normal(size=(len(x), 2))
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.05)
+
+
+@pytest.mark.parametrize("method", ["integral", "one_step", "trajectory"])
+def test_a_fit_knows_its_errors_and_keeps_them_with_the_model(tmp_path, method):
+    model = SindyModel(PAIR, ["x", "v", "u"], Regression("bic"), Refinement(method), known={"x": "v"})
+    assert model.covariance is None
+    report = model.fit(_oscillator(0))
+    known = model.covariance
+    assert (known.features.tolist(), known.states.tolist()) == ([0, 1, 2], [1, 1, 1])  # x' = v was given
+    assert report.covariance is known and "(standard errors)" in report.to_text()
+    model.save(tmp_path / "model.json")
+    kept = json.loads(json.dumps(model.record()))
+    for again in (SindyModel.load(tmp_path / "model.json"), SindyModel.of_record(kept, "here")):
+        np.testing.assert_allclose(again.covariance.matrix, known.matrix, rtol=1e-9)
+        assert torch.equal(again.coefficients, model.coefficients)
+    restored = SindyModel(PAIR, ["x", "v", "u"])
+    restored.load_state_dict(model.state_dict())
+    assert torch.equal(restored.covariance.factor, known.factor)
+    model.set_coefficients(2 * model.coefficients)
+    assert model.covariance is None  # they are others, of which nothing is known
+    restored.load_state_dict(model.state_dict())
+    assert restored.covariance is None
+
+
+def test_a_regression_of_old_and_new_data_knows_its_errors_by_its_sums():
+    model = SindyModel(PAIR, ["x", "v", "u"], Regression("bic"))
+    model.fit(_oscillator(0))
+    told = []
+    for seed in range(1, 9):
+        model.update(_oscillator(seed))
+        told.append(model.covariance.errors)
+    np.testing.assert_allclose(told[-1] / told[0], (2 / 9) ** 0.5, rtol=0.1)

@@ -1,0 +1,191 @@
+"""Tables of Xi say the same numbers as Xi, in every form."""
+
+import csv
+import io
+import re
+
+import pytest
+import torch
+
+from dynasindy.sindy.equations import (
+    equations,
+    equations_to_latex,
+    plus_minus,
+    to_csv,
+    to_latex,
+    to_text,
+    with_errors,
+)
+from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.model import SindyModel
+from dynasindy.systems import Xi
+from dynasindy.systems.base import Signature
+
+SIGNATURE = Signature(("alpha_p", "b"), ("rad", "m"), ("u",), (1.0, 1.0))
+LIBRARY = Library(SIGNATURE, [CONSTANT, variable("b"), variable("u", 2) * of("sin", "alpha_p"), of("cos", "alpha_p")])
+COEFFICIENTS = torch.tensor([[-0.5, 0], [1, 0], [0, 0], [-1, 12345.678]], dtype=torch.float64)
+
+
+def published() -> SindyModel:
+    """The table of the paper, found from exact derivatives."""
+    generator = torch.Generator().manual_seed(1)
+    x = (2 * torch.rand(2000, 6, generator=generator, dtype=torch.float64) - 1) * torch.tensor([1, 1, 1, 1, 3e3, 2e3])
+    u = 2 * torch.rand(2000, 2, generator=generator, dtype=torch.float64) - 1
+    model = SindyModel(Xi().signature)
+    model.fit_derivatives(x, u, Xi()(x, u))
+    return model
+
+
+def test_equations_write_signs_ones_and_empty_rows_as_a_reader_would():
+    assert equations(LIBRARY, COEFFICIENTS) == ["alpha_p' = -0.5 + b - cos(alpha_p)", "b' = 1.235e+04 cos(alpha_p)"]
+    assert equations(LIBRARY, COEFFICIENTS, digits=8)[1] == "b' = 12345.678 cos(alpha_p)"
+    assert equations(LIBRARY, torch.zeros(4, 2)) == ["alpha_p' = 0", "b' = 0"]
+    assert equations(LIBRARY, torch.tensor([[0.0, 1.0], [-1.0, 0], [2e-5, 0], [0, 0]])) == [
+        "alpha_p' = -b + 2e-05 u^2 sin(alpha_p)",
+        "b' = 1",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("values", "written"),
+    [
+        ((0, 2.0, -3.0, 0, 0), "(2 b - 3 u^2) /(1 + 3 cos(alpha_p)^2)"),
+        ((0.5, 2.0, 0, -1.0, 0), "0.5 + (2 b - 1) /(1 + 3 cos(alpha_p)^2)"),
+        ((0, 2.0, 0, 0, 0), "2 b /(1 + 3 cos(alpha_p)^2)"),
+        ((0, -2.0, 0, 0, 0), "-2 b /(1 + 3 cos(alpha_p)^2)"),
+        ((1.0, 0, 0, -4.0, 0), "1 - 4 /(1 + 3 cos(alpha_p)^2)"),
+        ((0, -2.0, -1.0, 0, 0), "(-2 b - u^2) /(1 + 3 cos(alpha_p)^2)"),
+        ((1.0, 2.0, 1.0, 0, -7.0), "1 + (2 b + u^2) /(1 + 3 cos(alpha_p)^2) - 7 b /(1 + 2 cos(alpha_p)^2)"),
+    ],
+)
+def test_what_is_divided_by_the_same_is_written_over_it_once(values, written):
+    by, other = of("per_cos2", "alpha_p", frequency=3.0, fitted=True), of("per_cos2", "alpha_p", frequency=2.0)
+    b = variable("b")
+    library = Library(SIGNATURE, [CONSTANT, b * by, variable("u", 2) * by, by, other * b])
+    assert equations(library, torch.tensor([values, (0,) * 5]).mT) == [f"alpha_p' = {written}", "b' = 0"]
+
+
+def test_the_paper_s_equations_are_printed():
+    lines = published().equations(digits=6)
+    assert lines[0] == "alpha_a' = Omega_a"
+    assert lines[2] == (
+        "Omega_a' = -10.0573 Omega_a + 0.00098316 omega_a cos(alpha_p) - 0.7025 u_p cos(alpha_p) + 0.9479 cos(alpha_p)"
+    )
+    assert lines[4] == "omega_a' = 262.7 - 5.2281 omega_a + 37000 u_a"
+
+
+def test_text_is_aligned_and_may_leave_out_empty_functions():
+    lines = to_text(LIBRARY, COEFFICIENTS).splitlines()
+    assert len(lines) == 5 and len({len(line) for line in lines}) == 1
+    assert lines[0].split() == ["function", "alpha_p'", "b'"]
+    assert lines[1].split() == ["1", "-0.5", "0"]
+    active = to_text(LIBRARY, COEFFICIENTS, active_only=True).splitlines()
+    assert len(active) == 4 and not any("u^2" in line for line in active)
+
+
+def test_names_stand_left_and_numbers_right():
+    few = Library(SIGNATURE, [variable("b"), of("cos", "alpha_p")])
+    written = to_text(few, torch.tensor([[1.0, 0.0], [-1.5, 12.0]]))
+    assert written.splitlines() == [
+        "function      alpha_p'  b'",
+        "b                    1   0",
+        "cos(alpha_p)      -1.5  12",
+    ]
+
+
+def test_latex_has_the_paper_s_form():
+    written = to_latex(LIBRARY, COEFFICIENTS, digits=3)
+    assert written.startswith("\\begin{tabular}{|c|c|c|}\n\\hline\n") and written.endswith("\\end{tabular}\n")
+    rows = [line for line in written.splitlines() if line.endswith(r"\\ \hline")]
+    assert len(rows) == 5 and all(row.count("&") == 2 for row in rows)
+    assert rows[0] == r"Library function & $\dot{\alpha_{p}}$ & $\dot{b}$ \\ \hline"
+    assert rows[3] == r"$u^{2} \, \sin \alpha_{p}$ & 0 & 0 \\ \hline"
+    assert rows[4] == r"$\cos \alpha_{p}$ & $-1$ & $1.23\times10^{4}$ \\ \hline"
+    assert written.count("{") == written.count("}")
+    assert len(to_latex(LIBRARY, COEFFICIENTS, active_only=True).splitlines()) == len(written.splitlines()) - 1
+
+
+def test_csv_holds_every_digit_and_the_units():
+    library, xi = LIBRARY, COEFFICIENTS / 3
+    header, *rows = csv.reader(io.StringIO(to_csv(library, xi)))
+    assert header == ["function", "d(alpha_p)/dt [rad/s]", "d(b)/dt [m/s]"]
+    assert [row[0] for row in rows] == list(library.names)
+    assert torch.equal(torch.tensor([[float(v) for v in row[1:]] for row in rows], dtype=torch.float64), xi)
+
+
+def test_all_forms_hold_the_19_published_numbers():
+    model = published()
+    text = to_text(model.library, model.coefficients, digits=7)
+    rows = {line[:24].strip(): line[24:].split() for line in text.splitlines()[1:]}
+    assert len(rows) == 27 and sum(v != "0" for row in rows.values() for v in row) == 19
+    assert rows["Omega_a^2 sin(alpha_p)"][3] == "-16.3547" and rows["1"][2:] == ["0", "0.5961", "262.7", "-8.54"]
+    latex = to_latex(model.library, model.coefficients, digits=6, active_only=True)
+    assert re.search(r"\\Omega_\{a\}\^\{2\} .* \$-16\.3547\$", latex)
+    numbers = [
+        float(v)
+        for row in list(csv.reader(io.StringIO(to_csv(model.library, model.coefficients))))[1:]
+        for v in row[1:]
+    ]
+    assert sorted(n for n in numbers if n)[-2:] == pytest.approx([6.1e3, 3.7e4])
+
+
+def test_equations_as_latex_break_after_three_terms():
+    signature = Signature(("x", "y"), ("-", "-"), ("u",), (1.0, 1.0))
+    library = Library(signature, [CONSTANT, variable("x"), variable("y"), of("sin", "x", power=2), variable("u")])
+    table = torch.tensor([[-2.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [3e-7, 0.0], [0.5, 0.0]], dtype=torch.float64)
+    assert equations_to_latex(library, table).splitlines() == [
+        r"\begin{align*}",
+        r"    \dot{x} &= - 2 + x - y \\",
+        r"    &\quad + 3\times10^{-7} \, \sin^{2} x + 0.5 \, u \\",
+        r"    \dot{y} &= 0",
+        r"\end{align*}",
+    ]
+
+
+def test_a_difference_equation_is_written_as_what_a_state_is_next():
+    """p[k+1] = p + 0.5 (2 v - 0.2 u) and v[k+1] = v + 0.5 (-2 v + 3 p^2), whose own v is gone."""
+    signature = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
+    p, v = variable("p"), variable("v")
+    library = Library(signature, [v, variable("u"), p * p], step=0.5)
+    xi = torch.tensor([[2.0, -2.0 + 1e-13], [-0.2, 0.0], [0.0, 3.0]], dtype=torch.float64)
+    assert equations(library, xi) == ["p[k+1] = p + v - 0.1 u", "v[k+1] = 1.5 p^2"]
+    text = to_text(library, xi, active_only=True).splitlines()
+    assert text[0].split() == ["function", "p[k+1]", "v[k+1]"] and [line.split()[0] for line in text[1:]] == [
+        "p", "v", "u", "p^2",
+    ]  # fmt: skip
+    assert "{p}[k+1] &= p + v - 0.1 \\, u" in equations_to_latex(library, xi)
+    assert "${v}[k+1]$" in to_latex(library, xi)
+    rows = list(csv.reader(io.StringIO(to_csv(library, xi))))
+    assert rows[0] == ["function", "p[k+1] [m]", "v[k+1] [m/s]"] and ["p", "1.0", "0.0"] in rows
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "written"),
+    [
+        (1.23412, 0.00499, "1.2341 ± 0.0050"),
+        (-9.8137, 0.0996, "-9.81 ± 0.10"),
+        (314.2, 12.3, "314 ± 12"),
+        (0.0, 0.25, "0.00 ± 0.25"),
+        (3.1e-7, 2e-8, "(3.10 ± 0.20)e-07"),
+        (-2.5e8, 1e7, "(-2.50 ± 0.10)e+08"),
+        (0.02, 31.0, "0 ± 31"),
+    ],
+)
+def test_an_error_has_two_digits_and_its_number_as_many_places(value, error, written):
+    assert plus_minus(value, error) == written
+
+
+def test_each_coefficient_that_was_fitted_has_a_line_with_its_error():
+    signature = Signature(("p", "v"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+    library = Library(signature, [CONSTANT, variable("v"), of("sin", "p")])
+    xi = torch.tensor([[0.0, 0.0], [1.0, -0.5], [0.0, -9.81]], dtype=torch.float64)
+    errors = torch.tensor([[0.0, 0.0], [0.0, 0.01], [0.0, 0.03]], dtype=torch.float64)
+    assert with_errors(library, xi, errors) == ["v'  -0.500 ± 0.010  v", "v'  -9.810 ± 0.030  sin(p)"]
+
+
+def test_a_coefficient_of_a_difference_equation_has_the_error_of_its_right_side():
+    """v[k+1] = v + 0.5 (-0.5 v + 3 u): half of what the rates have."""
+    signature = Signature(("v",), ("m/s",), ("u",), (1.0,))
+    library = Library(signature, [variable("u"), variable("v")], step=0.5)
+    xi, errors = (torch.tensor(values, dtype=torch.float64).unsqueeze(-1) for values in ([3.0, -0.5], [0.02, 0.04]))
+    assert with_errors(library, xi, errors) == ["v[k+1]  0.750 ± 0.020  v", "v[k+1]  1.500 ± 0.010  u"]

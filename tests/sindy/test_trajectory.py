@@ -1,0 +1,362 @@
+"""The fit to whole trajectories is the maximum likelihood estimate: scipy's minimum, and the Cramer-Rao bound."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from dynasindy.sindy import trajectory_fit as choosing
+from dynasindy.sindy import trajectory_fit as trajectory
+from dynasindy.sindy.constraints import Constraints
+from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.one_step_fit import refine_one_step
+from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.sindy.shooting import Descent, Estimate, Flow, growth
+from dynasindy.sindy.trajectory_fit import few_steps, refine_trajectory
+from dynasindy.sindy.windows import Windows, spread
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
+
+NOISE = 0.03
+INPUTS = inputs(20)
+
+
+def coefficients_of(refine, *args):
+    """Coefficients that a refinement finds; the library comes back as it was."""
+    if refine is refine_trajectory:
+        args = (*args[:-1], Descent(args[-1]))
+    return refine(*args)[1]
+
+
+def recording(seed: int, noise: float = NOISE) -> Transitions:
+    y = motion(A, B, Y0, INPUTS) + noise * np.random.default_rng(seed).normal(size=201)
+    return Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(INPUTS).unsqueeze(-1), DT)
+
+
+def refine(window: int) -> Refinement:
+    return Refinement("trajectory", rounds=0, window=window)
+
+
+def bound() -> np.ndarray:
+    """Cramer-Rao standard errors of a and b, the start state unknown, from central differences of the motion."""
+    place, slopes = np.array([A, B, Y0]), []
+    for k in range(3):
+        step = 1e-5 * np.eye(3)[k]
+        slopes.append((motion(*(place + step), INPUTS) - motion(*(place - step), INPUTS)) / 2e-5)
+    information = np.array(slopes) @ np.array(slopes).T / NOISE**2
+    return np.sqrt(np.diag(np.linalg.inv(information)))[:2]
+
+
+# From ten times too fast a decay the first step without damping raises the cost.
+@pytest.mark.parametrize(("window", "start"), [(10, -1.5), (37, -1.5), (200, -1.5), (100, -20.0)])
+def test_the_estimate_is_scipy_s_minimum_whatever_the_windows_and_the_start(window, start):
+    data = recording(0)
+    measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
+    theirs = least_squares(lambda p: motion(*p, INPUTS) - measured, [A, B, Y0], xtol=1e-12, ftol=1e-12).x
+    found = coefficients_of(refine_trajectory, LIBRARY, column(start, 2.5, 0.0, 0.0), TWO, data, window)
+    error = np.abs(found[:2, 0].numpy() - theirs[:2])
+    assert np.all(error < 0.02 * bound()), error / bound()
+
+
+def test_its_spread_over_recordings_is_the_cramer_rao_bound():
+    estimates = np.array(
+        [
+            coefficients_of(refine_trajectory, LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k), 10)[:2, 0].numpy()
+            for k in range(24)
+        ]
+    )
+    assert np.all(np.abs(estimates.mean(0) - [A, B]) < 4 * bound() / math.sqrt(24))
+    assert np.all(np.abs(estimates.std(0, ddof=1) / bound() - 1) < 0.35)
+
+
+def test_noise_in_the_states_biases_the_one_step_fit_but_not_this_one():
+    estimates = [
+        [f(LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k, 0.1), *more)[1][0, 0].item() for k in range(6)]
+        for f, more in ((refine_one_step, (1e-9,)), (refine_trajectory, (Descent(10),)))
+    ]
+    spread = 0.1 / NOISE * bound()[0] / math.sqrt(6)
+    assert abs(np.mean(estimates[0]) - A) > 8 * spread
+    assert abs(np.mean(estimates[1]) - A) < 4 * spread
+
+
+def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
+    free, data = torch.ones(4, 1, dtype=torch.bool), recording(1)
+    dropped = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.05, 0.05), free, data, 10)
+    assert (dropped != 0).flatten().tolist() == [True, True, False, False]
+    added = coefficients_of(refine_trajectory, LIBRARY, column(0.0, 2.8, 0.0, 0.0), free, data, 10)
+    assert np.allclose(added, dropped, atol=0.05 * bound().max())
+
+
+def test_functions_that_resemble_an_error_that_lasts_are_left_out_where_errors_are_said_to_last():
+    free, kept = torch.ones(4, 1, dtype=torch.bool), {False: 0, True: 0}
+    for seed in range(3):
+        steps = np.random.default_rng(seed).normal(size=1201)
+        lasting = lfilter([1], [1, -0.95], steps)  # 1.95 / 0.05, some 40 samples, say the same
+        driven = np.random.default_rng(seed + 50).uniform(-1, 1, 120).repeat(10)
+        y = motion(A, B, Y0, driven) + NOISE * math.sqrt(1 - 0.95**2) * lasting
+        data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(driven)[:, None], DT)
+        for correlated in kept:
+            descent = Descent(20, correlated=correlated)
+            xi = refine_trajectory(LIBRARY, column(-1.5, 2.0, 0.1, 0.1), free, data, descent)[1]
+            assert bool((xi[:2] != 0).all())
+            kept[correlated] += int((xi[2:] != 0).sum())
+    assert kept[True] == 0 < kept[False]
+
+
+def test_without_noise_the_plant_is_found():
+    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.0, 2.0, 0.0, 0.0), TWO, recording(0, 0.0), 10)
+    assert found[:2, 0].tolist() == pytest.approx([A, B], rel=1e-6)
+
+
+@pytest.mark.parametrize("outlier", [1e8, -1e30])
+def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
+    data = recording(0)
+    data.x[20, 0] = data.x_next[19, 0] = outlier
+    start = column(A, B, 0.0, 1.0)
+    free = torch.ones(4, 1, dtype=torch.bool)
+    with pytest.raises(ValueError, match=r"runs away in .* of .* windows of 2 samples, the first of them number"):
+        coefficients_of(refine_trajectory, LIBRARY, start, free, data, 20)
+
+
+def test_a_window_longer_than_memory_is_that_of_the_data():
+    data, start = recording(0), column(A, B, 0.0, 0.0)
+    found = [
+        refine(window).run(LIBRARY, start, Constraints(TWO, torch.zeros_like(start)), data)[1]
+        for window in (200, 10**15)
+    ]
+    assert torch.equal(*found)
+
+
+def test_a_state_that_never_moves_is_no_reason_to_fail():
+    data = recording(0)
+    still = Transitions(0 * data.x, data.u, 0 * data.x_next, data.dt, data.segment)
+    found = coefficients_of(
+        refine_trajectory, LIBRARY, column(A, 1e-3, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), still, 20
+    )
+    assert bool(found.isfinite().all())
+
+
+def test_two_recordings_have_a_start_each():
+    y = [motion(A, B, start, INPUTS[:60]) for start in (0.3, -0.8)]
+    noise = np.random.default_rng(5).normal(size=(2, 61))
+    parts = [
+        Transitions.from_trajectory(
+            torch.from_numpy(a + NOISE * b).unsqueeze(-1), torch.from_numpy(INPUTS[:60]).unsqueeze(-1), DT
+        )
+        for a, b in zip(y, noise)
+    ]
+    data = Transitions.cat(parts)
+    measured = np.concatenate([a + NOISE * b for a, b in zip(y, noise)])
+
+    def miss(p):
+        return np.concatenate([motion(p[0], p[1], start, INPUTS[:60]) for start in p[2:]]) - measured
+
+    theirs = least_squares(miss, [A, B, 0.3, -0.8], xtol=1e-12, ftol=1e-12).x
+    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, 25)
+    assert found[:2, 0].tolist() == pytest.approx(theirs[:2].tolist(), rel=5e-3)
+
+
+def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states():
+    data = recording(0)
+    measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
+
+    def errors(p: np.ndarray) -> np.ndarray:
+        parts = []
+        for k, start in enumerate(p[2:]):
+            held, seen = INPUTS[50 * k : 50 * (k + 1)], measured[50 * k : 50 * (k + 1) + 1]
+            parts.append(motion(p[0], p[1], start, held) - seen)
+        return np.concatenate(parts)
+
+    theirs = least_squares(errors, [A, B, *measured[:200:50]], xtol=1e-12, ftol=1e-12).x
+    alone = Descent(50, joined=False)
+    found = refine_trajectory(LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, alone)[1]
+    assert np.all(np.abs(found[:2, 0].numpy() - theirs[:2]) < 0.02 * bound())
+
+
+@pytest.mark.parametrize(("rate", "joined", "factor"), [(2.0, True, 4.0), (2.0, False, 2.0), (-2.0, True, 0.1)])
+def test_errors_of_a_start_grow_as_the_exact_motion_says(rate, joined, factor):
+    data, xi = recording(0), column(rate, B, 0.0, 0.0)
+    windows = Windows.of(data, 100, joined)
+    estimate = Estimate(LIBRARY, xi, windows.first)
+    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows))[0]
+    wanted = math.exp(rate * factor / 2) if rate > 0 else math.exp(rate)
+    assert grown == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_trajectory_along_which_errors_grow_is_fitted_in_windows_on_their_own_first(monkeypatch):
+    seen = []
+
+    def spy(estimate, free, windows, limits):
+        seen.append(windows.joined.any().item())
+        return estimate
+
+    monkeypatch.setattr(trajectory, "search", spy)
+    for rate in (3.0, A):  # e^6 over the recording
+        refine_trajectory(LIBRARY, column(rate, B, 0.0, 0.0), TWO, recording(0), Descent(20))
+    assert seen == [False, True, True]
+
+
+def test_of_a_long_recording_functions_are_chosen_on_some_rows_and_fitted_on_all(monkeypatch):
+    data = recording(1)
+    every = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, 10)
+    sizes = []
+
+    def spy(estimate, free, windows, limits):
+        sizes.append(int(windows.mask.sum()))
+        return estimate
+
+    monkeypatch.setattr(trajectory, "spread", lambda n, wanted: torch.arange(n) % 100 < 40)
+    monkeypatch.setattr(trajectory, "search", spy)
+    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, 10)
+    assert sizes == [80]
+    assert np.allclose(found, every, atol=0.01 * bound().min())
+
+
+def test_of_a_long_recording_of_a_pushed_plant_pushes_and_coefficients_are_those_of_all_rows(monkeypatch):
+    data, sizes, through = recording(1, 0.001), [], trajectory.noise_of
+
+    def spy(estimate, windows, pushed):
+        sizes.append(int(windows.mask.sum()))
+        return through(estimate, windows, pushed)
+
+    monkeypatch.setattr(trajectory, "ENOUGH", 100)
+    monkeypatch.setattr(trajectory, "noise_of", spy)
+    found = refine_trajectory(LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, Descent(10, pushed=True))[1]
+    assert {*sizes[:-1]} == {100} and sizes[-1] == 200
+    assert found[:2, 0].tolist() == pytest.approx([A, B], rel=0.05)
+
+
+@pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
+def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
+    chosen = spread(n, wanted)
+    assert int(chosen.sum()) == rows and bool(chosen[0] and chosen[-1])
+    if n == 1000:
+        begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
+        assert len(begins) == 10 and int(begins.diff().max() - begins.diff().min()) <= 1
+
+
+@pytest.mark.parametrize("push", [0.0, 0.02])
+def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
+    # y' = c u is linear in c and in the start states: one of them in all, or one in each of ten windows of 20.
+    rng = np.random.default_rng(5)
+    y = np.cumsum([Y0, *(B * DT * INPUTS + push * rng.normal(size=200))]) + NOISE * rng.normal(size=201)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    moved = np.concatenate([[0.0], np.cumsum(DT * INPUTS)])
+
+    def left_over(length: int) -> float:
+        """Root mean square error at the ends of all intervals, starts measured too."""
+        rows, target, ends = [], [], []
+        for window, begin in enumerate(range(0, 200, length)):
+            for k in range(begin, begin + length + 1):
+                rows.append([moved[k] - moved[begin], *(np.arange(200 // length) == window)])
+                target.append(y[k])
+                ends.append(k > begin)
+        columns, wanted = np.array(rows, dtype=float), np.array(target)
+        error = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+        return float(np.sqrt(np.square(error[ends]).mean()))
+
+    library, free = Library(SIGNATURE, [variable("u")]), torch.ones(1, 1, dtype=torch.bool)
+    found = trajectory.strain(library, column(2.0), free, data, Descent(20), data.x)
+    wanted = left_over(200) / (left_over(20) / math.sqrt(1 - 10 / 210))
+    assert found.tolist() == pytest.approx([wanted], rel=1e-5)
+    assert (wanted > 1.5) == (push > 0) and (push or abs(wanted - 1) < 0.05)
+
+
+def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_exactly():
+    exact = Transitions.from_trajectory(torch.from_numpy(motion(A, B, Y0, INPUTS))[:, None], column(*INPUTS), DT)
+    args = (LIBRARY, column(A, B, 0, 0), TWO)
+    assert trajectory.strain(*args, exact, Descent(20), exact.x).tolist() == pytest.approx([1.0], abs=0.2)
+    lost = Transitions(exact.x * math.nan, exact.u, exact.x_next * math.nan, DT, exact.segment)
+    assert trajectory.strain(*args, lost, Descent(20), exact.x).tolist() == [0.0]
+    nothing = (LIBRARY, column(0, 0, 0, 0), TWO)
+    assert trajectory.strain(*nothing, exact, Descent(20), exact.x).tolist() == [math.inf]
+
+
+def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypatch):
+    # Whole steps lead nowhere; steps that were damped are let through, and the least of squares is the same.
+    bent, free = column(-1.5, 2.5, 0, 0.1), torch.ones(4, 1, dtype=torch.bool)
+    data, moved, args = recording(0), choosing.move, (LIBRARY, bent, free)
+    wanted = refine_trajectory(*args, data, Descent(20, False))[1]
+
+    def too_far(flow, model, kept, damping=0.0):
+        found = moved(flow, model, kept, damping)
+        return replace(found, nodes=1e200 * found.nodes) if damping == 0 else found
+
+    monkeypatch.setattr(choosing, "move", too_far)
+    assert torch.allclose(refine_trajectory(*args, data, Descent(20, False))[1], wanted, rtol=1e-2)
+
+
+def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so():
+    """y' = y^3 from 1 is 1 / sqrt(1 - 2 t), beyond all bounds after half a second; here it falls back to 1 before."""
+    dt, n = 0.05, 200
+    y = torch.from_numpy(1 / np.sqrt(1 - 2 * dt * (np.arange(n + 1) % 8))).unsqueeze(-1)
+    data = Transitions.from_trajectory(y, torch.zeros(n, 1, dtype=torch.float64), dt)
+    library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
+    notes = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).notes
+    assert refine_trajectory(library, xi, free, data, Descent(20)).window == 8
+    assert notes == ("the model runs away in simulations of 20 samples, so the fit simulates the log in pieces of 8",)
+
+
+def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew():
+    """A pendulum upright, its angle measured alone, held for 12 s: an error of its start grows e^36-fold meanwhile."""
+    signature = Signature(("theta", "omega"), ("rad", "rad/s"), ("u",), (0.2, 1.0))
+    library = Library(signature, [*(variable(name) for name in ("theta", "omega", "u")), CONSTANT])
+    a, b = np.array([[0.0, 1.0], [9.0, -0.5]]), np.array([0.0, 8.0])
+    whole = np.zeros((3, 3))
+    whole[:2, :2], whole[:2, 2] = a, b
+    f = torch.linalg.matrix_exp(torch.from_numpy(DT * whole))[:2].numpy()
+    rng, x, u = np.random.default_rng(0), [np.zeros(2)], []
+    for k in range(1200):
+        if k % 5 == 0:
+            held = -2.0 * x[-1][0] - 0.6 * x[-1][1] + 0.1 * rng.normal()
+        u.append(held)
+        x.append(f[:, :2] @ x[-1] + f[:, 2] * held)
+    seen = torch.from_numpy(np.array(x))
+    guess = seen[:-1].clone()
+    seen = (seen / 1e-3).round() * 1e-3
+    seen[:, 1] = torch.nan
+    data = Transitions.from_trajectory(seen, torch.tensor(u).unsqueeze(-1), DT)
+    wanted = torch.tensor([[0.0, 9.0], [1.0, -0.5], [0.0, 8.0], [0.0, 0.0]], dtype=torch.float64)
+    free = torch.tensor([[False, True]]).expand(4, 2)
+    first = torch.where(free, 1.03 * wanted, wanted)
+    apart = [
+        float((refine_trajectory(library, first, free, data, Descent(20, joined), guess)[1] - wanted).abs().max())
+        for joined in (None, True)
+    ]
+    assert apart[0] < 0.2 < apart[1], apart
+
+
+def test_no_finer_steps_are_sought_for_a_difference_equation(monkeypatch):
+    """y[k+1] = -0.6 y[k] + 0.3 u[k] is found by its own steps, and not once more by others."""
+    monkeypatch.setattr(trajectory, "descend", lambda *given: pytest.fail("finer steps were sought"))
+    u, y = inputs(20), [Y0]
+    for held in u:
+        y.append(-0.6 * y[-1] + 0.3 * held)
+    data = Transitions.from_trajectory(torch.tensor(y, dtype=torch.float64)[:, None], torch.from_numpy(u)[:, None], DT)
+    first = column(-1.5 / DT, 0.2 / DT, 0.0, 0.0)
+    found = refine_trajectory(LIBRARY.with_step(DT), first, TWO, data, Descent(20))
+    assert found.flow.windows.substeps == 1
+    assert (DT * found.coefficients[:2, 0]).tolist() == pytest.approx([-1.6, 0.3], abs=1e-9)
+
+
+def test_functions_of_an_angle_that_look_alike_do_not_cancel_one_another():
+    """a' = -2 sin(a) + u at angles of some degrees: only the sum of a and sin(a) is told, the prior shares it out."""
+    rng, dt = np.random.default_rng(0), 0.05
+    a, u = [0.05], 0.2 * rng.uniform(-1, 1, 60).repeat(10)
+    for held in u:
+        for _ in range(20):
+            a.append(a[-1] + dt / 20 * (held - 2 * math.sin(a[-1])))
+        a[-20:] = a[-1:]
+    x = torch.from_numpy(np.array(a) + 0.005 * rng.normal(size=len(a))).unsqueeze(-1)
+    data = Transitions.from_trajectory(x, torch.from_numpy(u).unsqueeze(-1), dt)
+    library = Library(Signature(("a",), ("rad",), ("u",), (0.1,)), [variable("a"), of("sin", "a"), variable("u")])
+    free = torch.ones(3, 1, dtype=torch.bool)
+    found = few_steps(library, column(-1.0, -1.0, 1.0), free, data, Descent(20), data.x)[1].xi[:, 0]
+    assert float(found[:2].sum()) == pytest.approx(-2.0, abs=0.2) and float(found[2]) == pytest.approx(1.0, abs=0.05)
+    assert float(found[:2].abs().max()) < 50.0  # 10 times the rate of change, some 0.1 per second, over 0.05
