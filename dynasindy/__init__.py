@@ -12,10 +12,10 @@ import gymnasium
 
 if TYPE_CHECKING:
     from dynasindy.control import Controller, load
-    from dynasindy.terminal import Shown
+    from dynasindy.progress import Progress
     from dynasindy.workbench import foretell, identify, plan, read
 
-__all__ = ["Controller", "Shown", "__version__", "foretell", "identify", "load", "plan", "read"]
+__all__ = ["Controller", "Progress", "__version__", "foretell", "identify", "load", "plan", "read"]
 
 __version__ = "0.1.0"
 
@@ -28,7 +28,7 @@ gymnasium.register("dynasindy/Pendulum-v0", entry_point="dynasindy.envs.gym:pend
 _PLACES = {
     "Controller": "dynasindy.control",
     "load": "dynasindy.control",
-    "Shown": "dynasindy.terminal",
+    "Progress": "dynasindy.progress",
     "foretell": "dynasindy.workbench",
     "identify": "dynasindy.workbench",
     "plan": "dynasindy.workbench",

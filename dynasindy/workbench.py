@@ -18,7 +18,7 @@ PREDICTED on 3 models fitted to data that the plan never saw (no plant was moved
 >>> controller.reset()
 >>> u = controller.act({"speed": 0.1}, {"speed": 0.3})  # once per control period: measured, wanted
 
-Nothing is printed while they work; `with dynasindy.Shown():` around them shows on standard error what is under way.
+Nothing is printed while they work; `with dynasindy.Progress():` around them shows on standard error what is under way.
 `train.py data=csv` calls the same and writes everything down; `train.py` alone has a plant in the loop.
 """
 

@@ -33,8 +33,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.checking.verdict import in_figures, in_short, lost
     from dynasindy.evaluation.files import add_to_record, write_json
     from dynasindy.export.write import Exported
-    from dynasindy.terminal import say
-    from dynasindy.told import counted
+    from dynasindy.progress import say, track
     from dynasindy.viz.check import draw
     from dynasindy.viz.style import save
 
@@ -66,7 +65,7 @@ def main(cfg: DictConfig) -> None:
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_record(metrics, "check", in_figures(found, findings))
     figures = draw(found)
-    for name, figure in counted("figures", figures.items(), len(figures), "files"):
+    for name, figure in track("figures", figures.items(), len(figures), "files"):
         save(figure, folder / name)
     say(
         "What the model predicts; the plant itself was not asked.",

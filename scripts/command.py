@@ -35,7 +35,7 @@ from reader import while_read
 
 import dynasindy
 from dynasindy.dyna.stopped import Stopped
-from dynasindy.told import tell
+from dynasindy.progress import report_progress
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
@@ -49,7 +49,7 @@ PACKAGE = Path(dynasindy.__file__).parent
 """Folder of what warns in words for users; a checkout may have the package's name, too, and hold a whole venv."""
 JOBS, SWEPT = "DYNASINDY_JOBS", "DYNASINDY_SWEPT"
 """Variables that tell the workers of a sweep how many jobs there are, and in which settings they differ."""
-SHOWN = ExitStack()
+PROGRESS = ExitStack()
 """What shows the work of the command that was started in this process."""
 
 
@@ -108,7 +108,7 @@ def command(
                     return
                 sys.argv[1:] = map(as_text, sys.argv[1:])
                 complete(sys.argv)
-                with SHOWN, _whole_names() if completes(sys.argv[1:]) else nullcontext():
+                with PROGRESS, _whole_names() if completes(sys.argv[1:]) else nullcontext():
                     main()
             listen(leave)
             gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
@@ -138,11 +138,11 @@ def _in_one_line(
 
 def show() -> None:
     """Show from here on what the command is doing; it begins with imports, which take a moment."""
-    from dynasindy.terminal import LOADING, Shown
+    from dynasindy.progress import LOADING, Progress
 
-    if Shown.active is None:
-        SHOWN.enter_context(Shown())
-        tell(LOADING)
+    if Progress.active is None:
+        PROGRESS.enter_context(Progress())
+        report_progress(LOADING)
 
 
 class Sweep(Callback):
@@ -185,7 +185,7 @@ class Sweep(Callback):
             Sweep.claim.enter_context(claimed(folder))
         except ValueError as error:
             Sweep.running = None
-            SHOWN.close()
+            PROGRESS.close()
             print(f"error: {error}", file=sys.stderr)
             sys.exit(2)  # Hydra makes warnings of other exceptions
         if Sweep.jobs is not None:  # they are told from those of other commands, which may go on beside this one
@@ -303,7 +303,7 @@ def _watch(folder: Path) -> None:
     while Sweep.running:
         done, failed = map(len, Sweep.came(folder))
         words = f"{failed} failed" if failed else ""
-        tell("sweep", done, int(os.environ[JOBS]), "jobs", words, around=True)
+        report_progress("sweep", done, int(os.environ[JOBS]), "jobs", words, outer=True)
         time.sleep(1.0)
 
 
@@ -333,7 +333,7 @@ def _mistakes_in_words(config_name: str, cfg: DictConfig | None = None) -> Itera
             if Sweep.running:
                 remove_jobless(Path(Sweep.running))
         if Sweep.running is None:
-            SHOWN.close()  # so that the line is the last one
+            PROGRESS.close()  # so that the line is the last one
         print(line, file=sys.stderr)
         sys.exit(1 if diverged else 2)
 

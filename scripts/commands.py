@@ -13,7 +13,7 @@ from stopping import listen, stop  # isort: split
 from reader import while_read
 
 import dynasindy
-from dynasindy.nearest import did_you_mean
+from dynasindy.text import did_you_mean
 
 COMMANDS = (
     "train",

@@ -18,7 +18,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import beyond_targets, heading, summarise, to_text
     from dynasindy.planning.integral import IntegralAction
-    from dynasindy.terminal import say, width
+    from dynasindy.progress import say, width
     from dynasindy.viz.animation import animate
     from dynasindy.viz.controllers import by_planning, with_integral
     from dynasindy.viz.evaluation import draw_evaluation

@@ -13,7 +13,7 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.evaluation.given import folder_for
     from dynasindy.export.write import Exported, write
-    from dynasindy.terminal import say
+    from dynasindy.progress import say
 
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:

@@ -24,8 +24,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.before_fit import before_fit, plants_with
     from dynasindy.evaluation.identification import identify
     from dynasindy.evaluation.written import to_words, write
-    from dynasindy.terminal import say, width
-    from dynasindy.told import tell
+    from dynasindy.progress import report_progress, say, width
 
     torch.set_num_threads(cfg.threads)
     if cfg.data.get("path") and cfg.get("sensors") is not None:
@@ -36,7 +35,7 @@ def main(cfg: DictConfig) -> None:
     if (system := instantiate(cfg.system, _convert_="all")) is not None and not cfg.data.get("path"):
         # refuses functions before the plant moves
         instantiate(cfg.world_model, _convert_="all")(signature=system.signature)
-    tell("data")
+    report_progress("data")
     source, told = loaded(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
     before = before_fit(model, source)

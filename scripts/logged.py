@@ -27,8 +27,8 @@ from dynasindy.evaluation.quiet import quiet_targets
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning
+from dynasindy.progress import say
 from dynasindy.sindy import SindyModel
-from dynasindy.terminal import say
 from dynasindy.viz.controllers import named
 from dynasindy.viz.evaluation import draw_evaluation
 from dynasindy.workbench import damped, rates_of

@@ -15,7 +15,7 @@ def main(cfg: DictConfig) -> None:
     """Save runs if asked to, then build the report from all that is saved."""
     import torch
 
-    from dynasindy.terminal import say
+    from dynasindy.progress import say
     from dynasindy.viz.report import Results, build
 
     torch.set_num_threads(cfg.threads)

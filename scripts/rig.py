@@ -24,9 +24,9 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy import load
     from dynasindy.evaluation.files import write_text
+    from dynasindy.progress import Progress, say
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
-    from dynasindy.terminal import Shown, say
 
     torch.set_num_threads(cfg.threads)
     system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
@@ -61,7 +61,7 @@ def main(cfg: DictConfig) -> None:
                 session.excite(instantiate(cfg.excitation, _convert_="all")(n_u=system.signature.n_u, dt=cfg.dt))
             for _ in range(cfg.flights):
                 if not session.failed:
-                    with Shown():  # while the rig rests; in a flight nothing else may draw
+                    with Progress():  # while the rig rests; in a flight nothing else may draw
                         controller = given or session.learn(knowledge, cfg.seed)
                     session.fly(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:

@@ -17,7 +17,7 @@ def main() -> None:
             if len(sys.argv) != 2:
                 raise ValueError(f"give one folder, that of a sweep: {called('table')} runs/SWEEP")
             from dynasindy.evaluation.table import sweep_table
-            from dynasindy.terminal import say
+            from dynasindy.progress import say
 
             say(sweep_table(Path(sys.argv[1])))
         except (FileNotFoundError, ValueError) as error:

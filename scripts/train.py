@@ -39,7 +39,7 @@ def main(cfg: DictConfig) -> float:
         return max(shares, default=math.inf)
     from dynasindy.control.files import NAME
     from dynasindy.dyna.run import report
-    from dynasindy.terminal import say
+    from dynasindy.progress import say
     from dynasindy.viz.controllers import by_planning
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 

@@ -20,11 +20,11 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
+from dynasindy.progress import listening
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
-from dynasindy.told import hearing
 from dynasindy.workbench import foretell, sensors_of
 
 COUNT = 2 * math.pi / 4096
@@ -100,14 +100,14 @@ def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path)
 
 def test_what_is_under_way_is_told_and_nothing_is_printed(exact, capfd):
     heard = []
-    with hearing(heard.append):
+    with listening(heard.append):
         found = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
         dynasindy.plan(found, {"theta": (-0.6, 0.6)}, exact, updates=1, rollouts=4, window=5)
     phases = list(dict.fromkeys(told.phase for told in heard))
     assert phases[:3] == ["fit", "fit to part 1 of 2 of the log", "fit to part 2 of 2 of the log"]
     assert "planning" in phases
     assert capfd.readouterr() == ("", "")
-    assert dynasindy.Shown.__module__ == "dynasindy.terminal"
+    assert dynasindy.Progress.__module__ == "dynasindy.progress"
 
 
 def test_without_a_log_all_states_are_to_be_measured(model):

@@ -19,9 +19,9 @@ from dynasindy.checking.margins import Margins, margins
 from dynasindy.checking.noise import noise_gain
 from dynasindy.checking.swings import Swings, swings, unmoved
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
+from dynasindy.progress import report_progress, track
 from dynasindy.systems import ranges
 from dynasindy.systems.ranges import Ends
-from dynasindy.told import counted, tell
 
 PERIODS = 400
 """Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
@@ -205,7 +205,7 @@ def _begun(loop: Loop, settings: Settings) -> Check:
     """Return where the loop rests, and nothing else yet."""
     targets, signature = settings.targets, loop.signature
     count, n_r, n_u, seconds = len(targets), loop.task.n_r, signature.n_u, float(settings.seconds or 0.0)
-    tell(RESTS, 0, count, "targets")
+    report_progress(RESTS, 0, count, "targets")
     found = rest(loop, targets, seconds=seconds)
     begin = _begin(loop, settings, settings.middle)
     none, no_x, no_u = (torch.zeros(shape).double() for shape in ((count, 0), (0, 2, signature.n_x), (0, 1, n_u)))
@@ -237,7 +237,7 @@ def _bearing(found: Check) -> dict[str, Any]:
     """Return margins and what noise does, at the targets at which the loop is stable."""
     stable = found.stable.tolist()
     rows = [found.rest.linear.row(k) if ok else None for k, ok in enumerate(stable)]
-    told = counted("margins", rows, len(rows), "targets")
+    told = track("margins", rows, len(rows), "targets")
     both = [([], None) if row is None else (margins(row), noise_gain(row)) for row in told]
     return {"margins": [each for each, _ in both], "noise": [each for _, each in both]}
 

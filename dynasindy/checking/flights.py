@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dynasindy.checking.linear import ending
 from dynasindy.checking.loop import Loop
-from dynasindy.told import counted
+from dynasindy.progress import track
 
 FULL = 0.99
 """Part of its way from the middle to a limit at which an input counts as saturated."""
@@ -95,7 +95,7 @@ def fly(loop: Loop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to
     z, r = loop.started(x.double()), r.double()
     covariance, states, inputs = loop.uncertain(z), [x.double()], []
     periods = max(1, round(seconds / loop.dt))
-    for k in counted(phase, range(periods), periods, "control periods"):
+    for k in track(phase, range(periods), periods, "control periods"):
         z, covariance, u = loop.step(z, covariance, r, first=k == 0)
         states.append(z[:, loop.parts["x"]])
         inputs.append(u)

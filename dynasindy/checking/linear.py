@@ -17,7 +17,7 @@ from torch import Tensor
 
 from dynasindy.agents.classical.linearise import Equilibria
 from dynasindy.checking.loop import Loop
-from dynasindy.told import tell
+from dynasindy.progress import report_progress
 
 NUDGE = 1e-5
 """Step of the differences [ranges]."""
@@ -186,7 +186,7 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
         say: Hears at how many references the rest is known, and what is being done; by default it is told of targets.
     """
     r, total = r.double(), len(r)
-    say = say or (lambda known, words: tell(RESTS, known, total, "targets", words))
+    say = say or (lambda known, words: report_progress(RESTS, known, total, "targets", words))
     z = guess(loop, r, say) if start is None else start.z
     covariance = covariance_at(loop, z, say) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r, 0, say)

@@ -13,9 +13,9 @@ from torch import Tensor
 from dynasindy.checking.linear import Array, Rest, rest
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.settling import settling
+from dynasindy.progress import report_progress, track
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import change_of
-from dynasindy.told import counted, tell
 
 SHARE = 0.2
 """By how much a coefficient is moved, as a share of itself."""
@@ -153,7 +153,7 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
     rests, slopes = [], []
-    several = counted(PHASE, r.double() if count else [], len(r), "targets")
+    several = track(PHASE, r.double() if count else [], len(r), "targets")
     for k, target in enumerate(several):
         start = nominal.select(torch.full((count,), k))
         say = partial(_said, k, len(r))
@@ -179,4 +179,4 @@ def _closing(loop: Loop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, 
 
 def _said(target: int, targets: int, known: int, words: str) -> None:
     """Tell how many plants are known to rest at a target."""
-    tell(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")
+    report_progress(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")

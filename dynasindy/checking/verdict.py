@@ -16,7 +16,7 @@ from dynasindy.checking.record import number
 from dynasindy.checking.settling import CLOSED, LONGEST
 from dynasindy.checking.uncertainty import SHARE
 from dynasindy.checking.words import below, error, least, most, name_of, place, sizes
-from dynasindy.durations import in_words
+from dynasindy.text import format_duration
 
 
 def lost(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
@@ -97,7 +97,7 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
         which = ("such as " if count - good > 1 else "") + place(found, k)
         words = (
             f"NOT stable at {count - good} of {grid}, {which}{more}; flown there for "
-            f"{in_words(found.swings.seconds)}, {name_of(found, output)} ends within {word} of its target, and "
+            f"{format_duration(found.swings.seconds)}, {name_of(found, output)} ends within {word} of its target, and "
             f"{_circling(found, limits)}; thresholds: spectral radius < 1 at all, swings of {100 * limits.swing:g} %"
         )
         return Finding("stability", False, words)
@@ -108,8 +108,8 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
     words = (
         f"stable at {'all ' * (count > 1)}{grid}; largest spectral radius {shown} at {place(found, k)}: "
         f"there the slowest part of plant and controller together dies out with a time constant of "
-        f"{in_words(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt = "
-        f"{in_words(dt, digits=2)}; threshold: < 1"
+        f"{format_duration(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt = "
+        f"{format_duration(dt, digits=2)}; threshold: < 1"
     )
     return Finding("stability", True, words)
 
@@ -170,7 +170,7 @@ def _flights(found: Check, limits: Thresholds) -> list[Finding]:
             "saturation",
             float(saturated[j]) <= limits.saturated,
             f"{begun} {names[j]} is at its limit for up to {shares} % of "
-            f"{in_words(found.seconds)}; threshold: {most_shares} %",
+            f"{format_duration(found.seconds)}; threshold: {most_shares} %",
         ),
     ]
 
@@ -224,12 +224,12 @@ def _settling(found: Check, limits: Thresholds) -> list[Finding]:
     slowest, own = float(others.amax()), float(times[:, -1].amax())
     label, count = found.spread.labels[int(others.argmax())], int(stays.sum())
     left = "" if bool(stays.all()) else " that are stable"
-    end = f"more than {in_words(LONGEST * found.seconds, digits=2)}"
-    shown, model = (in_words(time, digits=3) if time < math.inf else end for time in (slowest, own))
+    end = f"more than {format_duration(LONGEST * found.seconds, digits=2)}"
+    shown, model = (format_duration(time, digits=3) if time < math.inf else end for time in (slowest, own))
     words = (
         f"between opposite targets, limits of inputs apart, all but {100 * CLOSED:g} % of the way is done after "
         f"{model} with the model, and after {shown} with the slowest of {count} plants with other "
-        f"coefficients{left}, {label}; threshold: {in_words(limits.settled * found.seconds, digits=3)}"
+        f"coefficients{left}, {label}; threshold: {format_duration(limits.settled * found.seconds, digits=3)}"
     )
     return [Finding("settling", slowest <= limits.settled * found.seconds, words)]
 

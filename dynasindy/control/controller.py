@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import Belief
@@ -25,6 +24,7 @@ from dynasindy.sensing.offset import Policy, acting
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Tracking
 from dynasindy.tasks.references import N_PARAMS
+from dynasindy.text import did_you_mean
 
 Values = float | Sequence[float] | NDArray[np.float64] | Tensor | Mapping[str, float]
 """Numbers in the order of the signature, or by name."""

@@ -13,7 +13,7 @@ from dynasindy.data.survey import Survey, survey
 from dynasindy.data.table import MAP, split_unit
 from dynasindy.data.units import with_units
 from dynasindy.data.unnamed import guessed
-from dynasindy.nearest import did_you_mean
+from dynasindy.text import did_you_mean
 
 
 @dataclass(frozen=True)

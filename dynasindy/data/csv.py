@@ -23,10 +23,10 @@ from dynasindy.data.rates import turning
 from dynasindy.data.resampled import EVEN, evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
 from dynasindy.data.units import conversions, undecided, with_units
-from dynasindy.durations import in_words
 from dynasindy.systems.base import Signature
 from dynasindy.systems.reach import acting
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
 STUCK = 5  # samples with one value at the end of its range may be a stop
@@ -55,9 +55,10 @@ class Recording:
         states = (f"{name} [{unit}]" for name, unit in zip(signature.state_names, signature.state_units, strict=True))
         stretches = len(data.segment.unique())
         many = f" in {stretches} stretches" if stretches > 1 else ""
+        length, step = format_duration(len(data) * data.dt), format_duration(data.dt)
         lines = [
-            f"Recording of {len(data)} rows, {in_words(len(data) * data.dt)} every {in_words(data.dt)}{many}: states "
-            f"{', '.join(states)}; inputs {', '.join(signature.input_names)}",
+            f"Recording of {len(data)} rows, {length} every {step}{many}: "
+            f"states {', '.join(states)}; inputs {', '.join(signature.input_names)}",
             *(f"note: {note}" for note in self.notes),
         ]
         return "\n".join(lines)

@@ -8,12 +8,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
 from dynasindy.systems.ranges import Ends, limits
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import did_you_mean
 
 FAR = 1000.0
 """Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.dates import ALLOWED, seconds_of_date
-from dynasindy.nearest import did_you_mean
+from dynasindy.text import did_you_mean
 
 MAP = "correct the column map (data.time, data.states, data.inputs)"
 SEPARATORS = ",;\t"

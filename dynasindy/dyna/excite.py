@@ -32,9 +32,9 @@ from dynasindy.dyna.parts import Bench, Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning.regulator import riccati
+from dynasindy.progress import report_progress
 from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
-from dynasindy.told import tell
 
 BEYOND = 10.0
 """Ranges of a state, about zero, that limit the excitation of a plant that stays by itself and names no bounds."""
@@ -60,7 +60,7 @@ def excite(parts: Bench, pilot: Loop | None = None) -> TensorDict:
         parts: The plant, and the signal.
         pilot: The signal with the regulator under it that an earlier excitation found; the signal alone if omitted.
     """
-    tell("excitation")
+    report_progress("excitation")
     pilot, steps = pilot or Loop(parts.excitation), parts.excitation.n_steps
     if not parts.plant.begins_anew:
         return interact(parts.env, pilot, steps)
@@ -142,7 +142,7 @@ def coarse(plant: ControlEnv, rows: TensorDict) -> str:
     """
     if type(plant) is not ControlEnv:
         return ""  # another simulator, or a rig, moves it
-    tell("excitation", words="are the steps of the simulation short enough?")
+    report_progress("excitation", note="are the steps of the simulation short enough?")
     rows = rows[:: max(1, len(rows) // LOOKED_AT)]
     x, u = rows["state"], rows["action"].to(rows["state"].dtype)
     needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)

@@ -18,10 +18,10 @@ from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
+from dynasindy.progress import say, width
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.tasks import Tracking
-from dynasindy.terminal import say, width
 from dynasindy.workbench import foretell, plan
 
 

@@ -19,7 +19,7 @@ from dynasindy.dyna.excite import excite, explore
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
-from dynasindy.told import counted, tell
+from dynasindy.progress import report_progress, track
 
 
 def train(parts: Parts, settings: Settings, callback: Callback, place: Place | None = None) -> TensorDictModuleBase:
@@ -52,13 +52,13 @@ def train(parts: Parts, settings: Settings, callback: Callback, place: Place | N
         callback.reached(place.past_planning())
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
-        tell("real episode")
+        report_progress("real episode")
         rollout = explore(parts)
         replay.extend_real(rollout)
         cost.real_steps += rollout.numel()
         # Policy learning.
         updates = round(settings.updates_per_step * rollout.numel()) if planner.learns_by_td3 else 0
-        for _ in counted("policy learning", range(updates), updates, "updates"):
+        for _ in track("policy learning", range(updates), updates, "updates"):
             agent.update(replay.sample())
         agent.check()
         cost.updates += updates

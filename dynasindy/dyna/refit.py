@@ -13,10 +13,10 @@ from torch import Tensor
 from dynasindy.data.recording import Logged, measured, transitions
 from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.planning import ModelError, replay_error
+from dynasindy.progress import report_progress
 from dynasindy.sindy import WorldModel
 from dynasindy.systems import Diverged
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 
 WINDOW = 20
 """Control periods of a held-out window: an imagined rollout."""
@@ -56,7 +56,7 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
     Raises:
         Diverged: What the model has learnt is not finite.
     """
-    tell("fit")
+    report_progress("fit")
     rows = parts.replay.real_in_order()
     if settings.recent_steps is not None:
         rows = rows[-settings.recent_steps :]
@@ -77,7 +77,7 @@ def _added(parts: Parts, data: Transitions) -> object:
     Raises:
         Diverged: What the model has learnt is not finite.
     """
-    tell("fit")
+    report_progress("fit")
     report = parts.world_model.update(data) if len(data) else None  # all of them may have touched a stop
     _require_finite(parts.world_model, math.ceil(len(data) / data.substeps))
     return report

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from dynasindy.durations import in_words
-from dynasindy.dyna.callback import Callbacks, Place
+from dynasindy.dyna.callback import Callbacks, Place, RunProgress
 from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.progress import Progress
 from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.equations import late
@@ -23,8 +21,9 @@ from dynasindy.evaluation.given import read_record
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
+from dynasindy.progress import Progress, width
 from dynasindy.systems import Diverged
-from dynasindy.terminal import Shown, width
+from dynasindy.text import format_duration
 
 
 class Kept(Protocol):
@@ -156,10 +155,10 @@ def run(
             else:
                 _restore(kept, state, checkpoints.folder)
                 _resume(folder, provenance)
-            with Shown() if progress else nullcontext():
+            with Progress() if progress else nullcontext():
                 if not finish:
-                    told = Progress(recipe.train.episodes, place)
-                    train(parts, recipe.train, Callbacks([recorder, told, saver]), place)
+                    shown = RunProgress(recipe.train.episodes, place)
+                    train(parts, recipe.train, Callbacks([recorder, shown, saver]), place)
                 facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
                 metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
         (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile
@@ -231,10 +230,10 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     lines += [
         *metrics.get("beyond_targets", []),
         "",
-        f"Cost: the plant moved for {in_words(cost['plant_seconds'])} to learn, which are {cost['real_steps']} control "
-        f"periods. The model imagined {cost['imagined_transitions']} periods, and the policy was updated "
-        f"{cost['updates']} times, all in {in_words(round(cost['wall_seconds']))}. The evaluations moved the plant for "
-        f"{cost['evaluation_steps']} periods more, from which nothing was learnt.",
+        f"Cost: the plant moved for {format_duration(cost['plant_seconds'])} to learn, which are {cost['real_steps']} "
+        f"control periods. The model imagined {cost['imagined_transitions']} periods, and the policy was updated "
+        f"{cost['updates']} times, all in {format_duration(round(cost['wall_seconds']))}. The evaluations moved the "
+        f"plant for {cost['evaluation_steps']} periods more, from which nothing was learnt.",
         *([metrics["excitation"]] if metrics.get("excitation") else []),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *_of_plant(metrics.get("planning") or ""),

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dynasindy.durations import unit_of
 from dynasindy.systems import Signature
 from dynasindy.systems.angles import turn_of
+from dynasindy.text import duration_unit
 
 Vector = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -75,7 +75,7 @@ def draw(
             reach = max(signature.x_scale[index], 1.25 * abs(float(reference[k])))
             _draw_bar(image, corner, unit, (value, float(reference[k])), ends[k] if ends else (-reach, reach))
     if time is not None:
-        clock = unit_of(time, running=True) if longest is None else unit_of(longest)
+        clock = duration_unit(time, running=True) if longest is None else duration_unit(longest)
         _write(image, (10, 8), f"t = {time / clock.seconds:.2f} {clock.name}")
     return _finished(image)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynasindy.durations import in_words
 from dynasindy.evaluation.before_fit import known_word
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
@@ -12,6 +11,7 @@ from dynasindy.sindy.input_nonlinearity import Bend, bends_in
 from dynasindy.sindy.library import Feature
 from dynasindy.sindy.reconstruction import rates_known
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import format_duration
 
 LATE = "the inputs act"
 """First words of the line that tells a delay."""
@@ -29,7 +29,7 @@ def late(delay: float) -> str:
     Args:
         delay: Delay of the inputs [s].
     """
-    return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else in_words(delay)} late"
+    return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else format_duration(delay)} late"
 
 
 def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[str]:

@@ -16,6 +16,7 @@ from dynasindy.evaluation.equations import hidden_states
 from dynasindy.evaluation.horizons import LOST, Forecasts, forecast
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
+from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy.delay import arrived
 from dynasindy.sindy.fit_report import FitReport, Refined
 from dynasindy.sindy.lag_states import Trial, trials
@@ -24,7 +25,6 @@ from dynasindy.sindy.reconstruction import moving_on
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell, telling
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
 
 
 def _fitted(model: SindyModel, source: Source) -> Fitted:
-    tell("fit")
+    report_progress("fit")
     plain = Fitted(model, source, model.fit(source.training))
     before = forecast(model, source.training, source.validation) if source.logged else None
     if before is None:
@@ -174,7 +174,7 @@ def _whole(found: Fitted, before: Forecasts) -> tuple[Fitted, Forecasts]:
     kept, signature = found.report.aside, found.model.signature
     if kept is None:
         return found, before
-    with suppress(*FAILURES), telling("fit by one simulation"):
+    with suppress(*FAILURES), reporting_as("fit by one simulation"):
         model, report = aside(found.model, kept, found.source.training)
         whole = _renamed(replace(found, model=model, report=report))
         after = _forecast(whole) if bool(whole.follower) == bool(found.follower) else None
@@ -208,7 +208,7 @@ def _straighter(found: Fitted, before: Forecasts) -> tuple[Fitted, Forecasts]:
     model = _straight(found.model) if lasting else None
     if model is None:
         return found, before
-    with suppress(*FAILURES), telling("fit without functions that bend"):
+    with suppress(*FAILURES), reporting_as("fit without functions that bend"):
         straight = _renamed(replace(found, model=model, report=model.fit(found.source.training)))
         after = _forecast(straight) if bool(straight.follower) == bool(found.follower) else None
         if after is not None:
@@ -259,7 +259,7 @@ def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> It
 
 def _with(trial: Trial, source: Source) -> Fitted | None:
     """Return the fit with one state more; None where it fails."""
-    with suppress(*FAILURES), telling(f"fit with a state that follows {trial.signal}"):
+    with suppress(*FAILURES), reporting_as(f"fit with a state that follows {trial.signal}"):
         data = source.with_states_of(trial.model)
         report = trial.model.fit(data.training)
         return Fitted(trial.model, data, report, trial.words())

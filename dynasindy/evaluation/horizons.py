@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.durations import MANY
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.evaluation.symptoms import resolutions, resolutions_by
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delayed
 from dynasindy.sindy.reconstruction import at_rest, rates_known, reconstruct
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import MANY
 
 STARTS = 200
 """Start times, at most; as many tell, on the data of the fit, on how many samples start states are best estimated."""

@@ -24,6 +24,7 @@ from dynasindy.evaluation.horizons import Forecasts, begun, forecast
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
+from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.actuators import Found, find_actuator
 from dynasindy.sindy.delay import arrived, delayed
@@ -32,7 +33,6 @@ from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop
 from dynasindy.sindy.reconstruction import moving_on, rates_known
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell, telling
 
 ExcitationBuilder = Callable[..., Excitation]
 
@@ -259,7 +259,7 @@ def identify(
     found = _actuators(model, source.training) if actuators else None
     if found is not None and found.actuator is None and fit.report.in_pieces and (model.delay or fit.follower):
         found, acting = _undelayed(bare, given.training, found)
-    tell("prediction of the validation data")
+    report_progress("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, begun(model, validation))
     missing = validation.x_next.isnan().all(0).tolist()
@@ -281,7 +281,7 @@ def identify(
 def _actuators(model: SindyModel, data: Transitions) -> Found:
     """Look for actuators; where that fails, the model that was fitted stays, and the reason is said."""
     try:
-        with telling("actuators"):
+        with reporting_as("actuators"):
             return find_actuator(model, data)
     except (ArithmeticError, ValueError, RuntimeError) as error:  # numbers that run away, or decompositions that fail
         return Found.none(model, " ".join(str(error).split()) or type(error).__name__)
@@ -295,7 +295,7 @@ def _undelayed(bare: SindyModel, data: Transitions, before: Found) -> tuple[Foun
     """
     with suppress(*FAILURES):
         bare.refinement = replace(bare.refinement, longest_delay=0.0) if bare.refinement else None
-        with telling("fit without a delay"):
+        with reporting_as("fit without a delay"):
             bare.fit(data)
         if (found := _actuators(bare, data)).actuator is not None:
             return found, bare

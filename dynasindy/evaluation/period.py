@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
@@ -20,6 +19,7 @@ from dynasindy.sindy.lag_states import begins
 from dynasindy.sindy.reconstruction import rates_known, reconstruct
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
+from dynasindy.text import format_duration
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
@@ -78,7 +78,8 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
     seconds = settles(ControlEnv(model, task, usual), x, u)
     if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
         return _chosen(
-            slow, f"as the model settles in {in_words(seconds, digits=2)}, and a plan looks {LONGEST} periods ahead"
+            slow,
+            f"as the model settles in {format_duration(seconds, digits=2)}, and a plan looks {LONGEST} periods ahead",
         )
     if usual < PERIOD - step:
         return _chosen(usual, "ten samples of the log")
@@ -107,7 +108,7 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
         return f"{swings}: log with a sampling time of {longest:.2g} s at most"
     seconds = settles(ControlEnv(model, task, dt), x, u, math.exp(-TIME_CONSTANTS))
     if (slow := _lengthened(dt, seconds / LONGEST, longest, step)) > dt * (1 + 1e-6):
-        takes, sees = (in_words(length, digits=2) for length in (seconds, LONGEST * dt))
+        takes, sees = (format_duration(length, digits=2) for length in (seconds, LONGEST * dt))
         return f"the model takes {takes} to settle fully, and a plan looks {sees} ahead: {_try(slow)}"
     return ""
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import torch
 
-from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation.held import LOST, WITHIN, Held, held, of_what
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.planning.rests import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
+from dynasindy.text import format_duration
 
 OVERSHOT = 20.0
 """Overshoot that a prediction tells of [% of the step]."""
@@ -125,7 +125,7 @@ class Prediction:
         lost += self.doubts
         asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
         verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
-        end = "the end" if self.seconds is None else f"the end of flights of {in_words(self.seconds)}"
+        end = "the end" if self.seconds is None else f"the end of flights of {format_duration(self.seconds)}"
         return f"{start}: {verdict}: errors at {end}: {'; '.join([*told, *lost])}"
 
     def _advice(self, flown: Sequence[Held]) -> str:

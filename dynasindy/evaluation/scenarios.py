@@ -24,11 +24,11 @@ from dynasindy.evaluation.disturbances import SensorNoise, Told
 from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
+from dynasindy.progress import report_progress
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Diverged, Signature, System, steps_needed
 from dynasindy.systems.angles import turn_of
 from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
-from dynasindy.told import tell
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 """Reads `observation` (or `state` and `reference`) of a tensordict and writes `action`."""
@@ -301,7 +301,7 @@ def _run(
     parts, total = [], round((scenario.seconds or 0.0) / calm.dt)
 
     def _told(env: EnvBase, step: TensorDictBase) -> None:
-        tell(phase, int(step["step_count"].max()), total, "control periods")
+        report_progress(phase, int(step["step_count"].max()), total, "control periods")
 
     for steps, disturbed in _phases(scenario, calm.dt):
         plant = calm.with_system(scenario.plant(calm.system)) if disturbed and scenario.plant else calm
@@ -309,7 +309,7 @@ def _run(
         part = env.rollout(steps, policy, _told, auto_reset=False, tensordict=start, break_when_any_done=False)
         start = env.step_mdp(part[..., -1])
         parts.append(part)
-    tell(phase, total, total, "control periods")  # of the last step the environment tells no more
+    report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
     if "measurement" in set(trajectory.keys()) or not sound_rollout(trajectory):
         in_time = trajectory.transpose(0, 1).reshape(-1)

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from dynasindy.durations import SECONDS, in_words, unit_of
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.text import SECONDS, duration_unit, format_duration
 
 Summary = dict[str, float | None]
 
@@ -97,12 +97,17 @@ def heading(evaluation: Evaluation) -> str:
     It says what disturbs the plant and by how much, when it does, and that steps are judged before.
     """
     what = "reference" if evaluation.columns else "episode"
-    facts = [f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}", in_words(evaluation.seconds)]
+    facts = [
+        f"{len(evaluation.outputs)} {what}{'s' * (len(evaluation.outputs) > 1)}",
+        format_duration(evaluation.seconds),
+    ]
     facts += evaluation.disturbances
-    facts += [f"disturbed from {in_words(start, end)} to {in_words(end)}" for start, end in evaluation.windows]
+    facts += [
+        f"disturbed from {format_duration(start, end)} to {format_duration(end)}" for start, end in evaluation.windows
+    ]
     first = min((start for start, _ in evaluation.windows), default=0.0)
     if first > 0 and not bool(evaluation.metrics["settling_time"].isnan().all()):
-        facts.append(f"overshoot, rise and settling time from what lies before {in_words(first)}")
+        facts.append(f"overshoot, rise and settling time from what lies before {format_duration(first)}")
     return f"Scenario '{evaluation.scenario}' ({', '.join(facts)})"
 
 
@@ -128,7 +133,7 @@ def to_text(
     if steady is None:
         errors.remove("steady_state_error")
     else:
-        words["steady_state_error"] = f"steady-state error (last {in_words(steady)})"
+        words["steady_state_error"] = f"steady-state error (last {format_duration(steady)})"
     axes = _columns(summary, "rmse")
     inputs = _columns(summary, "control_effort")
     lines = [title] if title else []
@@ -144,7 +149,7 @@ def to_text(
             unit = shared if name in TRACKING else "" if name == "steps" else UNITS.get(name, "%")
             factor = 100.0 if name == "settled" else 1.0
             if unit == SECONDS.name:
-                times = unit_of(max((summary[f"{name}/{axis}"] or 0.0 for axis in some), default=0.0))
+                times = duration_unit(max((summary[f"{name}/{axis}"] or 0.0 for axis in some), default=0.0))
                 unit, factor = times.name, 1 / times.seconds
             lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, some, factor))
     for some in _split(inputs, beside):

@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from dynasindy.durations import in_words
 from dynasindy.evaluation.given import escaped, read_record, understood
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+from dynasindy.text import format_duration
 
 HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
 FEWEST = 3
@@ -124,7 +124,7 @@ def _row(setting: str, runs: Sequence[dict[str, Any]], with_units: bool = False)
     return [
         f"`{setting or 'default'}`",
         str(len(runs)),
-        f"{cost['real_steps']} ({in_words(cost['plant_seconds'])})",
+        f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
         _finite([run["untrained"]["return"] for run in runs]),
         _finite([run["evaluation"]["return"] for run in runs]),
         _axes(runs, "steady_state_error") + unit,

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.durations import in_words
 from dynasindy.evaluation.horizons import LOST, Forecasts
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Factor, Feature
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import format_duration
 
 RESOLVED = 2.0
 """Error up to which a prediction is as good as a sensor can tell [what the sensor resolves]."""
@@ -56,7 +56,7 @@ def table(forecasts: Forecasts, signature: Signature, columns: int | None = None
         "linear model": forecasts.linear,
         "last value held": forecasts.held,
     }
-    wide, heads = max(map(len, kinds)) + 4, [in_words(horizon) for horizon in forecasts.horizons]
+    wide, heads = max(map(len, kinds)) + 4, [format_duration(horizon) for horizon in forecasts.horizons]
     beside = len(heads) if columns is None else max(1, (columns - wide - 2) // CELL)
     fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
     lines = [
@@ -89,7 +89,7 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
         return [f"this model does not predict: {short}", *_falls(forecasts, signature), *doubtful]
     k = forecasts.middle
     ours, simple, seen = forecasts.model[k], forecasts.linear[k], _seen(forecasts, signature)
-    names, ahead = signature.state_names, in_words(forecasts.horizons[k])
+    names, ahead = signature.state_names, format_duration(forecasts.horizons[k])
     fine = _fine(forecasts, seen)
     near = f", and {_listed(names, fine)} as exactly as the sensors can tell" if fine else ""
     if doubtful:
@@ -119,7 +119,7 @@ def _falls(forecasts: Forecasts, signature: Signature) -> list[str]:
     enough = (fine | forecasts.held.isnan()).all(1).tolist()
     reached = enough.index(False) if False in enough else len(enough)
     half = "half of the error of the last value held"
-    least = f"up to {in_words(forecasts.horizons[reached - 1])} ahead this model has at most {half}"
+    least = f"up to {format_duration(forecasts.horizons[reached - 1])} ahead this model has at most {half}"
     if not reached:
         least = f"this model has more than {half} over any time"
     return [
@@ -140,10 +140,11 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
         worse = [k for k in range(horizons) if bool(known[k]) and float(simple[k]) < BEHIND * float(ours[k])]
         if worse:
             k, unit = worse[0], signature.state_units[i]
+            ahead = format_duration(forecasts.horizons[k])
             error = f"to {_short(float(ours[k]))} {unit}" if bool(ours[k].isfinite()) else "runs away"
             lines.append(
                 f"a linear model on past samples predicts {signature.state_names[i]} "
-                f"{in_words(forecasts.horizons[k])} ahead to {_short(float(simple[k]))} {unit}, this one {error}: a "
+                f"{ahead} ahead to {_short(float(simple[k]))} {unit}, this one {error}: a "
                 "function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
             )
     return lines
@@ -288,14 +289,14 @@ def shortcoming(forecasts: Forecasts, signature: Signature) -> str:
     k, seen = forecasts.middle, _seen(forecasts, signature)
     ours, held, names, ahead = forecasts.model[k], forecasts.held[k], signature.state_names, forecasts.horizons[k]
     if lost := [i for i in seen if not math.isfinite(float(ours[i]))]:
-        return f"within {in_words(ahead)} {_listed(names, lost)} run{'s' * (len(lost) == 1)} away"
+        return f"within {format_duration(ahead)} {_listed(names, lost)} run{'s' * (len(lost) == 1)} away"
     fine = _fine(forecasts, seen)
     poor = [i for i in seen if i not in fine and not float(ours[i]) <= HELPFUL * float(held[i])]
     if not poor:
         return ""
     said = ", ".join(f"{names[i]} by {_short(float(ours[i]))} {signature.state_units[i]}" for i in poor)
     than = ", ".join(_short(float(held[i])) for i in poor)
-    return f"over {in_words(ahead)} it misses {said}; the last value held misses {than}"
+    return f"over {format_duration(ahead)} it misses {said}; the last value held misses {than}"
 
 
 def _seen(forecasts: Forecasts, signature: Signature) -> list[int]:

@@ -31,9 +31,9 @@ from dynasindy.planning.rests import Rests
 from dynasindy.planning.trust import Bound
 from dynasindy.planning.variation import Variation
 from dynasindy.planning.window import Network, backward, imagine
+from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.tasks import Task, Tracking
-from dynasindy.told import tell
 
 FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held", "margin")
 """Settings that follow the plant where they are not given."""
@@ -155,7 +155,7 @@ class GradientPlanning(Planner):
         first, self.phase = self.phase == 0, self.phase + 1
         if not self.rollouts or not (self.given.get("updates", 1) if first else self.more_updates):
             return Planned()
-        tell("planning")
+        report_progress("planning")
         if (actor := _network(self.agent.policy)) is not self.network:
             self.network.load_state_dict(actor.state_dict())
         rests, was_afar = rests_of(self.env), self.pace.afar
@@ -187,7 +187,7 @@ class GradientPlanning(Planner):
         optimizer = _optimizer(self.network, lr)
         best_weights, failures, done, made = self._weights(), 0, 0, 0
         for done in range(1, updates + 1):
-            tell("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
+            report_progress("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
             optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
             made += self._update(episodes, optimizer)
             if done % self.check_every == 0 or done == updates:

@@ -21,8 +21,8 @@ from dynasindy.planning.paths import NEAR, STILL, WEIGHTS, Paths
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rests import Rests
 from dynasindy.planning.window import Network, Rows, imagine
+from dynasindy.progress import track
 from dynasindy.tasks import Tracking
-from dynasindy.told import counted
 
 LADDER = (0.003, 0.03, 0.3, 3.0, 30.0, 300.0)
 """Weights of the tracked states that are tried; a plant of many poles is caught by gentle laws alone."""
@@ -130,7 +130,7 @@ def imitate(
         lessons: How often episodes are imagined, and the updates after each time.
     """
     (rounds, steps), seen, told = lessons, [], []
-    for k in counted("imitation of a regulator", range(rounds), rounds, "rounds"):
+    for k in track("imitation of a regulator", range(rounds), rounds, "rounds"):
         pilot: Network = network if k else _trembling(law, env.task.limit, rng)
         seen.append(_visited(pilot, law, env, rng))
         told.append(law(seen[-1]))

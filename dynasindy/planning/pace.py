@@ -22,11 +22,11 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.agents.classical.linearise import modes
-from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
 from dynasindy.planning.rests import Rests, between, find_rests, growth, slopes
 from dynasindy.tasks import Tracking
+from dynasindy.text import format_duration
 
 GROWN = 30.0
 """Growth of a deviation within an episode beyond which a plant has to be held. Of the twin rotor it is 5."""
@@ -227,12 +227,12 @@ def _fate(slopes: list[Tensor], grown: float, seconds: float, step: float | None
     """
     fastest = max(float(modes(a, step).real.max()) for a in slopes)
     if fastest * seconds > DOUBLED:
-        doubling = in_words(math.log(2) / fastest, digits=2)
+        doubling = format_duration(math.log(2) / fastest, digits=2)
         return f"the plant is unstable, without control a deviation doubles every {doubling}"
     if grown > 2.0:
         return f"without control a deviation grows {grown:.2g} times at most in an episode"
     if fastest * seconds < -DOUBLED:
-        halving = in_words(-math.log(2) / fastest, digits=2)
+        halving = format_duration(-math.log(2) / fastest, digits=2)
         return f"the plant is stable, without control a deviation decays, at the slowest by half every {halving}"
     return "without control a deviation hardly changes in an episode"
 

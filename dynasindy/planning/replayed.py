@@ -15,8 +15,8 @@ from dynasindy.limits import check_memory
 from dynasindy.planning.base import Planned, Planner
 from dynasindy.planning.bounds import Bounds
 from dynasindy.planning.imagine import Imagination
+from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged
-from dynasindy.told import tell
 
 
 class NoPlanning(Planner):
@@ -104,7 +104,7 @@ class ImaginedReplay(Planner):
         """
         if not self.rollouts:
             return Planned()
-        tell("planning", words=f"{self.rollouts} imagined rollouts")
+        report_progress("planning", note=f"{self.rollouts} imagined rollouts")
         if self.generations is not None:
             self.replay.keep_imagined(sum(self.made[max(0, len(self.made) + 1 - self.generations) :]))
         real = self.replay.real_as_stored()

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
+from dynasindy.progress import track
 from dynasindy.systems import integrate
 from dynasindy.tasks import Tracking
-from dynasindy.told import counted
 
 POPULATION, ELITE, ROUNDS = 1024, 0.1, 30
 """Signals per start, the share of them around which is drawn anew, and how often."""
@@ -65,7 +65,7 @@ def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.
     def _earned(drawn: Tensor) -> Tensor:
         return objective(env, roll(env, starts, signal(drawn, periods, env.task.limit)), repeated)
 
-    rounds = counted("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
+    rounds = track("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
     found = cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng)
     inputs = signal(found, periods, env.task.limit)
     states = roll(env, x, inputs)

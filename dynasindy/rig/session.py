@@ -21,7 +21,6 @@ from dynasindy.evaluation.equations import LATE
 from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
-from dynasindy.nearest import did_you_mean
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
@@ -33,6 +32,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
+from dynasindy.text import did_you_mean
 
 Tell = Callable[[str], None]
 WARM = 3

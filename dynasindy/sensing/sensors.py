@@ -10,8 +10,8 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.systems import Signature
+from dynasindy.text import did_you_mean
 
 LONGEST = 10
 """Longest delay [control periods]."""

@@ -19,6 +19,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import delayed, unexplained
 from dynasindy.sindy.library import Feature, Library, of, variable
@@ -30,7 +31,6 @@ from dynasindy.sindy.shooting import Descent, Estimate, RunsAway
 from dynasindy.sindy.trajectory_fit import few_steps
 from dynasindy.sindy.windows import spread
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 
 Kind = Literal["rate limit", "play", "dead zone", "lag"]
 KINDS = get_args(Kind)
@@ -176,7 +176,7 @@ def find_actuator(model: SindyModel, data: Transitions) -> Found:
     best: tuple[Tensor, Actuator, Estimate] | None = None
     for place, name in enumerate(names):
         for kind in WANTED:
-            tell("actuators", words=f"{kind} of {name}")
+            report_progress("actuators", note=f"{kind} of {name}")
             actuator = bench.size(place, kind)
             judged = None if actuator is None else bench.judged(library, support, actuator)
             if actuator and judged and (best is None or float(judged[0].sum()) < float(best[0].sum())):

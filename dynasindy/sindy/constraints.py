@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.sindy.library import Library
+from dynasindy.text import did_you_mean
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.progress import reporting_as
 from dynasindy.sindy.delay import delayed
 from dynasindy.sindy.difference_equation import stepwise
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.regression import Regression, RunningSums, simpson_form
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import telling
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> l
         member.initial, member.initial_delay = model.coefficients.clone(), 0.0
         if member.refinement is not None:
             member.refinement = replace(member.refinement, longest_delay=0.0)
-        with telling(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
+        with reporting_as(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
             member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
         member.delay = model.delay
         found.append(member)

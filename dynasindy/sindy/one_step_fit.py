@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import Covariance, jackknife
 from dynasindy.sindy.library import Library
@@ -16,7 +17,6 @@ from dynasindy.sindy.shooting import MOST_STEPS, turn_of
 from dynasindy.sindy.windows import ENOUGH, spread
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 
 LONGEST_STEP, MOST_TURNED, MOST = 0.005, 0.05, 200
 """Longest Runge-Kutta step [s] of a refinement: at rates of 10/s its relative error is below 1e-7. Intervals of more
@@ -69,7 +69,7 @@ def refine_one_step(
         active, others = Parameters.where(support), Parameters.where(free & ~support)
         if not len(active) or not len(others):
             break
-        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
+        report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
         rows, target, scale = linear_model(library, xi, active + others, data, floor)
         triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
@@ -94,7 +94,7 @@ def _descend(
         if not len(parameters):
             break
         what = f"{len(parameters)} coefficients, by single steps between {len(data)} samples"
-        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
+        report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
         rows, target, scale = linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
         kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))

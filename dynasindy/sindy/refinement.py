@@ -10,6 +10,7 @@ from typing import Literal
 from torch import Tensor
 
 from dynasindy.limits import Count
+from dynasindy.progress import report_progress
 from dynasindy.sindy import one_step_fit as one_step
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.constraints import Constraints
@@ -25,7 +26,6 @@ from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, certainty
 from dynasindy.sindy.trajectory_fit import WORSE, Fitted, few_steps, refine_trajectory, strain
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 
 AGAIN = 3
 """Rounds at most in which delay and equations are fitted in turn."""
@@ -325,7 +325,7 @@ class Refinement:
         """
         if not bool(found[1].any()):
             return delay
-        tell("fit", words=f"trying delays of the inputs up to {self._longest:g} s")
+        report_progress("fit", note=f"trying delays of the inputs up to {self._longest:g} s")
         few, data = replace(descent, max_rounds=STEPS), recording.data
 
         def _cost(trial: float) -> float:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from dynasindy.progress import report_progress
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import repetition
@@ -37,7 +38,6 @@ from dynasindy.sindy.shooting import (
 )
 from dynasindy.sindy.windows import ENOUGH, Windows, spread
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import tell
 
 
 def plainer(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
@@ -139,7 +139,7 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
         active, others = flow.parameters, Parameters.where(free & ~support & ~failed)
         if not len(others):
             break
-        tell("fit", words=f"which of {len(others)} terms that were left out should come in")
+        report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
         wider = replace(flow, parameters=active + others)
         model = linearise(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
@@ -243,7 +243,7 @@ def settled(
     model = model or linearise(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
     for k in range(max_rounds):
-        tell("fit", words=f"step {k + 1} of at most {max_rounds} for {what}")
+        report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
         candidate = move(flow, model, torch.arange(len(model.scale)), damping)
         trial = Flow.of(candidate, parameters, windows)
         cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf

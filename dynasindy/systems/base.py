@@ -15,11 +15,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import require_step, taken
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tracing import program
+from dynasindy.text import did_you_mean
 
 NAME = re.compile(r"[^\W\d][\w .'-]{0,59}")
 PRECISIONS = (torch.float32, torch.float64)

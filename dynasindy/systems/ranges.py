@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.systems.base import Signature
+from dynasindy.text import did_you_mean
 
 Ends = float | Sequence[float]
 """A number, or the two ends of a range."""

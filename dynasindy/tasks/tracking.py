@@ -10,7 +10,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from dynasindy.nearest import did_you_mean
 from dynasindy.systems import Signature, ranges
 from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
@@ -18,6 +17,7 @@ from dynasindy.tasks.base import Task
 from dynasindy.tasks.constants import constants
 from dynasindy.tasks.references import N_PARAMS, Reference
 from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
+from dynasindy.text import did_you_mean
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""

@@ -16,11 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
-from dynasindy.durations import unit_of
 from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.told import counted
+from dynasindy.progress import track
+from dynasindy.text import duration_unit
 from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, span, time_axis
 
 SUFFIXES = (".gif", ".mp4")
@@ -127,7 +127,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
     speed = every * RATE * float(evaluation.time[1] - evaluation.time[0])
     fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
     ends = [bar_ends(evaluation, row, n) for n in range(len(evaluation.columns))]
-    turned, unit = [0.0, 0.0], unit_of(evaluation.seconds)
+    turned, unit = [0.0, 0.0], duration_unit(evaluation.seconds)
     for k in range(0, len(x), every):
         words = f"t = {evaluation.time[k] / unit.seconds:.1f} {unit.name}{fast}"
         if is_beam(evaluation.signature):
@@ -166,7 +166,7 @@ def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds:
     every = max(1, round(speed / (RATE * dt)))
     write = _write_gif if path.suffix == ".gif" else _write_mp4
     row = drawn(evaluation).row if row is None else row
-    pictures = counted("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
+    pictures = track("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     write(pictures, path, every * dt / speed)
     return path
 

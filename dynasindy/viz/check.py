@@ -19,8 +19,8 @@ from torch import Tensor
 from dynasindy.checking import Check, Thresholds
 from dynasindy.checking.flights import TOLERANCE, gone
 from dynasindy.checking.margins import broken, frequencies
-from dynasindy.durations import in_words
 from dynasindy.systems import Signature
+from dynasindy.text import format_duration
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
@@ -81,7 +81,7 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
     if planes := [(p.names, p.units, p.first, p.second, p.back) for p in found.planes]:
         words = (
             f"Errors from which the model comes back to its rest at {_in_words(found, found.middle)}: within "
-            f"{in_words(found.seconds)} to {100 * TOLERANCE:g} % of each output's range "
+            f"{format_duration(found.seconds)} to {100 * TOLERANCE:g} % of each output's range "
             f"(asked for: {100 * limits.recovered:.0f} % of them)"
         )
         figures["recovery"] = recovery(planes, words)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dynasindy.durations import in_words
+from dynasindy.text import format_duration
 from dynasindy.viz.identification import training_data
 from dynasindy.viz.response import tracking
 from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled, time_axis
@@ -39,7 +39,7 @@ def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
     title = f"{name.replace('_', ' ').capitalize()} on the rig"
     ended = float(shown.time[-1]) + wiring.dt
     if shown.fault:
-        title += f", ended after {in_words(ended, planned)} of {in_words(planned)} by {shown.fault}"
+        title += f", ended after {format_duration(ended, planned)} of {format_duration(planned)} by {shown.fault}"
     inputs = {"measured": shown.inputs}
     figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature, title)
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):

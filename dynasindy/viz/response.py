@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from dynasindy.durations import in_words
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.text import format_duration
 from dynasindy.viz.controllers import looks
 from dynasindy.viz.style import (
     BLACK,
@@ -93,7 +93,7 @@ def step_response(
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
         start, end = span(seconds)
-        told = f"steady state: last {in_words(steady, longest=end - start, digits=3)}"
+        told = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
         axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=told)
     legend_above(figure.axes[0])
     return figure

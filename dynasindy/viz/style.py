@@ -17,9 +17,9 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.rates import NAMED
-from dynasindy.durations import TimeUnit, unit_of
+from dynasindy.progress import report_progress
 from dynasindy.systems.base import WHOLE, Signature
-from dynasindy.told import tell
+from dynasindy.text import TimeUnit, duration_unit
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -192,7 +192,7 @@ def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
         seconds: The times that it shows, or its two ends [s]; `span` gives those of a run.
         words: What it shows.
     """
-    unit = unit_of(float(np.ptp(array(seconds)))) if np.size(seconds) else unit_of(0.0)
+    unit = duration_unit(float(np.ptp(array(seconds)))) if np.size(seconds) else duration_unit(0.0)
     TIMED[axis] = words, unit
     _told_in(axis, words, unit)
 
@@ -301,7 +301,7 @@ def save_all(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str]
 def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write a figure once per format as `path` with the format's suffix and return the files."""
     target = Path(path)
-    tell("figures", words=target.name)
+    report_progress("figures", note=target.name)
     target.parent.mkdir(parents=True, exist_ok=True)
     files = [target.with_name(f"{target.name}.{suffix}") for suffix in formats]
     with matplotlib.rc_context(STYLE):

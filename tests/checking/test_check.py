@@ -13,8 +13,8 @@ from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear import covariance_at
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.record import number, record
+from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel
-from dynasindy.told import hearing
 
 SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 
@@ -52,7 +52,7 @@ def test_a_box_of_other_outputs_is_refused(loops):
 
 def test_a_record_is_json_of_what_was_found(loops, carts):
     heard = []
-    with hearing(heard.append):
+    with listening(heard.append):
         found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
     assert list(dict.fromkeys(told.phase for told in heard)) == [
         "where the loop rests",
@@ -92,7 +92,7 @@ def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, 
         return step(self, *args, **named)
 
     monkeypatch.setattr(Loop, "step", counting)
-    with hearing(hear):
+    with listening(hear):
         found = check(loops(law(2.0, 2.5, limit=0.3), model, observer={}), SMALL)
     assert found.stable.all() and found.spread.radius.isinf().any()
     assert any("control periods of flights" in told for told in heard)

@@ -23,10 +23,10 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning
+from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking
-from dynasindy.told import hearing
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def record(folder, tensorboard=False):
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
     recorder = Recorder(folder, parts, scenario, every=2, episodes=3, tensorboard=tensorboard)
     recorder.heard = []
-    with hearing(recorder.heard.append):
+    with listening(recorder.heard.append):
         recorder.begin()
     train(parts, recipe.train, recorder)
     return folder, parts, recorder

@@ -16,12 +16,12 @@ from dynasindy.evaluation.identification import Logged, identify
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.written import to_words
 from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.sindy.actuators import Actuator, Found
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
-from dynasindy.told import hearing
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 
@@ -255,7 +255,7 @@ def test_a_search_for_actuators_that_fails_costs_a_note_and_may_be_switched_off(
     monkeypatch.setattr(identification, "find_actuator", failing)
     source, heard = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0)), []
     model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
-    with hearing(heard.append):
+    with listening(heard.append):
         found = identify(model, source)
     assert [told.phase for told in heard if told.phase in ("fit", "actuators")][-1] == "actuators"
     note = "note: rate limits and play of inputs were not looked for: it runs away"

@@ -13,9 +13,9 @@ from dynasindy.evaluation.held import held
 from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
 from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.progress import listening
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
-from dynasindy.told import hearing
 
 PITCH_ZERO = (-0.1223, 0.2100)
 """Inputs that hold `xi` at pitch 0 (design table of equilibria)."""
@@ -45,7 +45,7 @@ def test_an_equilibrium_held_open_loop_ends_at_its_pitch() -> None:
 
 def test_an_episode_is_told_to_its_end_and_by_what_it_is() -> None:
     heard = []
-    with hearing(heard.append):
+    with listening(heard.append):
         evaluate(make(), constant(0.0, 0.2), Scenario("hold", Step([[0.0, 0.0]]), seconds=0.5))
         evaluate(make(), constant(0.0, 0.2), Scenario("hold", seconds=0.5), phase="untrained")
     assert [told.done for told in heard if "untrained" not in told.phase] == [*range(9), 10]  # the end is told

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from PIL import Image, ImageDraw
 from tensordict import TensorDict
 
-from dynasindy.durations import in_words
 from dynasindy.envs import ControlEnv, drawing
 from dynasindy.envs.drawing import draw_beam
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
+from dynasindy.text import format_duration
 from dynasindy.viz.animation import FULL, Chart, animate, bar_ends, frames
 
 
@@ -134,7 +134,7 @@ def test_clock_and_axis_have_the_unit_of_the_run(length: int, unit: str, written
     list(frames(tank([1.0, 1.25], length=length), every=length // 4))
     clocks = [words for words in written if words.startswith("t = ")]
     assert len(clocks) == 4 and all(words.endswith(f" {unit}") for words in clocks)
-    assert f"time [{unit}]" in written and in_words(length).endswith(f" {unit}")
+    assert f"time [{unit}]" in written and format_duration(length).endswith(f" {unit}")
 
 
 def test_a_gif_runs_in_real_time(evaluation: Evaluation, tmp_path: Path) -> None:

@@ -1,0 +1,312 @@
+"""Progress of long work: events, reported where it is done and shown on standard error within `Progress`.
+
+A terminal has bars that move and colours; a file gets plain lines, few of them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, TextIO, TypeVar, cast
+
+from dynasindy.text import format_duration, wrap
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Display
+    from rich.progress import TaskID
+
+Item = TypeVar("Item")
+
+LOADING = "loading"
+"""Phase of the imports that precede the work; it leaves no line."""
+SHORT = 2.0
+"""Length of a phase below which it leaves no line [s]."""
+INTERVAL = 10.0
+"""Time between two lines of one phase in a file [s]."""
+VERDICT = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
+
+
+@dataclass(frozen=True)
+class Event:
+    """State of a phase of the work.
+
+    Attributes:
+        phase: What is done, in words.
+        done: How much of it.
+        total: How much there is; None if nobody knows.
+        unit: What is counted, in the plural.
+        note: What else there is to say.
+        outer: Whether other phases happen within this one, as those of an episode in a run.
+    """
+
+    phase: str
+    done: int = 0
+    total: int | None = None
+    unit: str = ""
+    note: str = ""
+    outer: bool = False
+
+    def count(self) -> str:
+        """Return how much is done, in words; nothing where nothing is counted."""
+        of = f" of {self.total}" if self.total else ""
+        return f"{self.done}{of} {self.unit}".strip() if self.done or self.total else ""
+
+    def line(self, seconds: float | None = None) -> str:
+        """Return the phase, how much of it is done and how long it took so far, in words."""
+        elapsed = "" if seconds is None else format_duration(round(seconds), digits=3, running=True)
+        details = ", ".join(filter(None, (self.count(), self.note, elapsed)))
+        return f"{self.phase}: {details}" if details else self.phase
+
+
+_listeners: list[Callable[[Event], None]] = []
+_phases: list[str] = []
+
+
+def report_progress(
+    phase: str, done: int = 0, total: int | None = None, unit: str = "", note: str = "", outer: bool = False
+) -> None:
+    """Report the progress of a phase; the arguments are those of `Event`.
+
+    An outer phase keeps its name within `reporting_as`: it may come from a thread that knows nothing of that.
+    """
+    event = Event(_phases[0] if _phases and not outer else phase, done, total, unit, note, outer)
+    for listener in _listeners:
+        listener(event)
+
+
+def track(phase: str, items: Iterable[Item], total: int, unit: str = "") -> Iterator[Item]:
+    """Yield items, and report how many are done.
+
+    Args:
+        phase: What is done with them.
+        items: The items.
+        total: How many there are.
+        unit: What they are, in the plural.
+    """
+    for done, item in enumerate(items):
+        report_progress(phase, done, total, unit)
+        yield item
+    report_progress(phase, total, total, unit)
+
+
+@contextmanager
+def reporting_as(phase: str) -> Iterator[None]:
+    """Let all reports from inside be of one phase, which its parts do not know of."""
+    _phases.append(phase)
+    report_progress(phase)
+    try:
+        yield
+    finally:
+        _phases.pop()
+
+
+@contextmanager
+def listening(listener: Callable[[Event], None]) -> Iterator[None]:
+    """Call a function with each event that is reported inside."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
+
+
+class Progress:
+    """Show progress on standard error while inside; within another one, or in a worker of a sweep, show nothing more.
+
+    Args:
+        clock: Returns the time [s].
+    """
+
+    active: Progress | None = None
+    OWNER = "DYNASINDY_PROGRESS"
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.clock, self.lock, self.stack = clock, threading.RLock(), ExitStack()
+        self.outer: dict[str, tuple[Event, float]] = {}  # each with its start [s], in their order
+        self.inner: tuple[Event, float] | None = None
+        self.display: Display | None = None  # of a terminal
+        self.tasks: dict[tuple[bool, str], TaskID] = {}
+        self.due, self.closed = 0.0, threading.Event()  # time of the next line in a file [s]
+
+    def __enter__(self) -> Self:
+        """Begin to show."""
+        if Progress.active is not None or os.environ.get(self.OWNER, str(os.getpid())) != str(os.getpid()):
+            return self
+        self.file = cast("TextIO", _Detachable(sys.stderr))
+        if is_terminal(sys.stderr):
+            self.display = _display(self.file, self.clock)  # first, as it may fail
+            self.display.start()
+        else:
+            threading.Thread(target=self._watch, daemon=True).start()  # a phase may report nothing for long
+        Progress.active, os.environ[self.OWNER] = self, str(os.getpid())
+        self.stack.callback(os.environ.pop, self.OWNER, None)
+        self.stack.callback(setattr, Progress, "active", None)
+        self.stack.callback(self._close)
+        self.stack.enter_context(listening(self._handle))
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        """Remove the bars."""
+        self.stack.close()
+
+    def finish(self) -> None:
+        """End the inner phase; leave a line of a long one."""
+        with self.lock:
+            now = self.clock()
+            if self.inner is not None:
+                event, start = self.inner
+                if self.display is not None:
+                    self.display.remove_task(self.tasks.pop((False, event.phase)))
+                if event.phase != LOADING and now - start >= SHORT:
+                    self._write(event.line(now - start), [*self.outer.values()])
+            self.inner, self.due = None, now + INTERVAL
+
+    def tick(self) -> None:
+        """Write to a file how far a long phase is, if the last line is long enough ago."""
+        with self.lock:
+            now = self.clock()
+            if (self.outer or self.inner) and now >= self.due:
+                self.due = now + INTERVAL
+                phases = [*self.outer.values(), *([self.inner] if self.inner else [])]
+                phases = [phase for phase in phases if phase[0].phase != LOADING]
+                if phases:
+                    event, start = phases.pop()
+                    self._write(f"{event.line(now - start)}...", phases)
+
+    def _handle(self, event: Event) -> None:
+        with self.lock:
+            now, begins = self.clock(), False
+            if event.outer:
+                if not self.outer and self.inner is None:
+                    self.due = now + SHORT
+                before, start = self.outer.get(event.phase, (event, now))
+                begins = event.done < before.done  # the next job of a sweep
+                self.outer[event.phase] = event, now if begins else start
+            elif self.inner is not None and event.phase == self.inner[0].phase:
+                self.inner = event, self.inner[1]
+            else:
+                self.finish()
+                self.inner, self.due = (event, now), now + SHORT
+            if self.display is not None:
+                key = event.outer, event.phase
+                if key not in self.tasks:
+                    self.tasks[key] = self.display.add_task(event.phase)
+                elif begins:
+                    self.display.reset(self.tasks[key])
+                self.display.update(self.tasks[key], description=event.line(), completed=event.done, total=event.total)
+
+    def _write(self, line: str, around: list[tuple[Event, float]]) -> None:
+        """Write a line of a phase: above the bars, or to a file behind the counts of the phases around it."""
+        if self.display is not None:
+            self.display.console.print(line, style="dim", markup=False)
+        elif not self.closed.is_set():  # the thread may come late
+            self.file.write(f"{', '.join(filter(None, [*(event.count() for event, _ in around), line]))}\n")
+            self.file.flush()
+
+    def _close(self) -> None:
+        with self.lock:
+            self.finish()
+            self.closed.set()
+            if self.display is not None:
+                self.display.stop()
+
+    def _watch(self) -> None:
+        while not self.closed.wait(0.5):
+            self.tick()
+
+
+class _Detachable:
+    """A file whose reader may close it, as a terminal: from then on nothing is written, and the work goes on."""
+
+    def __init__(self, file: TextIO) -> None:
+        self.file, self.closed = file, False
+
+    def write(self, text: str) -> int:
+        """Write a text, unless the file is closed."""
+        self._attempt(self.file.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the file, unless it is closed."""
+        self._attempt(self.file.flush)
+
+    def _attempt(self, action: Callable[..., object], *arguments: str) -> None:
+        if not self.closed:
+            try:
+                action(*arguments)
+            except OSError:
+                self.closed = True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+
+def _display(file: TextIO, clock: Callable[[], float]) -> Display:
+    """Return rich's display, which leaves the cursor of a terminal: a process that is killed could not give it back."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
+
+    class _Terminal(Console):
+        def show_cursor(self, show: bool = True) -> bool:
+            """Leave the cursor as it is."""
+            return False
+
+    class _Bar(BarColumn):
+        def render(self, task: Any) -> Any:
+            """Return a bar where the total is known."""
+            return super().render(task) if task.total else ""
+
+    console = _Terminal(file=file)
+    return Progress(
+        SpinnerColumn("line"),
+        TimeElapsedColumn(),
+        _Bar(bar_width=min(20, max(4, console.width - 60))),  # on a narrow terminal words say more than a bar
+        TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
+        expand=True,
+        console=console,
+        transient=True,
+        refresh_per_second=4,
+        get_time=clock,
+        redirect_stdout=is_terminal(sys.stdout),
+    )
+
+
+def is_terminal(file: TextIO) -> bool:
+    """Return whether a file is a terminal that can show a line that moves."""
+    file = getattr(file, "rich_proxied_file", file)  # what stands in for it while bars are shown need not know
+    return file.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def width() -> int | None:
+    """Return the columns of the terminal that standard output is; None where it is none, and lines may be long."""
+    return shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
+
+
+def say(*texts: str) -> None:
+    """Print texts at once: on a terminal within its width and with its colours, elsewhere as they are."""
+    active = Progress.active
+    if active is not None:
+        active.finish()
+    if (columns := width()) is None:
+        print(*texts, sep="\n", flush=True)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    # Only the console of the bars knows where they are; what another one writes, they would erase.
+    console = active.display.console if active is not None and active.display is not None else Console()
+    for text in texts:
+        shown = Text(wrap(text, columns))
+        for word in VERDICT.finditer(shown.plain):
+            colour = "bold cyan" if word[0].endswith(":") else "bold red" if "NOT" in word[0] else "bold green"
+            shown.stylize(colour, *word.span())
+        console.print(shown, soft_wrap=True, highlight=False)

@@ -1,0 +1,203 @@
+"""Text for people: lengths of time, lines within the width of a terminal, and the name that was probably meant."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import groupby
+
+COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
+"""How a line begins that is meant to be copied into a shell."""
+COMMENT = "  # "
+"""What a comment behind a command begins with."""
+SIGN = re.compile(r" (?=[+-] )")
+COLUMN = re.compile(r".*\S {2,}(?=\S)")
+"""A row up to its last column, two spaces or more behind the one before."""
+RULE = re.compile(r"\|(?:\s*:?-+:?\s*\|)+\s*")
+"""The second line of a table in Markdown."""
+
+
+@dataclass(frozen=True)
+class TimeUnit:
+    """A unit of time.
+
+    Attributes:
+        name: How it is written.
+        seconds: Its length [s].
+    """
+
+    name: str
+    seconds: float
+
+
+SECONDS = TimeUnit("s", 1.0)
+FROM: tuple[tuple[float, TimeUnit], ...] = ((7200.0, TimeUnit("h", 3600.0)), (600.0, TimeUnit("min", 60.0)))
+"""From which length on [s] a unit is used, the longest first; shorter ones are in seconds."""
+MANY = 10000.0
+"""Length [s] from which on one alone is never in seconds; below, 1000 s is plainer than 16.67 min."""
+
+
+def duration_unit(seconds: float, running: bool = False) -> TimeUnit:
+    """Return the unit in which a length of time is given, the same in words, in figures and in animations.
+
+    Args:
+        seconds: The length [s]; one that is not finite has seconds.
+        running: Whether it goes on. Then only how long it is counts: from one moment to the next seconds would take the
+            place of minutes where they are rounder.
+
+    Returns:
+        The unit: of what does not run, seconds also where only they make a round number of it, as of 800 s.
+    """
+    if seconds == float("inf"):
+        return SECONDS
+    unit = next((unit for least, unit in FROM if abs(seconds) >= least), SECONDS)
+    rough = not running and abs(seconds) < MANY and not _is_round(seconds / unit.seconds) and _is_round(seconds)
+    return SECONDS if rough else unit
+
+
+def _is_round(value: float) -> bool:
+    """Return whether three digits say all of a number; sums of control periods miss it by less than a millionth."""
+    return float(f"{value:.3g}") == float(f"{value:.6g}")
+
+
+def format_duration(seconds: float, longest: float | None = None, digits: int = 4, running: bool = False) -> str:
+    """Return a length of time with its unit, `90 min`.
+
+    Args:
+        seconds: The length [s].
+        longest: Length whose unit is used [s], where several lengths stand beside each other; by default its own.
+        digits: Significant digits, at least those before the point.
+        running: Whether it goes on, as `duration_unit` takes it.
+    """
+    unit = duration_unit(seconds if longest is None else longest, running)
+    value = seconds / unit.seconds
+    return f"{value:.0f} {unit.name}" if abs(value) >= 10 ** (digits - 1) else f"{value:.{digits}g} {unit.name}"
+
+
+def did_you_mean(name: object, names: Iterable[str]) -> str:
+    """Return `; did you mean 'angle'?` of the nearest name, whatever its capitals; nothing where none is near.
+
+    Args:
+        name: What was given, which need not be text: a key of a mapping may be a number.
+        names: Those that exist.
+    """
+    plain = {each.lower(): each for each in names}
+    found = get_close_matches(str(name).lower(), plain, 1)
+    return f"; did you mean '{plain[found[0]]}'?" if found else ""
+
+
+def wrap(text: str, columns: int) -> str:
+    """Return a text whose lines are no longer than so many columns: equations end between terms, sentences at words.
+
+    A row whose last column is too wide goes on below that column, if it begins in the left half, else a little further
+    right than the row itself, so that rows can be told apart.
+    A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
+    A comment that does not fit behind it stands below it, each of its lines a comment. A table in Markdown that is too
+    wide is turned.
+    """
+    wrapped: list[str] = []
+    for _, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
+        lines = [*several]
+        if _is_table(lines):  # a lone line may begin with a bar as well
+            wrapped += _turn_table(lines, columns)
+        else:
+            wrapped += [part for line in lines for part in _wrap_line(line, columns)]
+    return "\n".join(wrapped)
+
+
+def _wrap_line(whole: str, columns: int) -> list[str]:
+    if len(whole) <= columns:
+        return [whole]
+    start = " " * (len(whole) - len(whole.lstrip()))
+    if COMMAND.match(whole):
+        command, sign, comment = whole.rpartition(COMMENT)
+        begin = f"{start}{COMMENT}"
+        below = textwrap.wrap(comment, columns, initial_indent=begin, subsequent_indent=begin, break_long_words=False)
+        return [command, *below] if sign else [whole]
+    equation = re.match(r"\s*\S+(?:'|\[k\+1\]) = ", whole)
+    if equation is None:
+        row = COLUMN.match(whole)
+        if row is not None:
+            start = " " * len(row[0]) if len(row[0]) <= columns // 2 else f"{start}    "
+        return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)
+    return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))
+
+
+def _equation(whole: str, columns: int, indent: str) -> list[str]:
+    """Return an equation in lines that end between terms; brackets are broken where they are too long themselves."""
+    lines = [""]
+    for term in _terms(whole):
+        parts = [term] if len(indent) + len(term) <= columns else SIGN.split(term)
+        for part in parts:
+            if lines[-1] and len(lines[-1]) + 1 + len(part) > columns:
+                lines.append(indent + part)
+            else:
+                lines[-1] = f"{lines[-1]} {part}" if lines[-1] else part
+    return lines
+
+
+def _terms(whole: str) -> list[str]:
+    """Return the terms of an equation, each with its sign and all that is in its brackets."""
+    terms: list[str] = []
+    for part in SIGN.split(whole):
+        if terms and terms[-1].count("(") > terms[-1].count(")"):
+            terms[-1] = f"{terms[-1]} {part}"
+        else:
+            terms.append(part)
+    return terms
+
+
+def _is_table(lines: Sequence[str]) -> bool:
+    """Return whether lines are a table in Markdown: names, a rule, and rows with as many cells as there are names."""
+    if len(lines) < 3 or not RULE.fullmatch(lines[1]):
+        return False
+    return len({len(_cells(line)) for line in lines}) == 1
+
+
+def _turn_table(lines: Sequence[str], columns: int) -> list[str]:
+    """Return a table in lines that fit.
+
+    A table that fits stays as it is. Of another one, each column becomes a line, with the cells of as many rows side by
+    side as fit; those of the other rows follow below.
+
+    Args:
+        lines: Those of the table in Markdown: names, a rule, rows; see `_is_table`.
+        columns: Columns of the terminal.
+    """
+    if max(map(len, lines)) <= columns:
+        return [*lines]
+    head, _, *rows = map(_cells, lines)
+    label = max(map(len, head))
+    widths = [max(map(len, row), default=0) for row in rows]
+    turned: list[str] = []
+    for first, last in _groups(widths, columns - label):
+        turned += [""] if turned else []
+        for place, name in enumerate(head):
+            cells = "".join(f"  {rows[k][place]:<{widths[k]}}" for k in range(first, last))
+            turned += _fit_row(f"{name:<{label}}{cells}".rstrip(), columns)
+    return turned
+
+
+def _cells(line: str) -> list[str]:
+    """Return the cells of a row; Markdown has a backslash before a bar in a cell."""
+    return [cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", line.strip())[1:-1]]
+
+
+def _groups(widths: Sequence[int], room: int) -> Iterator[tuple[int, int]]:
+    """Yield the first row of each group of rows that stand side by side, and the one after its last."""
+    first, taken = 0, 0
+    for place, width in enumerate(widths):
+        if place > first and taken + 2 + width > room:
+            yield first, place
+            first, taken = place, 0
+        taken += 2 + width
+    yield first, len(widths)
+
+
+def _fit_row(line: str, columns: int) -> list[str]:
+    if len(line) <= columns:
+        return [line]
+    return textwrap.wrap(line, columns, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)

@@ -1,0 +1,164 @@
+"""Durations, lines as wide as a terminal, and names that were probably meant."""
+
+import math
+
+import pytest
+
+from dynasindy.text import did_you_mean, duration_unit, format_duration, wrap
+
+TABLE = [
+    "| setting | seeds | return | commit |",
+    "| --- | --- | --- | --- |",
+    "| direct | 3 | 2.5 [1, 3] | abc |",
+    r"| a\|b | 12 | 7 | def |",
+    "| oracle |  | never | abc or def |",
+]
+
+
+def test_a_table_that_fits_stays_markdown():
+    assert wrap("\n".join(TABLE), 40).splitlines() == TABLE
+
+
+def test_a_wider_one_has_its_rows_side_by_side_as_far_as_they_fit():
+    assert wrap("\n".join(TABLE), 30).splitlines() == [
+        "setting  direct      a|b",
+        "seeds    3           12",
+        "return   2.5 [1, 3]  7",
+        "commit   abc         def",
+        "",
+        "setting  oracle",
+        "seeds",
+        "return   never",
+        "commit   abc or def",
+    ]
+
+
+@pytest.mark.parametrize("columns", range(12, 45))
+def test_no_line_is_longer_than_the_terminal_and_no_cell_is_lost(columns):
+    found = wrap("\n".join(TABLE), columns).splitlines()
+    assert max(map(len, found)) <= max(columns, 12)
+    words = " ".join(found).replace(r"\|", "|").split()
+    for line in (TABLE[0], *TABLE[2:]):
+        for word in line.replace(r"\|", "/").replace("|", " ").replace("/", "|").split():
+            assert word in words
+
+
+def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal():
+    command = "  dynasindy train system=xi 'plant.known={a:  # b}' train.episodes=3"
+    script = command.replace("dynasindy train", "python scripts/train.py")
+    why = "flies more episodes, whose data mend the model"
+    text = f"next:\n{command}  # {why}\n{script}  # short\na sentence that names dynasindy train is none"
+    found = wrap(text, 40).splitlines()
+    assert found[:2] == ["next:", command] and found[4:6] == [script, "    # short"]
+    assert [line[:6] for line in found[2:4]] == ["    # "] * 2  # so a shell takes no line of it for a command
+    assert " ".join(line[6:] for line in found[2:4]) == why
+    assert max(map(len, [*found[2:4], *found[6:]])) <= 40
+    assert wrap(text, 120) == text
+
+
+def test_a_table_that_is_too_wide_is_turned_and_what_stands_around_it_is_not():
+    text = "Level: 0.05\n| setting | seeds |\n| --- | --- |\n| direct | 3 |\nTables: x"
+    assert wrap(text, 20).splitlines() == text.splitlines()
+    assert wrap(text, 15).splitlines() == ["Level: 0.05", "setting  direct", "seeds    3", "Tables: x"]
+
+
+def test_a_wide_line_that_begins_with_a_bar_is_no_table():
+    line = "| a sentence that begins with a bar"
+    assert wrap(line, 20).splitlines() == ["| a sentence that", "begins with a bar"]
+    ragged = "| setting | seeds |\n| --- | --- |\n| direct and more |"
+    assert wrap(ragged, 15).split() == ragged.split()  # nothing is lost of what is no table either
+
+
+def test_equations_end_between_terms_and_sentences_between_words():
+    text = "  x' = 1.5 a - 2 sin(b + c) d + 1e-06 e^2\nOne sentence that is long\nshort"
+    assert wrap(text, 20).splitlines() == [
+        "  x' = 1.5 a",
+        "      - 2 sin(b",  # the brackets alone are too long
+        "      + c) d",
+        "      + 1e-06 e^2",
+        "One sentence that is",
+        "long",
+        "short",
+    ]
+    assert wrap(text, 30).splitlines()[:2] == ["  x' = 1.5 a - 2 sin(b + c) d", "       + 1e-06 e^2"]
+    assert all(len(line) <= 30 for line in wrap(text, 30).splitlines())
+
+
+def test_a_row_goes_on_below_its_last_column_unless_that_begins_too_far_to_the_right():
+    """The last column begins after 24 places, which is in the left half of 50 and in the right half of 40."""
+    row = "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p) Omega_a"
+    assert wrap(row, 60) == row
+    assert wrap(row, 50).splitlines() == [
+        "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p)",
+        " " * 24 + "Omega_a",
+    ]
+    assert wrap(row, 40).splitlines() == ["Omega_a'  -9.81 ± 0.03  sin(alpha_p)", "    cos(alpha_p) Omega_a"]
+
+
+def test_equations_in_discrete_time_end_between_terms_too():
+    text = "p_long_name[k+1] = 0.5 p_long_name + v_long - 0.0025 sin(3 p_long_name) + 0.1 cos(3 p_long_name)"
+    assert wrap(text, 50).splitlines() == [
+        "p_long_name[k+1] = 0.5 p_long_name + v_long",
+        " " * 16 + "- 0.0025 sin(3 p_long_name)",
+        " " * 16 + "+ 0.1 cos(3 p_long_name)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.05, "0.05 s"),
+        (20, "20 s"),
+        (599, "599 s"),
+        (600, "10 min"),
+        (930, "15.5 min"),
+        (1000, "1000 s"),
+        (2000, "2000 s"),
+        (2005, "33.42 min"),
+        (9000, "2.5 h"),
+        (10000, "2.778 h"),
+        (-5400, "-90 min"),
+        (7200, "2 h"),
+        (86400 * 7, "168 h"),
+        (3600 * 12345, "12345 h"),
+        (math.inf, "inf s"),
+        (math.nan, "nan s"),
+    ],
+)
+def test_a_length_of_time_is_told_in_the_unit_that_suits_it(seconds, words):
+    assert format_duration(seconds) == words
+
+
+@pytest.mark.parametrize(("seconds", "unit"), [(599.0, "s"), (600.0, "min"), (799.9999999, "s"), (2005.0, "min")])
+def test_words_and_axes_of_a_run_have_the_same_unit(seconds, unit):
+    """800 s are 13.33 min, so they are told in seconds, whatever the rounding of a sum of control periods."""
+    assert (
+        duration_unit(seconds).name
+        == format_duration(seconds).split()[1]
+        == format_duration(1.0, seconds).split()[1]
+        == unit
+    )
+
+
+def test_what_runs_on_changes_its_unit_once():
+    names = [format_duration(seconds, running=True).split()[1] for seconds in range(1, 3600)]
+    assert names == ["s"] * 599 + ["min"] * 3000
+
+
+def test_lengths_beside_each_other_have_the_unit_of_the_longest():
+    assert format_duration(900, longest=36000) == "0.25 h"
+    assert (duration_unit(36000).name, duration_unit(36000).seconds) == ("h", 3600.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("thta", "; did you mean 'theta'?"),
+        ("omega", "; did you mean 'Omega'?"),
+        ("THETA_RATE", "; did you mean 'theta_rate'?"),
+        ("pressure", ""),
+        (1, ""),
+    ],
+)
+def test_the_nearest_name_is_offered_and_none_that_is_far(name, hint):
+    assert did_you_mean(name, ("theta", "Omega", "theta_rate")) == hint
