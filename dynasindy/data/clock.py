@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -34,6 +35,20 @@ CLOCKS = ("time", "t", "timestamp")
 """What a column of time is called, in small letters."""
 CLOCK = "time"
 """Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
+PLACES = 9
+"""Decimals to which a time is looked at as one that was rounded."""
+MOSTLY = 0.9
+"""Part of the steps that are one of two neighbouring numbers of ticks where an even clock was rounded to ticks."""
+ODD = 3
+"""Steps of the rarer number of ticks from which on they are a rhythm; fewer may be lost or doubled rows."""
+ABOUT = 1.2
+"""Ticks within which stamps of an even clock stay where no lost row can look like a tick."""
+RHYTHM = 0.5
+"""Variance of the intervals between odd steps, in that of steps at random, below which an even clock was rounded."""
+LOST = 0.1
+"""Part of the rows that a log may lose at random; where more steps are odd, a coarse clock is as likely."""
+SURE = 0.005
+"""Part of itself to which stamps have to tell a sampling time."""
 ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
 
@@ -114,6 +129,202 @@ def is_counter(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all() and (column == column.round()).all())
 
 
+@dataclass(frozen=True)
+class _Ticks:
+    """Stamps of a clock that moves in ticks.
+
+    Attributes:
+        tick: The time between two ticks [s].
+        at: Stamps from the first one on [ticks], `(rows,)`.
+        digits: How many units of the last digit a tick has; 0 where it is no whole number of them.
+        slack: What rounding adds to the ticks [ticks].
+    """
+
+    tick: float
+    at: Array
+    digits: int
+    slack: float
+
+    @classmethod
+    def of(cls, column: Array, unit: float) -> list[_Ticks]:
+        """Find the times of which all stamps may be multiples, the likelier first; none of those with all digits.
+
+        Args:
+            column: Stamps as they are in the file, `(rows,)`.
+            unit: Unit of the column [s].
+        """
+        largest = np.abs(column).max()
+        noise = 4 * float(np.spacing(largest))
+        places = (k for k in range(PLACES + 1) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
+        digit = next((10.0**-k for k in places), 0.0)
+        single = float(np.spacing(np.float32(largest)))
+        if digit < single and _is_single(column):
+            column, digit = column.astype(np.float32).astype(np.float64), single
+        steps = (np.diff(column) / max(digit, noise)).round().astype(np.int64)
+        if digit <= noise or not (divisor := int(np.gcd.reduce(steps))):
+            return []
+        tick, steps = digit * divisor, steps // divisor
+        at, slack = (column - column[0]) / tick, 2 * noise / tick
+        found = [cls(tick * unit, at, divisor, slack)]
+        if ratio := _coarser(steps):
+            found.append(cls(tick * ratio * unit, at / ratio, 0, (2 + slack) / ratio))
+        return found
+
+    @property
+    def steps(self) -> Array:
+        """Whole ticks from each row to the next, `(rows - 1,)`."""
+        return np.diff(self.at).round()
+
+    def even(self, period: float, within: float) -> tuple[Array, int]:
+        """Return the times of an even clock [s], `(rows,)`, and how often it began anew.
+
+        A row that comes later than an even time may be those that were lost before it; one that fits no even time
+        begins anew, after a gap.
+
+        Args:
+            period: Time between two even times [ticks].
+            within: Width of the strip about even times in which stamps stay [ticks].
+        """
+        low = high = last = 0.0
+        number, anew, numbers = -1, 0, []
+        for stamp in self.at.tolist():
+            number += 1
+            off = stamp - period * number
+            if off > low + within:
+                lost = math.ceil((off - low - within) / period)
+                number, off = number + lost, off - period * lost
+            if not high - within <= off <= low + within:
+                anew, number = anew + 1, numbers[-1] + max(2, round((stamp - last) / period))
+                low = high = off = stamp - period * number
+            low, high, last = min(low, off), max(high, off), stamp
+            numbers.append(number)
+        return period * self.tick * np.array(numbers, dtype=np.float64), anew
+
+    def periods(self, low: float, starts: NDArray[np.int64], within: float) -> tuple[float, float] | None:
+        """Return the shortest and the longest period [ticks] of an even clock that gives these stamps, if any does.
+
+        Args:
+            low: The smaller number of ticks from row to row; the period is between it and the next one.
+            starts: First rows of stretches that are taken apart.
+            within: Width of the strip in which the stamps of a stretch stay about even times [ticks].
+        """
+        rows = np.arange(len(self.at))
+
+        def width(period: float) -> float:  # of the strip: a convex function
+            off = self.at - period * rows
+            return float((np.maximum.reduceat(off, starts) - np.minimum.reduceat(off, starts)).max())
+
+        first, last = low, low + 1.0
+        for _ in range(70):
+            left, right = first + (last - first) / 3, last - (last - first) / 3
+            first, last = (first, right) if width(left) <= width(right) else (left, last)
+        middle = 0.5 * (first + last)
+        if width(middle) > within:
+            return None
+        ends = []
+        for beyond in (low, low + 1.0):
+            inner, outer = middle, beyond
+            for _ in range(40):
+                between = 0.5 * (inner + outer)
+                inner, outer = (between, outer) if width(between) <= within else (inner, between)
+            ends.append(inner)
+        return ends[0], ends[1]
+
+
+def _is_single(column: Array) -> bool:
+    """Tell whether numbers are those of single precision, in full or in the fewest digits that tell them."""
+    single = column[:1000].astype(np.float32)
+    return all(value == float(one) or value == float(str(one)) for value, one in zip(column, single, strict=False))
+
+
+def _coarser(steps: NDArray[np.int64]) -> float:
+    """Return how many digits a tick has that is rounded to whole ones, as 15, 16, 31 and 32 ms are; else 0."""
+    sizes, counts = np.unique(steps[(steps > 0) & (steps <= 3 * np.median(steps))], return_counts=True)
+    groups = np.split(np.arange(len(sizes)), np.flatnonzero(np.diff(sizes) > 1) + 1)
+    if len(groups) < 2 or any(sizes[group[-1]] - sizes[group[0]] > 1 for group in groups):
+        return 0.0
+    means = np.array([np.average(sizes[group], weights=counts[group]) for group in groups])
+    ratio = float(np.diff(means).min())
+    whole = np.abs(means / ratio - (means / ratio).round()).max() < 0.15
+    return ratio if whole and ratio > 2 else 0.0
+
+
+def evened_stamps(path: str, t: Array, column: Array, unit: float, dt: float | None) -> tuple[Array, str]:
+    """Return the times at which rows were taken [s], and what is said of them where a coarse clock wrote others.
+
+    An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
+    that keeps t_k - k dt within one tick. Any two stamps of it bound dt: it is within a tick of their difference, over
+    the rows between them. Times that have no such rhythm are returned as they are: a clock that is late now and then,
+    or one that lost rows.
+
+    Args:
+        path: The file, for messages.
+        t: Times of the rows [s], `(rows,)`.
+        column: The same as they are in the file.
+        unit: Unit of the column [s].
+        dt: Sampling time that was given [s].
+
+    Raises:
+        ValueError: The rows have a rhythm, but it does not tell the sampling time.
+    """
+    if len(t) < 3 or not (np.diff(t) >= 0).all():
+        return t, ""
+    for ticks in _Ticks.of(column, unit):
+        if (found := _even(path, ticks, dt)) is not None:
+            times, period = found
+            return times, f"; it moves in ticks of {ticks.tick:.4g} s, and rows are taken as even, {period:.6g} s apart"
+    return t, ""
+
+
+def _even(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
+    """Return times of an even clock and its period [s] if it can have given such stamps, else None."""
+    steps, rows = ticks.steps, len(ticks.at)
+    sizes, counts = np.unique(steps, return_counts=True)
+    pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
+    low = float(sizes[pairs.argmax()])
+    within = (1 + 1e-6 if low < 2 else ABOUT) + ticks.slack
+    if dt is not None:
+        period = dt / ticks.tick
+        if abs(period - round(period)) * rows < 0.5 or not low <= period <= low + 1:  # even times are ticks, or others
+            return None
+        times, anew = ticks.even(period, within)
+        return (times, dt) if anew <= (1 - MOSTLY) * rows else None
+    inside = (steps == low) | (steps == low + 1)
+    rare = low if (steps == low).sum() < (steps == low + 1).sum() else low + 1
+    odd = np.flatnonzero(steps == rare)
+    if len(odd) < (ODD if low < 2 else 1):
+        return None
+    stretches = np.append(0, np.flatnonzero(~inside) + 1)
+    found = ticks.periods(low, stretches, within) if inside.mean() >= MOSTLY else None
+    mixed = low == 1 and ticks.digits < 2 and (len(odd) > LOST * rows or _is_rhythm(np.diff(odd)))
+    if found is None and not mixed:
+        return None
+    if found is None or found[1] - found[0] > SURE * (found[0] + found[1]) or (low < 2 and ticks.digits != 1):
+        raise ValueError(
+            f"{path}: time moves in ticks of {ticks.tick:.6g} s, {low:g} or {low + 1:g} of them from row to row, and "
+            "does not tell the sampling time; allowed are times that do: write them with more digits, or give the time "
+            "between two rows in seconds as data.dt"
+        )
+    period = _round_between(found[0] * ticks.tick, found[1] * ticks.tick)
+    return ticks.even(period / ticks.tick, within)[0], period
+
+
+def _is_rhythm(intervals: NDArray[np.int64]) -> bool:
+    """Tell whether intervals vary less than those of steps that are odd at random, by more than chance may do."""
+    mean, count = intervals.mean(), len(intervals)
+    return bool(intervals.var() < RHYTHM * (1 - math.sqrt(3 / max(count, 3))) * mean * (mean - 1))
+
+
+def _round_between(low: float, high: float) -> float:
+    """Return the number of seconds, or the inverse of one of hertz, of the fewest digits between two times."""
+    middle = 0.5 * (low + high)
+    for digits in range(1, 12):
+        for value in (float(f"{middle:.{digits}g}"), 1 / float(f"{1 / middle:.{digits}g}")):
+            if low <= value <= high:
+                return value
+    return middle
+
+
 def period_of(t: Array) -> float:
     """Return the time between two rows, the median of all, as the decimal number that its digits can tell [s].
 
@@ -135,16 +346,17 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
         dt: Sampling time that was given [s].
 
     Raises:
-        ValueError: The unit is not one of time.
+        ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
     values, name = table.values[:, 0], split_unit(clock.heading)[0]
     t, counts = values * clock.seconds(path), not clock.unit and not table.dated and is_counter(values)
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, f"time is the column {name}, taken as a counter of rows: {dt:g} s between rows, as given by data.dt"
+    t, coarse = evened_stamps(path, t, values, clock.seconds(path), dt)
     how = "read as dates" if table.dated else f"in {clock.unit}" if clock.unit else "taken as seconds"
     between = f": {period_of(t):.4g} s between rows" if len(t) > 1 else ""
-    told = f"time is the column {name}, {how}{between}"
+    told = f"time is the column {name}, {how}{between}{coarse}"
     if not counts:
         return t, told
     units = shlex.quote(f'data.time="{name} [ms]"')

@@ -90,7 +90,8 @@ class CsvLog:
         inputs: columns of the inputs, by name, in the order of u.
         time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where
             nobody says one.
-        dt: sampling time [s]; the median of the file by default. Where the time counts rows it is the time between two.
+        dt: sampling time [s]; by default what the times tell, their median unless a coarse clock wrote them. Where the
+            time counts rows it is the time between two.
         missing: whether a value that is missing is skipped, with its row if it is a time or an input, or the file is
             refused.
         min_samples: fewest transitions that are worth a fit.
@@ -239,7 +240,8 @@ class CsvLog:
             k = int(np.flatnonzero(steps <= 0)[0])
             raise ValueError(
                 f"{path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
-                f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split the recordings"
+                f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split "
+                "the recordings, or give data.dt if the clock is coarser than the rows"
             )
 
 

@@ -6,7 +6,9 @@ import shlex
 import numpy as np
 import pytest
 import yaml
+from scipy.signal import cont2discrete
 
+import dynasindy
 from dynasindy.data.clock import clock_of, period_of
 from dynasindy.evaluation.identification import Logged
 
@@ -113,3 +115,111 @@ def test_a_time_is_named_with_its_unit_or_without(heading, named):
     found = clock_of([heading, "T [degC]", "u"], named)
     assert (found.heading, found.seconds("log.csv")) == (heading, 1e-3)
     assert clock_of([heading, "T [degC]", "u"], "Time [s]").heading not in (heading, "Time")
+
+
+def decimals(places):
+    return lambda t: f"{t:.{places}f}"
+
+
+def logged(path, times, stamp, heading="time", rows=None, dt=None):
+    """Write a spring a' = w, w' = -7 a - 0.6 w + 5 u, solved exactly, and return what is read of some of its rows."""
+    rng, a, b = np.random.default_rng(5), np.array([[0.0, 1.0], [-7.0, -0.6]]), np.array([[0.0], [5.0]])
+    u = np.repeat(rng.uniform(-1, 1, len(times) // 15 + 1), 15)[: len(times)]
+    x, lines = np.zeros(2), [f"{heading},a [rad],w [rad/s],u"]
+    lasts, steps = np.append(np.diff(times), 0.01), {}
+    for t, push, step in zip(times, u, lasts, strict=True):
+        lines.append(f"{stamp(t)},{x[0]:.9g},{x[1]:.9g},{push:.9g}")
+        if round(step, 12) not in steps:
+            steps[round(step, 12)] = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), step)[:2]
+        forth, by = steps[round(step, 12)]
+        x = forth @ x + by[:, 0] * push
+    rows = range(len(times)) if rows is None else rows
+    path.write_text("\n".join([lines[0], *(lines[1 + k] for k in rows)]))
+    return dynasindy.read(str(path), **({} if dt is None else {"dt": dt}))
+
+
+def fitted(log):
+    """Return the coefficients of w'."""
+    model = dynasindy.identify(log, ["a", "w", "u"], {"a": "w"}, "one_step", longest_delay=0)
+    return dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
+
+
+def even(hertz, first=0.0, rows=800):
+    return first + np.arange(rows) / hertz
+
+
+def ticks_of_windows(t):
+    """Return a time that moves 64 times a second, in ms."""
+    return f"{math.floor(t * 64) / 64:.3f}"
+
+
+@pytest.mark.parametrize(
+    ("hertz", "first", "stamp", "heading"),
+    [
+        *((hertz, 3.0, decimals(2), "time") for hertz in (80, 70, 60, 30, 33.3, 95, 160)),
+        (85, 0.0, lambda t: f"{math.floor(100 * t) / 100:.2f}", "time"),
+        (333, 0.0, lambda t: str(int(1000 * t)), "t_ms"),
+        (90, 1e5, lambda t: str(np.float32(t)), "time"),
+        (110, 9.5e4, lambda t: repr(float(np.float32(t))), "time"),
+        (80, 1.7e9, decimals(2), "time [s]"),
+        (75, 1.7e9, decimals(2), "time [s]"),
+        (20, 0.0, ticks_of_windows, "time"),
+    ],
+)
+def test_an_even_log_in_coarse_stamps_tells_its_rate_and_its_equations(tmp_path, hertz, first, stamp, heading):
+    log = logged(tmp_path / "log.csv", even(hertz, first), stamp, heading)
+    assert log.training.dt == pytest.approx(1 / hertz, rel=1e-3)
+    assert len(log.training.segment.unique()) == 1
+    assert fitted(log) == pytest.approx({"a": -7.0, "w": -0.6, "u": 5.0}, rel=0.01)
+
+
+def test_a_coarse_clock_with_gaps_tells_its_rate_within_the_stretches(tmp_path):
+    rows = [k for k in range(900) if not 300 <= k < 410 and not 700 <= k < 703]
+    log = logged(tmp_path / "log.csv", even(45, rows=900), decimals(2), rows=rows)
+    assert log.training.dt == pytest.approx(1 / 45, rel=1e-3)
+    assert log.training.segment.unique().tolist()[:2] == [0, 1]
+    assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
+
+
+@pytest.mark.parametrize("lost", [0.005, 0.1, 0.2])
+@pytest.mark.parametrize(("hertz", "stamp"), [(80, decimals(2)), (50, ticks_of_windows)])
+def test_lost_rows_of_a_coarse_clock_need_the_sampling_time_and_are_gaps_then(tmp_path, hertz, stamp, lost):
+    times = even(hertz, rows=1000)
+    rows = sorted(np.random.default_rng(2).choice(1000, round(1000 * (1 - lost)), replace=False))
+    with pytest.raises(ValueError, match="dt"):
+        logged(tmp_path / "log.csv", times, stamp, rows=rows)
+    log = logged(tmp_path / "log.csv", times, stamp, rows=rows, dt=1 / hertz)
+    assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
+
+
+def test_rows_that_a_fine_clock_lost_at_random_are_gaps(tmp_path):
+    rng = np.random.default_rng(3)
+    for places, lost in ((2, 0.05), (3, 0.2)):
+        rows = sorted(rng.choice(1000, round(1000 * (1 - lost)), replace=False))
+        log = logged(tmp_path / "log.csv", even(50 if places == 3 else 100, rows=1000), decimals(places), rows=rows)
+        assert log.training.dt == pytest.approx(0.02 if places == 3 else 0.01)
+        assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
+
+
+@pytest.mark.parametrize("places", [3, 6])
+def test_a_clock_that_is_truly_uneven_is_believed(tmp_path, places):
+    rng = np.random.default_rng(4)
+    times = np.round(0.02 * np.arange(900) + 0.004 * rng.uniform(-1, 1, 900), places)
+    log = logged(tmp_path / "log.csv", times, decimals(places))
+    assert "resampled" in " ".join(log.notes)
+    assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
+
+
+def test_a_log_too_short_for_its_clock_needs_the_sampling_time(tmp_path):
+    """Whole seconds of a row every 3.02: there is one step of 4."""
+    with pytest.raises(ValueError, match="dt"):
+        logged(tmp_path / "log.csv", even(1 / 3.02, rows=55), decimals(0), "time [s]")
+    log = logged(tmp_path / "log.csv", even(1 / 3.02, rows=55), decimals(0), "time [s]", dt=3.02)
+    assert log.training.dt == 3.02
+
+
+def test_a_doubled_row_is_refused_and_equal_stamps_of_a_coarse_clock_are_not(tmp_path):
+    with pytest.raises(ValueError, match="line 203"):
+        logged(tmp_path / "log.csv", even(100), decimals(2), rows=sorted([*range(800), 200]))
+    log = logged(tmp_path / "log.csv", even(250), decimals(2))
+    assert log.training.dt == pytest.approx(0.004, rel=1e-3) and fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
