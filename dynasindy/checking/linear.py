@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dynasindy.agents.classical.linearise import Equilibria
 from dynasindy.checking.loop import Loop
+from dynasindy.planning.linear_model import Equilibria
 from dynasindy.progress import report_progress
 
 NUDGE = 1e-5

@@ -25,12 +25,12 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.data.recording import measured
 from dynasindy.dyna.nearby import Nearby, nearby
 from dynasindy.dyna.parts import Bench, Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
+from dynasindy.planning.linear_model import zero_order_hold
 from dynasindy.planning.regulator import riccati
 from dynasindy.progress import report_progress
 from dynasindy.systems import steps_needed

@@ -19,7 +19,7 @@ import torch
 from scipy.linalg import eig
 from torch import Tensor
 
-from dynasindy.agents.classical.linearise import told_by_time
+from dynasindy.planning.linear_model import told_by_time
 from dynasindy.planning.rests import slopes
 from dynasindy.systems import System
 

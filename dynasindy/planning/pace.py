@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
-from dynasindy.agents.classical.linearise import modes
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.linear_model import modes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
 from dynasindy.planning.rests import Rests, between, find_rests, growth, slopes
 from dynasindy.tasks import Tracking

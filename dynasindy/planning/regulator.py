@@ -19,8 +19,8 @@ import torch
 from scipy.linalg import solve_discrete_are
 from torch import Tensor
 
-from dynasindy.agents.classical.linearise import zero_order_hold
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.linear_model import zero_order_hold
 from dynasindy.planning.rests import Rests
 from dynasindy.tasks import Tracking
 

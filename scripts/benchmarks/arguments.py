@@ -14,7 +14,10 @@ from typing import Any
 from benchmarks.margins import PLANTS as BEARING
 from benchmarks.plants import PLANTS as EXAMPLES
 
-CONTROLLERS = ("planning by gradient", "planning by gradient, integral action", "LQI", "MPC", "PID")
+CONTROLLERS = (
+    *("planning by gradient", "planning by gradient, integral action"),
+    *("LQI, python-control", "NMPC, do-mpc"),
+)
 MODELS = ("identified", "true")
 ROTORS = ("xi", "tras", "trms33")
 REPORTED = (

@@ -14,12 +14,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from tensordict import TensorDictBase
+from torch import Tensor
 
 from benchmarks import gradient
 from benchmarks.gradient import PLANTS
 from benchmarks.stopwatch import Timed
-from dynasindy.agents.classical import MPC, Trial, tuned_lqi, tuned_pid
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts
@@ -28,8 +30,13 @@ from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import markdown, over_seeds
+from dynasindy.export.formats import field_of
 from dynasindy.planning.integral import IntegralAction
-from dynasindy.tasks import Wave
+from dynasindy.planning.linear_model import Equilibria, jacobians
+from dynasindy.sindy import SindyModel
+from dynasindy.systems import System
+from dynasindy.systems.tracing import program
+from dynasindy.tasks import Wave, references
 from dynasindy.viz.controllers import named
 
 OUT = Path("docs/results/baselines.csv")
@@ -39,8 +46,13 @@ METRICS = ("rmse", "mean_abs_error", "steady_state_error", "control_variation")
 HEADINGS = ("RMSE [rad]", "mean abs error [rad]", "steady-state error [rad]", "control variation [1/s]")
 LEARNED = (named("gradient"), named("gradient_integral"))
 RIVALS = ("LQI", "MPC")
+"""Controllers of the package until they went: their rows stay in the table."""
 GOALS = (("step", "steady_state_error"), ("sine", "rmse"), ("square", "rmse"))
-TUNING_REFERENCES = 16
+OUTPUTS, RATES = ("alpha_a", "alpha_p"), ("Omega_a", "Omega_p")
+STATE_WEIGHTS, INTEGRAL_WEIGHTS = (30.0, 30.0, 1.0, 1.0, 0.0, 0.0), (50.0, 50.0)
+"""Of the linear-quadratic regulator: of squared states over their ranges, and of squared integrals [1/(rad s)^2]."""
+STEPS = 64
+"""Targets of the scenario of steps."""
 MARK = "## Tables"
 
 
@@ -77,7 +89,7 @@ def prepare(plant: str, controller: str, oracle: bool, seed: int) -> tuple[Contr
         seed: Seed of the excitation and of learning.
     """
     parts = _parts(plant, oracle, seed, controller in LEARNED)
-    return parts.plant, CONTROLLERS[controller](parts, seed), parts.plant.dt * len(parts.replay.real)
+    return parts.plant, CONTROLLERS[controller](parts), parts.plant.dt * len(parts.replay.real)
 
 
 @lru_cache(maxsize=1)
@@ -91,40 +103,110 @@ def _parts(plant: str, oracle: bool, seed: int, learned: bool) -> Parts:
     return parts
 
 
-def _lqi(parts: Parts, seed: int) -> Policy:
-    return tuned_lqi(_trial(parts, seed), seed=seed)
+class Lqi:
+    """Linear-quadratic tracking with integral action, its gain by python-control, about the equilibrium of a reference.
+
+    Args:
+        system: The model.
+        dt: Control period [s].
+    """
+
+    def __init__(self, system: System, dt: float) -> None:
+        import control
+
+        signature = system.signature
+        self.dt, self.equilibria = dt, Equilibria(system, OUTPUTS)
+        self.outputs = self.equilibria.outputs
+        home = torch.zeros(len(OUTPUTS), dtype=torch.float64)
+        a, b = jacobians(system, *self.equilibria.state_and_input(home, self.equilibria.home))
+        c = np.eye(signature.n_x)[self.outputs]
+        plant = control.sample_system(control.ss(a.numpy(), b.numpy(), c, 0), dt, "zoh")
+        weights = [w / size**2 for w, size in zip(STATE_WEIGHTS, signature.x_scale, strict=True)]
+        weights += [w * dt**2 for w in INTEGRAL_WEIGHTS]  # python-control sums errors, and does not integrate them
+        gain, _, _ = control.dlqr(plant, np.diag(weights), np.eye(signature.n_u), integral_action=c)
+        self.gain = torch.from_numpy(np.asarray(gain))
+        self.integral = self.unknowns = torch.zeros(0)
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Act; integrals of a row hold still while one of its inputs is at a limit."""
+        x, reference, rate, first = observed(tensordict, self.dt)
+        if self.integral.shape != reference.shape or bool(first.all()):
+            self.integral, self.unknowns = torch.zeros_like(reference), self.equilibria.home
+        self.unknowns = self.equilibria(reference, self.unknowns, self.equilibria.moving(rate))
+        x_e, u_e = self.equilibria.state_and_input(reference, self.unknowns)
+        u = u_e - (self.gain @ torch.cat((x - x_e, self.integral), -1).unsqueeze(-1)).squeeze(-1)
+        free = (u.abs() <= 1.0).all(-1, keepdim=True)
+        self.integral = self.integral + free * (x[..., self.outputs] - reference)
+        return tensordict.set("action", u.clamp(-1.0, 1.0).to(torch.float32))
 
 
-def _pid(parts: Parts, seed: int) -> Policy:
-    return tuned_pid(_trial(parts, seed), seed=seed)
+class Nmpc:
+    """Model predictive control by do-mpc; each row of a batch has a plan of its own.
+
+    Args:
+        system: The model.
+        dt: Control period [s].
+    """
+
+    def __init__(self, system: System, dt: float) -> None:
+        from benchmarks.nmpc import Pilot
+
+        self.dt, self.pilot = dt, Pilot(casadi_field(system, smooth=True), nmpc_plan(system, dt, moving=True))
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Act."""
+        x, reference, rate, first = observed(tensordict, self.dt)
+        rows = zip(*(v.reshape(-1, v.shape[-1]).numpy() for v in (x, torch.cat([reference, rate], -1), first)))
+        acts = [self.pilot.act(state, target, bool(begins), k) for k, (state, target, begins) in enumerate(rows)]
+        return tensordict.set("action", torch.tensor(np.array(acts), dtype=torch.float32).reshape(*x.shape[:-1], -1))
 
 
-def _mpc(parts: Parts, seed: int) -> Policy:
-    return MPC(parts.world_model, dt=parts.plant.dt)
+def observed(tensordict: TensorDictBase, dt: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return states, references, their rates now, and whether a row begins; nothing of the future of a reference."""
+    steps, reference = tensordict["step_count"], tensordict["reference"].double()
+    rate = references.rate(tensordict["task_params"], steps * dt).double()
+    return tensordict["state"].double(), reference, rate, steps == 0
 
 
-def _learned(parts: Parts, seed: int) -> Policy:
-    return parts.agent.deployed
+def nmpc_plan(system: System, dt: float, **more: Any) -> Any:
+    """Return what do-mpc is to plan for, with the states in which a rotor rests as a hint; see `nmpc.Plan`."""
+    from benchmarks.nmpc import Plan, monomials
+
+    signature, equilibria = system.signature, Equilibria(system, OUTPUTS)
+    targets = torch.cartesian_prod(*(torch.linspace(-0.5, 0.5, 7, dtype=torch.float64) for _ in OUTPUTS))
+    rests = equilibria.state_and_input(targets, equilibria(targets))[0].numpy()
+    basis = np.array([monomials(row) for row in targets.tolist()])
+    free = [name for name in signature.state_names if name not in (*OUTPUTS, *RATES)]
+    fitted = {name: np.linalg.lstsq(basis, rests[:, signature.state_index(name)], rcond=None)[0] for name in free}
+    hint = {name: of.tolist() for name, of in fitted.items()}
+    guess = {name: of[0] for name, of in hint.items()}
+    settings = {"hint": hint, "guess": guess, "dt": dt} | more
+    return Plan(signature.state_names, signature.input_names, signature.x_scale, OUTPUTS, RATES, **settings)
 
 
-def _learned_integral(parts: Parts, seed: int) -> Policy:
-    return IntegralAction(parts.agent.deployed, parts.plant)
+def casadi_field(system: System, smooth: bool) -> Callable[[Any, Any], list[Any]]:
+    """Return a plant or a model as a function of lists of CasADi's symbols, from the formulas of its machine code."""
+    from benchmarks.nmpc import functions
+
+    if isinstance(system, SindyModel):
+        return field_of(system, functions(smooth))
+    formulas, calls = program(system.forward, system.signature.n_x, system.signature.n_u), functions(smooth)
+
+    def _field(x: Any, u: Any) -> list[Any]:
+        scope = {**calls, "x": x, "u": u}
+        for name, formula in formulas.lines:
+            scope[name] = eval(formula, scope)
+        return [eval(formula, scope) for formula in formulas.results]
+
+    return _field
 
 
-CONTROLLERS: dict[str, Callable[[Parts, int], Policy]] = {
-    LEARNED[0]: _learned,
-    LEARNED[1]: _learned_integral,
-    "LQI": _lqi,
-    "MPC": _mpc,
-    "PID": _pid,
+CONTROLLERS: dict[str, Callable[[Parts], Policy]] = {
+    LEARNED[0]: lambda parts: parts.agent.deployed,
+    LEARNED[1]: lambda parts: IntegralAction(parts.agent.deployed, parts.plant),
+    "LQI, python-control": lambda parts: Lqi(parts.world_model, parts.plant.dt),
+    "NMPC, do-mpc": lambda parts: Nmpc(parts.world_model, parts.plant.dt),
 }
-
-
-def _trial(parts: Parts, seed: int) -> Trial:
-    """Return what classical controllers are tuned on: the model, and references drawn as the learned policy's are."""
-    generator = torch.Generator().manual_seed(1000 + seed)
-    wanted = parts.plant.task.sample(torch.Size((TUNING_REFERENCES,)), generator)
-    return Trial(parts.world_model, wanted, dt=parts.plant.dt)
 
 
 def scenarios(plant: str, seconds: float = 0.0) -> list[Scenario]:
@@ -137,7 +219,7 @@ def scenarios(plant: str, seconds: float = 0.0) -> list[Scenario]:
         raise ValueError(f"plant {plant} is not compared here; choose of {', '.join(PLANTS)}")
     facts = PLANTS[plant]
     return [
-        Scenario("step", step_references(facts.low, facts.high), 64, seconds or 20.0),
+        Scenario("step", step_references(facts.low, facts.high, STEPS), STEPS, seconds or 20.0),
         Scenario("sine", Wave([0.35, 0.25], [0.015, 0.015]), 1, seconds or 100.0),
         Scenario("square", Wave([0.4, -0.5], [0.01, 0.01], "square"), 1, seconds or 200.0),
     ]

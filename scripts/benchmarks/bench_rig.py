@@ -12,15 +12,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dynasindy.agents.classical.pid import PID, Gains
 from dynasindy.evaluation.files import write_csv
 from dynasindy.systems import Tras, integrate
 from dynasindy.systems.tras import TrasConstants
 
 DT, DELAY, HELD = 0.01, 1, 4.0
 """Time between two samples [s], samples until a command acts, and time for which a reference is held [s]."""
-GAINS = Gains(proportional=(0.6, 0.3), integral=(0.1, 0.25), derivative=(0.6, 0.15), bias=(-0.1, 0.25))
-"""Of the controller under which the log is made; the default ones of no benchmark."""
+BIAS, PROPORTIONAL, INTEGRAL, DERIVATIVE = (-0.1, 0.25), (0.6, 0.3), (0.1, 0.25), (0.6, 0.15)
+"""Of the PID controller under which the log is made."""
 RANGE = (0.5, 0.3)
 """Largest reference of azimuth and pitch [rad]."""
 STEP, NOISE = 0.0015, (20.0, 10.0)
@@ -87,13 +86,13 @@ def closed_loop(seconds: float, logs: int, gust: float = 0.0, plant: Rig | None 
         Measured states `(T, logs, 6)`, their rates NaN, and commands `(T, logs, 2)`.
     """
     plant, generator = plant or Rig(), torch.Generator().manual_seed(0)
-    controller = PID(plant.signature, GAINS, dt=DT)
+    gains = [torch.tensor(gain, dtype=torch.float64) for gain in (BIAS, PROPORTIONAL, INTEGRAL, DERIVATIVE)]
 
     def _normal(*scale: float) -> Tensor:
         return torch.tensor(scale) * torch.randn(logs, 2, generator=generator, dtype=torch.float64)
 
     x, push = torch.zeros(logs, 6, dtype=torch.float64), _normal(gust)
-    reference = rate = torch.zeros(logs, 2, dtype=torch.float64)
+    reference = integral = torch.zeros(logs, 2, dtype=torch.float64)
     past = [reference] * DELAY
     seen: list[Tensor] = []
     for k in range(round(seconds / DT)):
@@ -104,7 +103,10 @@ def closed_loop(seconds: float, logs: int, gust: float = 0.0, plant: Rig | None 
         y[:, :2] = STEP * torch.round(x[:, :2] / STEP)
         y[:, 4:] += _normal(*NOISE)
         y[:, 2:4] = (y[:, :2] - (seen[max(0, k - OLD)] if seen else y)[:, :2]) / (OLD * DT)
-        u = controller.act(y, reference, rate, torch.full((logs, 1), k == 0))
+        error = reference - y[:, :2]
+        u = gains[0] + gains[1] * error + gains[2] * integral - gains[3] * y[:, 2:4]
+        integral = integral + DT * error.masked_fill(u.abs() > 1.0, 0.0)  # no winding up at a limit
+        u = u.clamp(-1.0, 1.0)
         seen.append(y)
         past.append(u)
         with torch.no_grad():

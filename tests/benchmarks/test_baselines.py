@@ -5,22 +5,16 @@ import torch
 from benchmarks import baselines, gradient
 from benchmarks.arguments import parsed
 
-from dynasindy.agents.classical import LQI, Tuning
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
 from dynasindy.evaluation.rows import read_rows
-from dynasindy.systems import Xi
+from dynasindy.planning.linear_model import jacobians, zero_order_hold
+from dynasindy.systems import Tras, Xi
 from dynasindy.tasks import Step, Tracking
-
-QUICK = Tuning(population=6, elites=2, draws=1, seconds=1.0)
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    for name in ("tuned_lqi", "tuned_pid"):
-        tuned = getattr(baselines, name)
-        monkeypatch.setattr(baselines, name, lambda *a, tuned=tuned, **k: tuned(*a, tuning=QUICK, **k))
-    monkeypatch.setattr(baselines, "TUNING_REFERENCES", 2)
     build, tiny = gradient.build_recipe, {"updates": 1, "rollouts": 4, "window": 5}
     baselines._parts.cache_clear()
     monkeypatch.setattr(gradient, "build_recipe", lambda c, p, s, planning: build(c, p, s, {**tiny, **planning}))
@@ -31,19 +25,20 @@ def options(tmp_path, *more):
 
 
 @pytest.mark.slow
-def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path):
-    pytest.importorskip("casadi")
+def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path, monkeypatch):
+    pytest.importorskip("control")
+    pytest.importorskip("do_mpc")
+    monkeypatch.setattr(baselines, "STEPS", 2)
     baselines.main(parsed("baselines", options(tmp_path)))
     rows = read_rows(tmp_path / "baselines.csv")
     assert tuple(rows[0]) == baselines.COLUMNS
-    assert len(rows) == 5 * 2 * 3 * 4
+    assert len(rows) == 4 * 2 * 3 * 4
     real = {(row["controller"], row["model"]): float(row["real_seconds"]) for row in rows}
     assert {seconds for (_, model), seconds in real.items() if model == "identified"} == {10.0}
-    assert real["MPC", "true"] == 0.0
+    assert real["NMPC, do-mpc", "true"] == 0.0
     assert all(float(row["ms_per_action"]) > 0 and 0 <= float(row["azimuth"]) < 20 for row in rows)
     page = (tmp_path / "baselines.md").read_text()
-    assert page.count("| MPC | identified | 10 | 1 |") == 3
-    assert "| xi | RMSE, sine | pitch | planning by gradient, integral action |" in page
+    assert page.count("| NMPC, do-mpc | identified | 10 | 1 |") == 3
 
 
 def test_rows_in_the_file_are_not_measured_again_and_text_above_the_tables_stays(tmp_path, monkeypatch):
@@ -57,22 +52,30 @@ def test_rows_in_the_file_are_not_measured_again_and_text_above_the_tables_stays
     monkeypatch.setattr(baselines, "prepare", lambda *key: (None, None, 10.0))
     monkeypatch.setattr(baselines, "judge", judged)
     (tmp_path / "baselines.md").write_text("# Mine\n\n## Tables\n\nold\n")
-    only = ("--controllers", "PID", "--models", "identified", "true")
+    only = ("--controllers", "LQI, python-control", "--models", "identified", "true")
     baselines.main(parsed("baselines", options(tmp_path, *only)))
     baselines.main(parsed("baselines", [*options(tmp_path, *only), "--seeds", "0", "1"]))
-    assert calls == [("xi", "PID", "identified", 0), ("xi", "PID", "true", 0), ("xi", "PID", "identified", 1)]
+    assert calls == [
+        ("xi", "LQI, python-control", "identified", 0),
+        ("xi", "LQI, python-control", "true", 0),
+        ("xi", "LQI, python-control", "identified", 1),
+    ]
     page = (tmp_path / "baselines.md").read_text()
     assert page.startswith("# Mine\n\n## Tables\n\n###")
     assert "old" not in page
+
+
+def still(tensordict):
+    return tensordict.set("action", torch.full((*tensordict.batch_size, 2), 0.1))
 
 
 def test_figures_are_those_of_the_flight():
     system = Xi()
     env = ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), dtype=torch.float64)
     among = baselines.scenarios("xi", 5.0)[1:]
-    rows = baselines.judge(env, LQI(system), ("xi", "LQI", "true", 0, 0.0), among)
+    rows = baselines.judge(env, still, ("xi", "LQI", "true", 0, 0.0), among)
     task = Tracking(system.signature, among[1].reference, max_steps=100)
-    flown = ControlEnv(system, task, dtype=torch.float64).rollout(100, LQI(system))
+    flown = ControlEnv(system, task, dtype=torch.float64).rollout(100, still)
     time = torch.arange(100) * 0.05
     metrics = tracking_metrics(time, flown["state"][:, :2], flown["reference"], flown["action"])
     for row in rows[4:]:
@@ -105,3 +108,44 @@ def test_rows_of_a_run_replace_earlier_ones_of_the_same_seed_only(tmp_path):
 def test_a_plant_without_the_scenarios_is_refused():
     with pytest.raises(ValueError, match="plant pendulum is not compared here; choose of xi, tras, trms33"):
         baselines.scenarios("pendulum")
+
+
+def rests(system, policy, targets, seconds):
+    env = ControlEnv(system, Tracking(system.signature, Step(targets)), dtype=torch.float64)
+    return env.rollout(round(seconds / 0.05), policy)["state"][-1, :2]
+
+
+def test_lqi_has_the_gain_of_a_riccati_recursion_and_no_error_under_a_steady_push():
+    pytest.importorskip("control")
+
+    class Pushed(Xi):
+        def forward(self, x, u):
+            return super().forward(x, u) + torch.tensor([0, 0, 0.1, 0.3, 0, 0], dtype=x.dtype)
+
+    lqi = baselines.Lqi(Xi(), 0.05)
+    a, b = zero_order_hold(*jacobians(Xi(), *lqi.equilibria.state_and_input(torch.zeros(2), lqi.equilibria.home)), 0.05)
+    f = torch.zeros(8, 8, dtype=torch.float64)
+    f[:6, :6], f[6, 0], f[7, 1], f[6:, 6:] = a, 1.0, 1.0, torch.eye(2)
+    g = torch.cat((b, torch.zeros(2, 2)))
+    scale = torch.tensor([*Xi().signature.x_scale, 1, 1], dtype=torch.float64)
+    q = torch.diag(torch.tensor([30, 30, 1, 1, 0, 0, 50 * 0.05**2, 50 * 0.05**2]).double() / scale**2)
+    p, r = q.clone(), torch.eye(2, dtype=torch.float64)
+    for _ in range(20_000):
+        gain = torch.linalg.solve(r + g.T @ p @ g, g.T @ p @ f)
+        p = q + f.T @ p @ (f - g @ gain)
+    torch.testing.assert_close(lqi.gain, gain, rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(
+        rests(Pushed(), lqi, [[0.3, 0.2]], 40).float(), torch.tensor([0.3, 0.2]), atol=1e-3, rtol=0
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("system", [Xi(), Tras()])
+def test_do_mpc_predicts_by_the_equations_of_the_plant_and_brings_it_to_its_target(system):
+    casadi = pytest.importorskip("casadi")
+    pytest.importorskip("do_mpc")
+    x, u = torch.tensor([0.1, 0.2, -0.3, 0.4, 500.0, -900.0]).double(), torch.tensor([0.3, -0.6]).double()
+    rates = baselines.casadi_field(system, smooth=False)(x.tolist(), u.tolist())
+    assert [float(casadi.DM(rate)) for rate in rates] == pytest.approx(system(x, u).tolist(), rel=1e-9)
+    at = rests(system, baselines.Nmpc(system, 0.05), [[0.2, 0.1]], 6)
+    torch.testing.assert_close(at.float(), torch.tensor([0.2, 0.1]), atol=5e-3, rtol=0)

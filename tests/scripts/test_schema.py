@@ -236,7 +236,7 @@ def test_a_broken_pipe_is_nobodys_mistake():
 
 def test_packages_that_are_not_installed_come_with_a_command():
     missing = ModuleNotFoundError("No module named 'casadi'", name="casadi")
-    assert "pip install 'dynasindy[mpc]'" in in_words(missing, "train")
+    assert "pip install 'dynasindy[export]'" in in_words(missing, "train")
     launcher = ValueError("In 'ablation': Could not find 'hydra/launcher/joblib'\n\nAvailable options: basic")
     assert "pip install 'dynasindy[sweep]', or choose hydra/launcher=basic" in in_words(launcher, "ablation")
 

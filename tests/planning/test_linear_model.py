@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.signal import cont2discrete
 
-from dynasindy.agents.classical.linearise import Equilibria, jacobians, modes, zero_order_hold
+from dynasindy.planning.linear_model import Equilibria, jacobians, modes, zero_order_hold
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
 
 OUTPUTS = ("alpha_a", "alpha_p")
