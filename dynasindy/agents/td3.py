@@ -207,20 +207,6 @@ class TD3:
             self._decay_learning_rates()
         return {"critic_loss": critic_loss, "q_value": value, "actor_loss": self.actor_loss}
 
-    def update_critics(self, batch: TensorDictBase) -> None:
-        """Take one step of the critics alone, which then value the actor as it is, and renew the targets when due.
-
-        Args:
-            batch: as for `update`.
-
-        Raises:
-            Diverged: their loss is not finite.
-            ValueError: a tensor of the batch has another shape or kind than the networks take.
-        """
-        self.updates += 1
-        self._steps.critics(batch, self._require_finite)
-        self._targets()
-
     def check(self) -> None:
         """Check all weights, as at the end of a phase or before the agent is saved.
 

@@ -1,7 +1,6 @@
 """Planning, in Dyna's sense: learning from imagined experience."""
 
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.both import GradientThenReplay
 from dynasindy.planning.bounds import Bounds
 from dynasindy.planning.gradient import GradientPlanning
 from dynasindy.planning.imagine import Imagination
@@ -14,7 +13,6 @@ __all__ = [
     "Bounds",
     "Gate",
     "GradientPlanning",
-    "GradientThenReplay",
     "Imagination",
     "ImaginedReplay",
     "ModelError",

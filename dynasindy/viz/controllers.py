@@ -29,7 +29,6 @@ class Controller:
 CONTROLLERS: Mapping[str, Controller] = {
     "gradient": Controller("planning by gradient", BLUE),
     "gradient_integral": Controller("planning by gradient, integral action", BLUE, "--"),
-    "gradient_then_td3": Controller("planning by gradient, then TD3", BLUE, ":"),
     "rollouts_0": Controller("no planning", RED),
     "rollouts_400": Controller("400 rollouts", SKY),
     "rollouts_800": Controller("800 rollouts", GREEN),
@@ -81,7 +80,7 @@ def by_planning(planning: Mapping[str, Any]) -> str:
     kind = str(planning.get("_target_", "")).rpartition(".")[2]
     if kind in ("NoPlanning", "ImaginedReplay"):
         return named(f"rollouts_{planning.get('rollouts') or 0}")
-    return named({"GradientPlanning": "gradient", "GradientThenReplay": "gradient_then_td3"}.get(kind, "policy"))
+    return named({"GradientPlanning": "gradient"}.get(kind, "policy"))
 
 
 def with_integral(words: str) -> str:

@@ -221,7 +221,7 @@ def test_a_reward_that_is_not_finite_stops_the_update_before_any_weight_moves(re
         agent.update(second)
     assert torch.equal(tensors(agent), before)
     with pytest.raises(Diverged, match="update 3"):
-        agent.update_critics(second)
+        agent.update(second)
 
 
 def test_an_exploding_critic_is_told_at_the_update_whose_loss_overflows():
@@ -343,19 +343,6 @@ def test_updates_are_those_of_the_algorithm_written_with_torch_alone(machine_cod
     for layer, linear in zip(agent.loss.target_actor_layers, plain.target_actor[::2], strict=False):
         torch.testing.assert_close(layer.weight, linear.weight, rtol=1e-4, atol=1e-6)
     assert agent.updates == 8
-
-
-def test_critics_alone_learn_as_they_would_in_an_update_and_renew_the_targets_when_due():
-    """Like an agent whose actor is never due."""
-    settings = {"target_update_interval": 2, "tau": 0.5, "lr_decay": 0.0}
-    agent, other = small(**settings), small(**settings, policy_delay=99)
-    before = [p.clone() for p in agent.policy.parameters()]
-    for batch in batches(3):
-        agent.update_critics(batch)
-        other.update(batch)
-    assert agent.updates == 3
-    assert torch.equal(tensors(agent), tensors(other))
-    assert all(torch.equal(a, b) for a, b in zip(before, agent.policy.parameters(), strict=True))
 
 
 def test_the_latest_actor_loss_is_reported_and_is_zero_before_the_first():

@@ -16,8 +16,8 @@ from dynasindy.dyna.stopped import Stopped
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
-from dynasindy.planning import Bounds, Gate, GradientPlanning, GradientThenReplay, ImaginedReplay, NoPlanning, Variation
 from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.planning import Bounds, Gate, GradientPlanning, ImaginedReplay, NoPlanning, Variation
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
 
@@ -30,7 +30,6 @@ PLANNERS = {
     "none": NoPlanning,
     "replay": REPLAYED,
     "gradient": GRADIENT,
-    "both": partial(GradientThenReplay, gradient=GRADIENT, replayed=REPLAYED, critic_updates=3),
 }
 PROVENANCE = Provenance("a: 1\n", {"command": "train", "commit": "abc"})
 
@@ -264,7 +263,7 @@ def test_only_a_fit_with_others_after_it_is_called_the_first(tmp_path, kept, wor
     assert "the inputs act" not in told and "Observer" not in told
 
 
-@pytest.mark.parametrize("name", ["replay", "gradient", "both"])
+@pytest.mark.parametrize("name", ["replay", "gradient"])
 def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     Plug.last = None
     made = recipe(PLANNERS[name], 1)
