@@ -1,7 +1,6 @@
 """Planning, in Dyna's sense: learning from imagined experience."""
 
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.bounds import Bounds
 from dynasindy.planning.gradient import GradientPlanning
 from dynasindy.planning.imagine import Imagination
 from dynasindy.planning.prediction import ModelPrediction
@@ -10,7 +9,6 @@ from dynasindy.planning.trust import Gate, ModelError, replay_error
 from dynasindy.planning.variation import Variation, Varied
 
 __all__ = [
-    "Bounds",
     "Gate",
     "GradientPlanning",
     "Imagination",

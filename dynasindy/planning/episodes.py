@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from dynasindy.data.recording import transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.margin import Margin
 from dynasindy.planning.variation import Members, Varied
@@ -37,15 +36,11 @@ class Episodes:
         self.margin: Margin | None = None
         self.rows = references(planner.env, planner.rollouts, planner.rng)
         self.rows.kept = True
-        self.rows.noise = planner.variation.deviations(planner.env.system.signature.n_x)
         self.system: System = planner.env.system
         if planner.others:
             self.system = Members([self.system, *planner.others])
-        if planner.variation.members and planner.replay is not None:
-            data = transitions(planner.replay.real_in_order(), planner.log_dt)
-            self.system = Members.of(self.system, data, planner.variation.members)
-        if planner.variation.plants:
-            self.system = Varied(self.system, planner.variation, planner.rollouts)
+        if planner.variation.parameters:
+            self.system = Varied(self.system, planner.variation.parameters, planner.rollouts)
             self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt

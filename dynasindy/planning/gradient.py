@@ -136,14 +136,11 @@ class GradientPlanning(Planner):
         self.learns_by_td3 = rollouts == 0
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
         self.variation, self.others = variation or Variation(), list(others)
-        self.variation.deviations(env.system.signature.n_x)  # refuses a wrong number of them
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
         self.env.stops = env.stops
-        if self.variation.members and replay is None:
-            raise ValueError("members of the model are fitted to stored transitions; give replay=, or no members")
         self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
-        self.log_dt, self.finest, self.phase = env.log_dt, env.substeps, 0
+        self.finest, self.phase = env.substeps, 0
         self.pace = dataclasses.replace(PlanSettings(), **self.given)
 
     def plan(self) -> Planned:
@@ -239,7 +236,7 @@ class GradientPlanning(Planner):
         rows, task = self.held_out, self.env.task
         policy: Network = network or self.network
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
-        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps, self.rng)
+        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps)
         return rewards(self.env, rows, whole).mean().item()
 
     def _held(self, rests: Rests) -> Begun:
@@ -260,7 +257,7 @@ class GradientPlanning(Planner):
     def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.pace.window, self.rng)
+        window = imagine(self.env, system, self.network, rows, self.pace.window)
         optimizer.zero_grad()
         backward(self.env, system, self.network, rows, window)
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)

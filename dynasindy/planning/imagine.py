@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,7 +12,6 @@ from torchrl.envs import Transform
 
 from dynasindy.data.replay import LEARN_KEYS
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.bounds import Mask
 
 
 class Imagination(Transform):
@@ -22,7 +20,7 @@ class Imagination(Transform):
     `buffer.append_transform(Imagination(env.with_system(world_model), policy, horizon))`, then
     `buffer.extend(starts)` with a batch of `state` stores up to `len(starts) * horizon` transitions. Each start
     gets a fresh reference. The end of an imagined rollout is truncated, never terminated, and a rollout is
-    cut before the first transition that is not finite or that a mask does not believe.
+    cut before the first transition that is not finite or that ends beyond the limit.
 
     Attributes:
         diverged: How many of the newest rollouts had no finite transition at all.
@@ -31,7 +29,7 @@ class Imagination(Transform):
         env: Imagined environment.
         policy: Policy that acts in it, reading `observation` and writing `action`.
         horizon: Length of a rollout [control periods].
-        masks: Tell which transitions are believed; all if there are none.
+        limit: Largest absolute value of each state, `(n_x,)`; any if None.
 
     Raises:
         ValueError: The horizon is not positive.
@@ -42,7 +40,7 @@ class Imagination(Transform):
         env: ControlEnv,
         policy: TensorDictModuleBase,
         horizon: int,
-        masks: Sequence[Mask] = (),
+        limit: Tensor | None = None,
     ) -> None:
         super().__init__(in_keys=[], out_keys=[])
         if horizon < 1:
@@ -50,7 +48,7 @@ class Imagination(Transform):
         # Held outside nn.Module's registry: the buffer must not own, save or move the environment and policy.
         self.__dict__.update(env=env, policy=policy)
         self.horizon = horizon
-        self.masks = list(masks)
+        self.limit = limit
         self.diverged = 0
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -72,7 +70,10 @@ class Imagination(Transform):
         )
         finite = _finite(rollout)
         self.diverged = len(finite) - int(finite[:, 0].sum())
-        kept, last = _kept(finite, rollout, self.masks)
+        if self.limit is not None:
+            states = rollout["next", "state"]
+            finite = finite & (states.abs() <= self.limit.to(states)).all(-1)
+        kept, last = _kept(finite)
         rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
         rows, kept = rollout.select(*LEARN_KEYS).reshape(-1), kept.flatten()
         # Nearly always all are kept; and each column would look for itself which ones are.
@@ -89,10 +90,8 @@ def _finite(rollout: TensorDictBase) -> Tensor:
     return torch.cat(parts, -1).isfinite().all(-1)
 
 
-def _kept(sound: Tensor, rollout: TensorDictBase, masks: Sequence[Mask]) -> tuple[Tensor, Tensor]:
+def _kept(sound: Tensor) -> tuple[Tensor, Tensor]:
     """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
-    for mask in masks:
-        sound = sound & mask(rollout)
     if bool(sound.all()):
         last = torch.zeros_like(sound)
         last[:, -1] = True

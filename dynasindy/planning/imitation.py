@@ -113,7 +113,7 @@ def arrives(pilot: Network, env: ControlEnv, rests: Rests, rng: torch.Generator)
     x = task.initial_state(batch, rng).float()
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, torch.zeros(ROWS, 1))
     rows.reach = _reach(task, x)
-    whole = imagine(env, env.system, pilot, rows, task.max_steps, rng)
+    whole = imagine(env, env.system, pilot, rows, task.max_steps)
     return bool((regulator.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
 
 
@@ -168,9 +168,9 @@ def _visited(pilot: Network, law: Law, env: ControlEnv, rng: torch.Generator) ->
     x[::2] = law.near(other, rng)[::2]
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, zero)
     rows.reach = _reach(task, x)
-    whole = imagine(env, env.system, pilot, rows, min(PERIODS, task.max_steps), rng)
+    whole = imagine(env, env.system, pilot, rows, min(PERIODS, task.max_steps))
     alive = whole.alive[:-1]
-    observed = task.observation(whole.seen, params.expand(len(alive), *params.shape), whole.times[:-1])
+    observed = task.observation(whole.states[:-1], params.expand(len(alive), *params.shape), whole.times[:-1])
     return observed[alive].float()
 
 

@@ -68,7 +68,7 @@ def improve(
     Args:
         network: Policy, observations to inputs; trained in place.
         env: Imagined environment.
-        rows: Tells how far its states may go and how they are measured; not changed.
+        rows: Tells how far its states may go; not changed.
         score: What the policy earns in the model.
         rng: Source of starts, signals and batches.
         periods: Length of a way [control periods].
@@ -80,7 +80,7 @@ def improve(
         if failures >= PATIENCE:
             break
         begun, floor = starts(network, env, rows, rng, periods), Floor()
-        flown = imagine(env, env.system, network, begun, periods, rng)
+        flown = imagine(env, env.system, network, begun, periods)
         rewards(env, begun, flown, floor)
         way = better(network, env, begun, rng, periods, floor)
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
@@ -89,7 +89,9 @@ def improve(
         alive, gained = way.alive[1:], more > GAINED * more.amax()
         if not bool(alive.any()):
             break
-        seen = env.task.observation(way.seen, begun.params.expand(periods, *begun.params.shape), way.times[:-1]).float()
+        seen = env.task.observation(
+            way.states[:-1], begun.params.expand(periods, *begun.params.shape), way.times[:-1]
+        ).float()
         observations, wanted = zip(*kept, (seen[alive], way.actions[alive]), strict=True)
         lesson(network, torch.cat(observations), torch.cat(wanted), UPDATES, rng)
         kept.append((seen[alive & gained], way.actions[alive & gained]))
@@ -123,7 +125,7 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
     x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
     # A way is timed for inputs that act at once, as those of the model do.
     begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False, late=None)
-    flown = imagine(env, env.system, network, begun, periods, rng)
+    flown = imagine(env, env.system, network, begun, periods)
     moment = torch.randint(periods + 1, (STARTS,), generator=rng)
     moment[::2] = 0
     each = torch.arange(STARTS)
@@ -153,12 +155,12 @@ def better(
     )
 
     def _earned(drawn: Tensor) -> Tensor:
-        flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods, rng)
+        flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods)
         return rewards(env, many, flown, floor).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
-    return imagine(env, env.system, OnTop(network, best, acting, env.task.limit), begun, periods, rng)
+    return imagine(env, env.system, OnTop(network, best, acting, env.task.limit), begun, periods)
 
 
 class OnTop:

@@ -13,8 +13,8 @@ from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import check_memory
 from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.bounds import Bounds
 from dynasindy.planning.imagine import Imagination
+from dynasindy.planning.trust import Bound
 from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged
 
@@ -53,7 +53,8 @@ class ImaginedReplay(Planner):
             first planning phase to the last of so many.
         every: Episodes between two planning phases (paper: N).
         generations: Planning phases whose transitions are kept; all, within the storage, if None.
-        bounds: Where the model is believed; the defaults of `Bounds` if omitted.
+        state_bound: Multiple of the largest value of each state on the plant beyond which the model is not believed: a
+            rollout is cut there.
         recent_steps: Newest real steps from whose states rollouts branch; all if None.
         seed: Seed of the choice of start states.
 
@@ -73,7 +74,7 @@ class ImaginedReplay(Planner):
         horizon: int | tuple[int, int, int] = 100,
         every: int = 1,
         generations: int | None = 5,
-        bounds: Bounds | None = None,
+        state_bound: Bound = 1.5,
         recent_steps: int | None = None,
         seed: int = 0,
     ) -> None:
@@ -83,9 +84,11 @@ class ImaginedReplay(Planner):
                 "planning needs rollouts >= 0, and generations and recent_steps >= 1 or null, "
                 f"got {rollouts}, {generations} and {recent_steps}; mend planning"
             )
+        if not state_bound > 0:
+            raise ValueError(f"planning.state_bound must be positive, got {state_bound}")
         self.agent, self.env, self.replay, self.rollouts, self.generations = agent, env, replay, rollouts, generations
         self.horizons = _schedule(horizon)
-        self.bounds, self.recent_steps = bounds or Bounds(), recent_steps
+        self.state_bound, self.recent_steps = state_bound, recent_steps
         self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
         longest = max(horizon) if isinstance(horizon, Sequence) else horizon
@@ -111,7 +114,7 @@ class ImaginedReplay(Planner):
         recent = min(self.recent_steps or len(real), len(real))
         rows = len(real) - 1 - torch.randint(recent, (self.rollouts,), generator=self.generator)
         self.imagination.horizon = self.horizons(len(self.made))
-        self.imagination.masks = self.bounds.masks(self.env, real, self.generator)
+        self.imagination.limit = self.state_bound * real["next", "state"].abs().amax(0)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
         self.made.append(len(self.replay.model.extend(starts)))
         if self.imagination.diverged == self.rollouts:
@@ -128,7 +131,7 @@ class ImaginedReplay(Planner):
         self.replay.keep_imagined(0)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return how much each phase imagined, and the generator; horizon and bounds are set anew by each phase."""
+        """Return how much each phase imagined, and the generator; horizon and limit are set anew by each phase."""
         return {"made": list(self.made), "generator": self.generator.get_state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -1,56 +1,36 @@
-"""What may differ between the model and the plant, imagined: parameters, disturbances, sensors, actuator."""
+"""What may differ between the model and the plant, imagined: parameters and the delay of inputs."""
 
 from __future__ import annotations
 
-import copy
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from dynasindy.limits import Count
-from dynasindy.sindy import SindyModel
-from dynasindy.sindy.ensemble import bag
 from dynasindy.systems import Altered, System
-from dynasindy.systems.transitions import Transitions
 
 
 @dataclass(frozen=True)
 class Variation:
-    """How far imagined plants stray from the model; by default inputs are late, and every other number is zero.
+    """How far imagined plants stray from the model; by default inputs are late, and nothing else differs.
 
     Attributes:
         parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
-        disturbance: Half range of a constant added to each rate of change, in ranges of the state per second.
-        noise: Standard deviation of the measurement noise of each state [its unit]; none if empty.
         late: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two; true is 1.
-        members: Fits to resampled blocks of the data, of which each imagined plant is one; the model itself if 0.
 
     Raises:
-        ValueError: A number is negative or not finite, or `parameters` is not below 1.
+        ValueError: A number is out of range.
     """
 
     parameters: float = 0.0
-    disturbance: float = 0.0
-    noise: Sequence[float] = ()
     late: float | bool = 1.0
-    members: Count = 0
 
     def __post_init__(self) -> None:
-        numbers = (self.parameters, self.disturbance, self.late, self.members, *self.noise)
-        # Asked so that NaN, which compares false with everything, fails.
-        if not all(0 <= number < math.inf for number in numbers) or self.parameters >= 1 or self.late > 1:
+        if not (0 <= self.parameters < 1 and 0 <= self.late <= 1):
             raise ValueError(
-                "a variation needs finite numbers, 0 <= parameters < 1, 0 <= late <= 1, disturbance, noise and members "
-                f">= 0, got {self}; mend planning.variation"
+                f"a variation needs 0 <= parameters < 1 and 0 <= late <= 1, got {self}; mend planning.variation"
             )
-
-    @property
-    def plants(self) -> bool:
-        """Whether imagined plants differ from the model."""
-        return self.parameters > 0 or self.disturbance > 0
 
     def delays(self, rows: int, rng: torch.Generator) -> Tensor | None:
         """Return the delays of so many episodes, `(rows, 1)` [control periods]; None if none is late.
@@ -64,21 +44,6 @@ class Variation:
         """Return delays to test a policy with, `(rows, 1)`: three episodes in time and three that are late, in turn."""
         return self.late * (torch.arange(rows) // 3 % 2).unsqueeze(-1).float() if self.late else None
 
-    def deviations(self, n_x: int) -> Tensor | None:
-        """Return the standard deviations of the measurement noise, `(n_x,)`, or None without noise.
-
-        Raises:
-            ValueError: There are neither no nor `n_x` deviations.
-        """
-        if not len(self.noise):
-            return None
-        if len(self.noise) != n_x:
-            raise ValueError(
-                f"planning.variation.noise has {len(self.noise)} deviations for {n_x} states; give one per state, or "
-                "none"
-            )
-        return torch.tensor(list(self.noise), dtype=torch.float32)
-
 
 class Members(System):
     """Several models of one plant, each for an equal share of the rows: no policy can exploit the errors of one.
@@ -90,20 +55,6 @@ class Members(System):
     def __init__(self, models: Sequence[System]) -> None:
         super().__init__(models[0].signature, models[0].stops)
         self.models = list(models)
-
-    @classmethod
-    def of(cls, model: System, data: Transitions, number: int) -> Members:
-        """Fit the model's library to blocks of its data, drawn with replacement.
-
-        Raises:
-            TypeError: The model is no sparse model.
-        """
-        if not isinstance(model, SindyModel):
-            raise TypeError(f"{type(model).__name__} has no resampled fits; leave members at 0, disagreement null")
-        models = [copy.deepcopy(model) for _ in range(number)]
-        for member, coefficients in zip(models, bag(model, data, number).members):
-            member.set_coefficients(coefficients)
-        return cls(models)
 
     @property
     def step(self) -> float | None:
@@ -117,38 +68,36 @@ class Members(System):
 
 
 class Varied(Altered):
-    """A system in as many versions as there are rows: dx = (1 + g) f(x, (1 + h) u) + d.
+    """A system in as many versions as there are rows: dx = (1 + g) f(x, (1 + h) u).
 
     States whose rate is another state (angles) keep their equation.
 
     Args:
         system: Nominal vector field.
-        variation: How far the versions stray.
+        parameters: Half range of g and h.
         rows: Number of versions; states and inputs are `(*batch, rows, n)`.
     """
 
-    def __init__(self, system: System, variation: Variation, rows: int) -> None:
+    def __init__(self, system: System, parameters: float, rows: int) -> None:
         super().__init__(system)
-        self.variation = variation
+        self.parameters = parameters
         n_x, n_u = system.signature.n_x, system.signature.n_u
-        self.gain, self.drift, self.input_gain = torch.ones(rows, n_x), torch.zeros(rows, n_x), torch.ones(rows, n_u)
+        self.gain, self.input_gain = torch.ones(rows, n_x), torch.ones(rows, n_u)
         self.moved = self._moved()
 
     def draw(self, new: Tensor, rng: torch.Generator) -> None:
         """Draw new versions for the rows marked in `new`, bool `(rows,)`."""
-        scale = torch.tensor(self.system.signature.x_scale)
-        for tensor, centre, reach in (
-            (self.gain, 1.0, self.variation.parameters * self.moved),
-            (self.input_gain, 1.0, torch.tensor(self.variation.parameters)),
-            (self.drift, 0.0, self.variation.disturbance * self.moved * scale),
+        for tensor, reach in (
+            (self.gain, self.parameters * self.moved),
+            (self.input_gain, torch.tensor(self.parameters)),
         ):
-            fresh = centre + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
+            fresh = 1.0 + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
             tensor[new] = fresh[new]
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""
         dx: Tensor = self.system(x, u * self.input_gain)
-        return torch.addcmul(self.drift, self.gain, dx)
+        return self.gain * dx
 
     def _moved(self) -> Tensor:
         """Return 1 for states with dynamics of their own and 0 for those whose rate is another state, `(n_x,)`."""

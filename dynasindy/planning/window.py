@@ -50,7 +50,6 @@ class Rows:
         held: Inputs of the period before, `(rows, n_u)`, which go on acting where inputs are late.
         params: Task parameters, `(rows, *params_shape)`.
         t: Time since the start of each episode [s], `(rows, 1)`.
-        noise: Standard deviation of the measurement noise of each state, `(n_x,)`; None measures exactly.
         reach: Magnitude of each state beyond which the model has diverged, `(n_x,)`; None for any finite one.
         kept: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
         strength: How strong the inputs of each episode are; None for that of the model.
@@ -62,7 +61,6 @@ class Rows:
     held: Tensor
     params: Tensor
     t: Tensor
-    noise: Tensor | None = None
     reach: Tensor | None = None
     kept: bool = False
     strength: Strength | None = None
@@ -78,7 +76,6 @@ class Window:
         applied: Inputs that reached the plant, `(T, rows, n_u)`.
         actions: Actions of the policy, `(T, rows, n_u)`; those applied unless the actuator is late, or of another
             strength.
-        seen: States as measured, `(T, rows, n_x)`.
         times: `(T + 1, rows, 1)` [s].
         alive: Where the row has not diverged so far, bool `(T + 1, rows)`.
         layers: The policy's layers in each period, if they were kept.
@@ -87,7 +84,6 @@ class Window:
     states: Tensor
     applied: Tensor
     actions: Tensor
-    seen: Tensor
     times: Tensor
     alive: Tensor
     layers: list[Layers] | None = None
@@ -100,7 +96,6 @@ def imagine(
     network: Network,
     rows: Rows,
     steps: int,
-    rng: torch.Generator,
 ) -> Window:
     """Roll the policy out in the model.
 
@@ -110,16 +105,12 @@ def imagine(
         network: Policy.
         rows: Where the rollouts begin; not changed.
         steps: Control periods T of the window.
-        rng: Generator of the measurement noise.
     """
     layers: list[Layers] | None = [] if rows.kept and by_hand(network) else None
-    x, held, states, applied, actions, seen = rows.x, rows.held, [rows.x], [], [], []
+    x, held, states, applied, actions = rows.x, rows.held, [rows.x], [], []
     times = rows.t + env.dt * torch.arange(steps + 1, dtype=x.dtype).reshape(-1, 1, 1)
     for k in range(steps):
-        measured = x
-        if rows.noise is not None:
-            measured = x + rows.noise * torch.randn(x.shape, generator=rng, dtype=x.dtype)
-        observed = env.task.observation(measured, rows.params, times[k])
+        observed = env.task.observation(x, rows.params, times[k])
         if layers is None:
             u = network(observed)
         else:
@@ -135,7 +126,6 @@ def imagine(
         states.append(x)
         applied.append(entering)
         actions.append(u)
-        seen.append(measured)
     whole = torch.stack(states)
     alive = _alive(whole, rows.reach)
     kept = alive.unsqueeze(-1)
@@ -144,7 +134,6 @@ def imagine(
         states=torch.where(kept, whole, x),
         applied=torch.where(kept[1:], torch.stack(applied), nothing),
         actions=torch.where(kept[1:], torch.stack(actions), nothing),
-        seen=torch.where(kept[:-1], torch.stack(seen), x),
         times=times,
         alive=alive,
         layers=layers if layers and bool(alive.all()) else None,
@@ -216,7 +205,7 @@ def _alive(states: Tensor, reach: Tensor | None) -> Tensor:
 def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Traced], Tensor]:
     """Return the actions with what their derivatives need, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
     actions, gains = [], []
-    for x, t in zip(window.seen.split(CHUNK), window.times[:-1].split(CHUNK)):
+    for x, t in zip(window.states[:-1].split(CHUNK), window.times[:-1].split(CHUNK)):
         seen = x.detach().requires_grad_()
         observed = env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t)
         traced = trace(network, observed)
@@ -228,7 +217,7 @@ def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tu
 
 def _observed(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
     """Return the derivative of the observations by the states, `(T, rows, n_o, n_x)`."""
-    seen = window.seen.detach().requires_grad_()
+    seen = window.states[:-1].detach().requires_grad_()
     params = rows.params.expand(len(seen), *rows.params.shape)
     columns = env.task.observation(seen, params, window.times[:-1]).unbind(-1)
     return torch.stack([torch.autograd.grad(c.sum(), seen, retain_graph=True)[0] for c in columns], -2)

@@ -26,7 +26,7 @@ REPORTED = (
 )
 """Cases of `gradient` that are measured if none is named; the others are trials that were not kept."""
 TRIALS = (
-    *("moving_long", "moving_long_wide", "noise_robust", "noise_members"),
+    *("moving_long", "moving_long_wide"),
     *("late", "nominal", "detuned_robust"),
 )
 IDENTIFIED = (

@@ -151,8 +151,6 @@ CASES = {
     "moving_long": Case(moving=True, updates=1000),
     "moving_long_wide": Case(moving=True, updates=1000, width=0.1),
     "noise": Case(episodes=3, sensors=NOISY, integral=True),
-    "noise_robust": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(noise=NOISE)),
-    "noise_members": Case(episodes=1, sensors=NOISY, integral=True, variation=Variation(members=4)),
     "bench": Case(sensors=BENCH, longest_delay=None),
     "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=None),
     "late": Case(late=1),

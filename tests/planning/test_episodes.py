@@ -6,11 +6,9 @@ import pytest
 import torch
 
 from dynasindy.agents import TD3
-from dynasindy.planning import GradientPlanning, Variation
+from dynasindy.planning import GradientPlanning
 from dynasindy.planning.episodes import Episodes, references
 from dynasindy.planning.margin import Margin
-from dynasindy.planning.variation import Members
-from dynasindy.systems.xi import Xi
 
 
 @torch.no_grad()
@@ -88,18 +86,6 @@ def test_shares_of_the_starts_are_those_asked_for(setting, small):
         # Where the model diverged nothing goes on.
         assert on.float().mean().item() == pytest.approx(0.0 if diverged else 0.2, abs=0.0 if diverged else 0.04)
     assert starts[starts > 0].unique().tolist() == [float(n) for n in range(1, 21)]
-
-
-def test_members_of_the_model_are_fitted_to_what_is_stored(setting, monkeypatch, small):
-    env, agent, replay = setting()
-    replay.extend_real(flown(env, agent))
-    asked, two = [], Members([Xi(), Xi()])
-    monkeypatch.setattr(Members, "of", lambda model, data, number: asked.append((model, data, number)) or two)
-    planner = GradientPlanning(env, agent, replay, variation=Variation(members=2), **small)
-    assert Episodes(planner).system is two
-    ((model, data, number),) = asked
-    # Of 20 control periods each has five samples.
-    assert model is planner.env.system and number == 2 and (len(data.x), data.dt) == (100, pytest.approx(0.01))
 
 
 def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_a_state_never_moved(setting, small):

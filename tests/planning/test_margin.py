@@ -35,7 +35,7 @@ def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted)
         return -4.0 / 6.0 * torch.sin(env.task.seen(observation)[1])
 
     rows = Rows(torch.zeros(6, 2), torch.zeros(6, 1), moving, torch.zeros(6, 1), strength=strength)
-    flown = imagine(env, env.system, hold, rows, 8, torch.Generator())
+    flown = imagine(env, env.system, hold, rows, 8)
     targets = torch.tensor([0.3, 0.1] * 3).expand(8, 6).clone()
     targets[4:, ::2] = -0.1
     wanted = -4.0 / 6.0 * torch.sin(targets)

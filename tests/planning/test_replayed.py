@@ -7,7 +7,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Bounds, ImaginedReplay, NoPlanning, Planned, replayed
+from dynasindy.planning import ImaginedReplay, NoPlanning, Planned, imagine, replayed
 from dynasindy.planning.replayed import _schedule
 from dynasindy.systems import Diverged, Tras
 from dynasindy.tasks import RandomStep, Tracking
@@ -72,12 +72,24 @@ def test_branches_may_be_limited_to_recent_states():
     assert (starts.unsqueeze(1) == recent).all(-1).any(-1).all()
 
 
-def test_what_lies_far_from_the_data_is_not_stored():
-    _, planner, _ = make(rollouts=12, horizon=5, bounds=Bounds(distance=1e-9))
-    # Exploring actions differ from the real ones, so even the first steps are far.
+def test_what_lies_beyond_the_states_of_the_plant_is_not_stored():
+    _, planner, _ = make(rollouts=12, horizon=5, state_bound=1e-9)
     assert planner.plan().imagined == 0
-    _, planner, _ = make(rollouts=12, horizon=5, bounds=Bounds(distance=100.0))
+    _, planner, _ = make(rollouts=12, horizon=5, state_bound=1e9)
     assert planner.plan().imagined == 60
+
+
+def test_the_limit_is_so_many_times_the_largest_state_that_a_period_ended_in():
+    replay, planner, _ = make(rollouts=12, horizon=5, state_bound=2.5)
+    planner.plan()
+    largest = replay.real_in_order()["next", "state"].abs().amax(0)
+    torch.testing.assert_close(planner.imagination.limit, 2.5 * largest)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, torch.nan])
+def test_a_bound_that_is_not_positive_is_refused(wrong):
+    with pytest.raises(ValueError, match="state_bound"):
+        make(rollouts=1, horizon=1, state_bound=wrong)
 
 
 def test_distrust_empties_the_model_storage_only():
@@ -185,16 +197,15 @@ def test_the_seed_of_the_planner_chooses_the_starts_and_nothing_else_does():
     assert torch.equal(chosen[0], chosen[1]) and not torch.equal(chosen[0], chosen[2])
 
 
-def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted():
+def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted(monkeypatch):
     replay, planner, _ = make(rollouts=12, horizon=5, generations=3)
     kept = iter([3, 4, 1, 2, 5, 5])
 
-    class First(Bounds):
-        def masks(self, env, real, generator, largest=None):
-            steps = next(kept)
-            return [lambda rollout: (torch.arange(5) < steps).expand(rollout.shape)]
+    def first(finite):
+        believed = (torch.arange(5) < next(kept)).expand(finite.shape)
+        return believed, believed & ~torch.cat([believed[:, 1:], torch.zeros_like(believed[:, :1])], -1)
 
-    planner.bounds = First()
+    monkeypatch.setattr(imagine, "_kept", first)
     found = []
     for _ in range(4):
         found.append((planner.plan().imagined, len(replay.model)))
@@ -225,7 +236,7 @@ def test_the_smallest_plans_are_allowed(fine):
 def test_by_default_four_hundred_rollouts_of_a_hundred_periods_are_kept_for_five_phases():
     _, planner, _ = make()
     assert (planner.rollouts, planner.horizons(0), planner.every, planner.generations) == (400, 100, 1, 5)
-    assert planner.bounds == Bounds(1.5, None, None) and planner.recent_steps is None
+    assert planner.state_bound == 1.5 and planner.recent_steps is None
 
 
 def test_no_planning_costs_nothing():

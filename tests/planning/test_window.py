@@ -60,7 +60,7 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits):
     rows.strength = Strength(factor, rest, ends) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    window = imagine(env, env.system, network, rows, STEPS)
     if limits is not None:
         clamped = (window.applied == ends[0]) | (window.applied == ends[1])
         assert 0.1 < clamped.float().mean() < 0.9
@@ -73,7 +73,7 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits):
 @pytest.mark.parametrize("late", [None, SHARES], ids=["at once", "late"])
 @pytest.mark.parametrize("kept", [False, True])
 def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(settle, late, kept):
-    env, network, rows, rng = setting()
+    env, network, rows, _ = setting()
     env.task = settle(env.system.signature, price=3.0)
     network[0] = nn.Linear(env.task.n_o, 16)
     if kept:
@@ -82,24 +82,24 @@ def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(s
     unrolled(env, network, rows, 0.0 if late is None else late)
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    backward(env, env.system, network, rows, imagine(env, env.system, network, rows, STEPS, rng))
+    backward(env, env.system, network, rows, imagine(env, env.system, network, rows, STEPS))
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
 
 def test_a_reward_without_a_derivative_is_refused(settle):
-    env, network, rows, rng = setting()
+    env, network, rows, _ = setting()
     env.task, rows.params = settle(env.system.signature), torch.zeros(8, 0)
     env.task.reward = lambda x, x_next, params, t, stopped: (x_next[..., 0] > 0.0).float()
     network[0] = nn.Linear(env.task.n_o, 16)
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    window = imagine(env, env.system, network, rows, STEPS)
     with pytest.raises(TypeError, match=r"the reward of task Settle has no derivative.*use planning=dyna"):
         backward(env, env.system, network, rows, window)
 
 
 def test_rollout_equals_the_environment():
-    env, network, rows, rng = setting()
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    env, network, rows, _ = setting()
+    window = imagine(env, env.system, network, rows, STEPS)
     x = rows.x
     for k in range(STEPS):
         x = env.advance(x, window.actions[k])[0][:, -1]
@@ -109,7 +109,7 @@ def test_rollout_equals_the_environment():
 def test_late_inputs_go_on_acting_for_their_share_of_the_next_period():
     env, network, rows, rng = setting()
     rows.held, rows.late = torch.randn(8, 2, generator=rng), torch.tensor([[1.0], [0.25]]).repeat(4, 1)
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    window = imagine(env, env.system, network, rows, STEPS)
     torch.testing.assert_close(window.applied[0, ::2], rows.held[::2])
     torch.testing.assert_close(window.applied[1:, ::2], window.actions[:-1, ::2])
     # A quarter of a period late: what was held a quarter of the period has a quarter of the weight.
@@ -119,27 +119,19 @@ def test_late_inputs_go_on_acting_for_their_share_of_the_next_period():
 
 
 def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
-    env, _, rows, rng = setting()
+    env, _, rows, _ = setting()
     network = MLP(env.task.n_o, 2, (16, 8), squash=True)
     factor, rest = torch.tensor([[0.8, 1.2]]).expand(8, 2), torch.full((8, 2), 0.3)
     unrolled(env, network, rows, factor=factor, rest=rest)
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     rows.kept, rows.strength = True, Strength(factor, rest)
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    window = imagine(env, env.system, network, rows, STEPS)
     assert window.layers is not None
     torch.testing.assert_close(window.applied, rest + factor * (window.actions - rest))
     backward(env, env.system, network, rows, window)
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
-
-
-def test_noise_disturbs_what_is_seen_and_not_the_plant():
-    env, network, rows, rng = setting()
-    rows.noise = torch.tensor([5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0])
-    window = imagine(env, env.system, network, rows, STEPS, rng)
-    spread = (window.seen - window.states[:-1]).std((0, 1))
-    torch.testing.assert_close(spread, rows.noise, rtol=0.3, atol=0.0)
 
 
 def test_sensitivities_equal_central_differences():
@@ -175,14 +167,14 @@ class Explosion(Xi):
 
 
 def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
-    env, network, rows, rng = setting()
+    env, network, rows, _ = setting()
     sick = Explosion()
     rows.x[:3, 5], rows.x[3:, 5] = 1500.0, -500.0
     reach = torch.tensor([6.0, 6.0, 50.0, 50.0, 1e5, 1e5])
     for first, last in ((0, 8), (3, 8)):
         some = Rows(*(getattr(rows, name)[first:last] for name in ("x", "held", "params", "t")), reach=reach)
         network.zero_grad()
-        window = imagine(env, sick, network, some, STEPS, rng)
+        window = imagine(env, sick, network, some, STEPS)
         backward(env, sick, network, some, window)
         gradient = torch.cat([p.grad.flatten() for p in network.parameters()])
         if first == 0:
@@ -194,12 +186,12 @@ def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
 
 
 def test_a_row_out_of_reach_is_out_from_there_on():
-    env, network, rows, rng = setting()
+    env, network, rows, _ = setting()
     rows.reach = torch.full((6,), torch.inf)
-    free = imagine(env, env.system, network, rows, STEPS, rng)
+    free = imagine(env, env.system, network, rows, STEPS)
     assert free.alive.all()
     rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
-    bound = imagine(env, env.system, network, rows, STEPS, rng)
+    bound = imagine(env, env.system, network, rows, STEPS)
     out = (free.states[..., 0].abs() > rows.reach[0]).int().cummax(0).values.bool()
     assert out.any() and torch.equal(bound.alive, ~out)
     torch.testing.assert_close(bound.states[bound.alive], free.states[bound.alive])
@@ -238,13 +230,13 @@ def looped(env, network, rows, late):
 
 @pytest.mark.parametrize("late", [torch.zeros(8, 1), SHARES], ids=["at once", "late"])
 def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
-    env, network, rows, rng = moving()
+    env, network, rows, _ = moving()
     rows.late = late
     states, actions, total = looped(env, network, rows, late)
     (-total).backward()
     wanted = torch.cat([p.grad.flatten() for p in network.parameters()])
     network.zero_grad()
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    window = imagine(env, env.system, network, rows, STEPS)
     torch.testing.assert_close(window.states, states.detach(), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(window.actions, actions.detach(), rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(window.times[:, :, 0], rows.t[:, 0] + 0.05 * torch.arange(STEPS + 1.0).unsqueeze(-1))
@@ -255,8 +247,8 @@ def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
 
 
 def test_the_gradient_equals_central_differences_of_the_imagined_reward():
-    env, network, rows, rng = moving()
-    window = imagine(env, env.system, network, rows, STEPS, rng)
+    env, network, rows, _ = moving()
+    window = imagine(env, env.system, network, rows, STEPS)
     backward(env, env.system, network, rows, window)
     bias = network[2].bias
     for j in range(2):
@@ -271,11 +263,11 @@ def test_the_gradient_equals_central_differences_of_the_imagined_reward():
 
 
 def test_what_diverged_holds_the_first_state_and_no_input_from_there_on():
-    env, network, rows, rng = setting()
+    env, network, rows, _ = setting()
     rows.reach = torch.full((6,), torch.inf)
-    free = imagine(env, env.system, network, rows, STEPS, rng)
+    free = imagine(env, env.system, network, rows, STEPS)
     rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
-    bound = imagine(env, env.system, network, rows, STEPS, rng)
+    bound = imagine(env, env.system, network, rows, STEPS)
     for i in range(8):
         out = [k for k in range(STEPS + 1) if free.states[k, i, 0].abs() > rows.reach[0]]
         first = min(out, default=STEPS + 1)  # the first state that is out of reach
@@ -286,20 +278,19 @@ def test_what_diverged_holds_the_first_state_and_no_input_from_there_on():
             kept = k + 1 < first
             assert torch.equal(bound.applied[k, i], free.applied[k, i] if kept else torch.zeros(2))
             assert torch.equal(bound.actions[k, i], free.actions[k, i] if kept else torch.zeros(2))
-            assert torch.equal(bound.seen[k, i], free.seen[k, i] if k < first else rows.x[i])
     assert not bound.alive.all()
 
 
 def test_a_row_that_diverged_does_not_count():
     """The reward is a mean over eight rows, of which three earn nothing."""
-    env, network, rows, rng = setting()
+    env, network, rows, _ = setting()
     rows.x[:3, 5], rows.x[3:, 5] = 1500.0, -500.0
     rows.reach = torch.tensor([6.0, 6.0, 50.0, 50.0, 1e5, 1e5])
     five = Rows(*(getattr(rows, name)[3:] for name in ("x", "held", "params", "t")), reach=rows.reach)
     sick, rewards, gradients = Explosion(), [], []
     for some in (rows, five):
         network.zero_grad()
-        window = imagine(env, sick, network, some, STEPS, rng)
+        window = imagine(env, sick, network, some, STEPS)
         assert int((~window.alive[-1]).sum()) == (3 if some is rows else 0)
         rewards.append(backward(env, sick, network, some, window))
         gradients.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
@@ -307,32 +298,23 @@ def test_a_row_that_diverged_does_not_count():
     torch.testing.assert_close(gradients[0], 5 / 8 * gradients[1])
 
 
-def test_the_noise_is_that_of_the_generator():
-    env, network, rows, _ = setting()
-    rows.noise = torch.tensor([5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0])
-    seen = [imagine(env, env.system, network, rows, 3, torch.Generator().manual_seed(seed)).seen for seed in (0, 0, 1)]
-    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
-
-
-@pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient(noise):
+def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient():
     env, _, rows, _ = setting()
     torch.manual_seed(0)
     network = MLP(env.task.n_o, 2, (16, 8), squash=True)
-    rows.noise = noise * torch.tensor([0.05, 0.05, 0.2, 0.2, 50.0, 50.0])
     found = {}
     for keep in (True, False):
         rows.kept = keep
-        window = imagine(env, env.system, network, rows, STEPS, torch.Generator().manual_seed(5))
+        window = imagine(env, env.system, network, rows, STEPS)
         assert (window.layers is not None) == keep
         network.zero_grad()
         backward(env, env.system, network, rows, window)
         found[keep] = [p.grad.clone() for p in network.parameters()]
-    # By autograd through the rollout, with the noise of the window.
-    x, total, noises = rows.x, 0.0, window.seen - window.states[:-1]
+    # By autograd through the rollout.
+    x, total = rows.x, 0.0
     for k in range(STEPS):
         t = torch.full((8, 1), k * env.dt)
-        x_next = rk4(env.system, x, network(env.task.observation(x + noises[k], rows.params, t)), env.dt)
+        x_next = rk4(env.system, x, network(env.task.observation(x, rows.params, t)), env.dt)
         free = torch.zeros(8, dtype=torch.bool)
         total = total - env.task.reward(x, x_next, rows.params, t + env.dt, free).mean() / STEPS
         x = x_next
@@ -345,7 +327,7 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient(noise):
 
 
 def test_rows_that_diverge_let_no_layers_be_kept():
-    env, _, rows, rng = setting()
+    env, _, rows, _ = setting()
     network = MLP(env.task.n_o, 2, (16, 8), squash=True)
     rows.x[:3, 5], rows.kept = 1500.0, True
-    assert imagine(env, Explosion(), network, rows, STEPS, rng).layers is None
+    assert imagine(env, Explosion(), network, rows, STEPS).layers is None
