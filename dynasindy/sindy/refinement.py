@@ -46,7 +46,7 @@ ALIKE = 0.01
 SEVERAL = 10
 """Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
+ERRORS = ("auto", "simulation", "coloured", "prediction")
 COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
 STEPWISE = (
     "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
@@ -74,10 +74,9 @@ class Refinement:
             0 takes the inputs as they are. None looks within ten samples where a regression clearly tells a delay,
             farther where it is longer; else within two control periods or 0.05 s, or, without noise, not at all.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
-            is new in such errors, as they last from sample to sample (`coloured`), of windows that begin anew
-            (`prediction`), for plants that are pushed at random or unstable, or what a Kalman filter leaves over in
-            such windows (`innovation`), the sizes of pushes and of noise estimated; `auto` takes windows that begin
-            anew where they leave over much less than a trajectory, and keeps the latter aside.
+            is new in such errors, as they last from sample to sample (`coloured`), or of windows that begin anew
+            (`prediction`), for plants that are pushed at random or unstable; `auto` takes windows that begin anew
+            where they leave over much less than a trajectory, and keeps the latter aside.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
             of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
@@ -93,7 +92,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float | None = 0.0
-    error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
+    error: Literal["auto", "simulation", "coloured", "prediction"] | None = None
     correlated: bool | None = None
 
     def __post_init__(self) -> None:
@@ -245,7 +244,6 @@ class Refinement:
             "simulation": descent,
             "coloured": replace(descent, coloured=True),
             "prediction": replace(descent, joined=False, correlated=self.correlated is not False),
-            "innovation": replace(descent, joined=False, pushed=True),
         }
         error = self.error or ("auto" if self.method == "auto" else "simulation")
         if error != "auto":

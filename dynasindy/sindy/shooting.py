@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +12,7 @@ from torch import Tensor
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.noise import Noise, estimated, news, remaining, whiten
+from dynasindy.sindy.noise import news, remaining
 from dynasindy.sindy.sensitivity import Parameters, Propagator, chained
 from dynasindy.sindy.windows import Windows
 from dynasindy.systems.integrators import moved
@@ -30,8 +29,6 @@ class Descent:
             chosen where small errors grow along the trajectory, as in chaos.
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
         correlated: whether a coefficient must be worth the more, the longer errors last.
-        pushed: whether windows on their own are corrected by a Kalman filter, as far as random pushes on the plant and
-            noise of the sensors, both estimated, explain what it leaves over.
         coloured: whether errors of a trajectory are taken to last, as long as they do.
     """
 
@@ -39,13 +36,12 @@ class Descent:
     joined: bool | None = None
     max_rounds: int = 30
     correlated: bool = False
-    pushed: bool = False
     coloured: bool = False
 
     @property
     def joins(self) -> bool:
         """Tell whether windows may join."""
-        return self.joined is not False and not self.pushed
+        return self.joined is not False
 
 
 EXACT = 1e-100
@@ -274,8 +270,6 @@ def holding(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, T
     return held
 
 
-LARGEST = 500.0
-"""Logarithm of the largest factor on a cost."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 
@@ -291,14 +285,12 @@ class Linearised:
     Attributes:
         triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
         scale: norms of the columns.
-        cost: sum of squared errors and of squared gaps between windows, both weighted; of whitened errors times the
-            geometric mean of their variances, so that its logarithm is that of the likelihood. What is unlikely of
-            the coefficients counts as squared errors do.
+        cost: sum of squared errors and of squared gaps between windows, both weighted. What is unlikely of the
+            coefficients counts as squared errors do.
         unlikely: sum of squared coefficients over their variances before the recording tells them.
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
-        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`; whitened where windows tell
-            how the plant is pushed.
+        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`.
     """
 
     triangle: Tensor
@@ -456,14 +448,8 @@ def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
 
 def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
-    spread, windows = 1.0, flow.windows
-    if windows.noise is None:
-        every = white(every, replace(windows, mask=seen)) / sigma.unsqueeze(-1)
-    else:
-        every, half = whiten(every, seen, flow.steps[..., : every.shape[2]], windows.noise, windows.dt)
-        # Where a model runs away, its filter expects errors of any size, by which small ones would be divided.
-        spread = math.exp(min(2 * float(half / windows.mask.sum().clamp_min(1)), LARGEST))
-    return every, spread * (float(every[..., -1].square().sum()) + _unlikely(flow))
+    every = white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
+    return every, float(every[..., -1].square().sum()) + _unlikely(flow)
 
 
 def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
@@ -497,23 +483,6 @@ def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
     held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
     held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
     return held
-
-
-def noise_of(estimate: Estimate, windows: Windows, pushed: Tensor) -> Noise:
-    """Return how noisy the sensors are and how hard the plant is pushed, by what windows on their own leave over.
-
-    Args:
-        estimate: coefficients and nodes.
-        windows: the recording.
-        pushed: states whose rates may be pushed, bool `(n_x,)`.
-    """
-    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
-    _require_bounded(flow)
-    rows, seen = _every(flow)
-    n_x = estimate.xi.shape[1]
-    rows = torch.cat([rows[..., :n_x], rows[..., -1:]], -1)
-    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
-    return estimated(rows, seen, flow.steps[..., :n_x], pushed, spread, windows.dt)
 
 
 def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
@@ -611,13 +580,10 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
 
 
 def left_over(model: Linearised, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states; of whitened ones together.
+    """Return N/2 times the logarithm of the squared errors, summed over measured states.
 
-    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign; the
-    cost of whitened errors has it in it.
+    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign.
     """
     counts, sigma = windows.mask.sum((0, 1)), model.sigma
-    if windows.noise is not None:
-        return 0.5 * float(counts.sum()) * math.log(max(model.cost, EXACT))
     seen = sigma > EXACT
     return float((counts * sigma.log())[seen].sum()) + 0.5 * model.unlikely

@@ -32,7 +32,6 @@ from dynasindy.sindy.shooting import (
     left_over,
     linearise,
     move,
-    noise_of,
     substeps_for,
     turn_of,
 )
@@ -320,11 +319,10 @@ def refine_trajectory(
     joined = descent.joined
     some = spread(len(data), ENOUGH)
     part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
-    weighed = descent.pushed or descent.coloured
     first = Estimate(library, xi, guess[some])
-    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if weighed else COARSE)
-    if weighed:
-        return _refine_weighed(found, free, windows, (data, guess), limits, descent)
+    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
+    if descent.coloured:
+        return _refine_coloured(found, free, windows, (data, guess), limits, descent)
     may_begin_anew = joined is None
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
@@ -362,15 +360,14 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> 
     return descend(found, support, windows, limits)[0], windows
 
 
-def _refine_weighed(
+def _refine_coloured(
     found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
 ) -> Fitted:
-    """Minimise errors made white, and what makes them so in turn with it: pushes and noise, or how long errors last."""
+    """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
     data, guess = whole
-    if descent.coloured:  # errors of a first guess last whatever the plant does
-        found = search(found, free, windows, limits)
+    found = search(found, free, windows, limits)  # errors of a first guess last whatever the plant does
     for _ in range(TURNS):
-        windows = _weighed(found, free, windows, descent)
+        windows = replace(windows, lasting=lasting_of(found, windows))
         last, found = found, search(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
@@ -379,16 +376,9 @@ def _refine_weighed(
     if len(data) > ENOUGH:
         support = (found.xi != 0) & free
         found, windows = _grown(replace(found, nodes=guess), support, data, descent)
-        windows = _weighed(found, free, windows, descent)
+        windows = replace(windows, lasting=lasting_of(found, windows))
         found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
     return Fitted.of(found, free, windows)
-
-
-def _weighed(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Windows:
-    """Return the recording with what makes the errors of an estimate white."""
-    if descent.pushed:
-        return replace(windows, noise=noise_of(found, windows, free.any(0)))
-    return replace(windows, lasting=lasting_of(found, windows))
 
 
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.noise import Noise
 from dynasindy.systems.transitions import Transitions
 
 ENOUGH = 10_000
@@ -29,8 +28,6 @@ class Windows:
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in an interval.
-        noise: sizes of noise and of pushes, by which errors of windows on their own are weighed; without, every state
-            is weighed by its own errors, as if nothing pushed the plant.
         lasting: part of an error of each state that is left a sample later, `(n_x,)`; without, errors are taken for
             white.
         likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
@@ -45,7 +42,6 @@ class Windows:
     joined: Tensor
     dt: float
     substeps: int = 1
-    noise: Noise | None = None
     lasting: Tensor | None = None
     likely: Tensor | None = None
 

@@ -293,12 +293,9 @@ def test_a_model_without_functions_tells_no_delay():
         ("prediction", None, True),
         ("prediction", False, False),
         ("coloured", None, False),
-        ("innovation", None, False),
     ],
 )
-def test_errors_may_last_by_default_in_windows_that_begin_anew_unless_pushes_are_told(
-    monkeypatch, error, given, lasting
-):
+def test_errors_may_last_by_default_in_windows_that_begin_anew_only(monkeypatch, error, given, lasting):
     seen = []
 
     def _refine(library, xi, free, data, descent, start):

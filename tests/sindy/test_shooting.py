@@ -12,7 +12,6 @@ from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, m
 
 from dynasindy.data.simulated import disturb
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
-from dynasindy.sindy.noise import Noise
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import Descent, Estimate, Flow, RunsAway, certainty, cost_of, left_over, linearise, move
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -202,26 +201,10 @@ def test_a_coefficient_that_is_likely_to_be_small_counts_as_one_measurement_more
     assert left_over(model, windows) - left_over(bare, windows) == pytest.approx(0.5 * (3.0 / 0.4) ** 2)
 
 
-def test_what_is_unlikely_counts_as_whitened_errors_do():
-    y = motion(A, B, Y0, INPUTS) + 0.1 * np.random.default_rng(9).normal(size=41)
-    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    bare = replace(Windows.of(data, 10, False), noise=Noise(column(0.1)[0], column(2.0)[0]))
-    told = replace(bare, likely=column(0.5, 0.25, 1.0, 1.0))
-    estimate = Estimate(LIBRARY, column(A, 1.0, 0.0, 0.1), bare.first.nan_to_num(0.2))
-    sigma = torch.tensor([0.3]).double()
-    without, found = (linearise(Flow.of(estimate, Parameters.where(TWO), part), sigma) for part in (bare, told))
-    missed, unlikely = float(without.errors.square().sum()), (A / 0.5) ** 2 + (1.0 / 0.25) ** 2
-    assert found.cost / without.cost == pytest.approx((missed + unlikely) / missed)
-    assert found.cost / without.cost != pytest.approx((without.cost + unlikely) / without.cost)
-    half = 0.5 * float(bare.mask.sum()) * math.log((missed + unlikely) / missed)
-    assert left_over(found, told) - left_over(without, bare) == pytest.approx(half)
-
-
 @pytest.mark.parametrize(
     ("joined", "made_white"),
     [
         *((joined, made) for joined in (True, False) for made in ({}, {"lasting": column(0.6)[0]})),
-        (False, {"noise": Noise(column(0.1)[0], column(2.0)[0])}),
         *((joined, {"likely": column(1.0, 0.5, 1.0, 1.0)}) for joined in (True, False)),
     ],
 )

@@ -218,20 +218,6 @@ def test_of_a_long_recording_functions_are_chosen_on_some_rows_and_fitted_on_all
     assert np.allclose(found, every, atol=0.01 * bound().min())
 
 
-def test_of_a_long_recording_of_a_pushed_plant_pushes_and_coefficients_are_those_of_all_rows(monkeypatch):
-    data, sizes, through = recording(1, 0.001), [], trajectory.noise_of
-
-    def spy(estimate, windows, pushed):
-        sizes.append(int(windows.mask.sum()))
-        return through(estimate, windows, pushed)
-
-    monkeypatch.setattr(trajectory, "ENOUGH", 100)
-    monkeypatch.setattr(trajectory, "noise_of", spy)
-    found = refine_trajectory(LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, Descent(10, pushed=True))[1]
-    assert {*sizes[:-1]} == {100} and sizes[-1] == 200
-    assert found[:2, 0].tolist() == pytest.approx([A, B], rel=0.05)
-
-
 @pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
 def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
     chosen = spread(n, wanted)
