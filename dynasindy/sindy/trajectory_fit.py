@@ -267,7 +267,7 @@ FARTHEST = 1e6
 WORSE = 1.2
 """Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
 TURNS = 4
-"""Turns at most in which the model, and the sizes of pushes and noise, are estimated."""
+"""Turns at most in which the model, and how long its errors last, are estimated."""
 SETTLED = 1e-3
 """Part of a coefficient by which it may still change in the last of these turns."""
 SHORTEST = 2

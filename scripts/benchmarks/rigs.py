@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.cascaded_tanks import (
-    FINE,
     FIRST,
     linear_tanks,
     pysindy_tanks,
@@ -36,7 +35,6 @@ from benchmarks.qube import PublishedQube, ahead
 from benchmarks.rivals import pysindy_of
 from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.prediction import stays_near
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature, System
@@ -322,8 +320,6 @@ def tanks(folder: Path) -> Found:
         ),
         logs["train"][0],
     )
-    if not stays_near(model, logs["train"][0], torch.tensor([10.0, 1.0, 6.0, 6.0], dtype=torch.float64), FINE):
-        print("under an input of the training log that is held, this model runs away", flush=True)
     others = {"ours": (model, facts), "linear": _fitted(linear_tanks(), states_of(logs["train"][0], [0, -1]))}
     others["pysindy"] = (pysindy_tanks(*logs["train"]), {})
     rows: list[Row] = []

@@ -9,8 +9,6 @@ import torch
 
 from dynasindy.envs import ControlEnv
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.diagnosis import diagnose
-from dynasindy.sindy.ensemble import bag
 from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
@@ -193,20 +191,6 @@ def test_what_is_added_to_the_sums_is_fitted_as_if_it_had_been_there_at_once():
     model.absorb(first)
     model.update(second)
     assert right_sides(model) == pytest.approx(TRUE, rel=1e-9)
-
-
-def test_fits_to_resampled_blocks_read_steps_and_not_the_samples_within_them():
-    """Between two steps the samples are anything; each member is the map all the same."""
-    model, _ = identified(data_of(*trajectory()))
-    x, u = trajectory(seed=3)
-    between = torch.full_like(x[:-1], 0.123)
-    fine = Transitions.from_samples(x[:-1], u, torch.stack([between, x[1:]], 1), DT / 2)
-    assert fine.substeps == 2 and len(fine) == 800
-    for coefficients in bag(model, fine, 3).members:
-        torch.testing.assert_close(coefficients, model.coefficients, rtol=1e-8, atol=1e-9)
-    assert diagnose(model, fine) == []
-    with pytest.raises(ValueError, match=r"a step of 0\.1 s, and the data are sampled every 0\.2 s"):
-        bag(model, data_of(x, u, dt=0.2), 3)
 
 
 def test_exact_derivatives_are_refused_as_there_are_none():
