@@ -88,7 +88,8 @@ def judged(use, command: str, *names: str) -> str:
 
 def build(cfg: DictConfig) -> None:
     check(cfg)
-    parts = {f.name: instantiate(cfg[f.name], _convert_="all") for f in fields(Recipe) if f.name != "seed"}
+    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
+    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     instantiate(cfg.scenario, _convert_="all")
     Recipe(**parts, seed=cfg.seed).build()
 

@@ -34,7 +34,8 @@ def composed(*overrides):
 
 def build(*overrides):
     cfg = composed(*overrides)
-    parts = {f.name: instantiate(cfg[f.name], _convert_="all") for f in fields(Recipe) if f.name != "seed"}
+    names = {f.name for f in fields(Recipe)} - {"seed", "device"}
+    parts = {name: instantiate(cfg[name], _convert_="all") for name in names}
     instantiate(cfg.scenario, _convert_="all")
     return cfg, Recipe(**parts, seed=cfg.seed).build()
 
