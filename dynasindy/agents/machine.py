@@ -59,7 +59,7 @@ def readable(loss: TD3Loss) -> bool:
     layers = (*loss.actor_layers, *loss.critic_layers)
     tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
     known = all(tensor.is_cpu and tensor.dtype == torch.float32 and tensor.requires_grad for tensor in tensors)
-    plain = all(layer.gain is None for layer in layers) and len(loss.actor_layers) == len(loss.critic_layers)
+    plain = len(loss.actor_layers) == len(loss.critic_layers)
     return type(loss) is TD3Loss and known and plain
 
 

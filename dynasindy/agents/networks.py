@@ -6,7 +6,7 @@ a leading dimension. `MLP.functional` evaluates such a set on plain tensors: one
 """
 
 from collections.abc import Sequence
-from itertools import pairwise, zip_longest
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -23,21 +23,14 @@ class Layer(NamedTuple):
     Attributes:
         weight: `(*nets, n_out, n_in)`.
         bias: `(*nets, n_out)`.
-        gain: scale of the layer normalisation `(*nets, n_out)`, or None without it.
-        shift: offset of the layer normalisation `(*nets, n_out)`, or None without it.
     """
 
     weight: Tensor
     bias: Tensor
-    gain: Tensor | None = None
-    shift: Tensor | None = None
 
     def first(self) -> "Layer":
         """Return the first network of a stack, detached from the graph."""
-        weight, bias = self.weight.detach()[0], self.bias.detach()[0]
-        if self.gain is None or self.shift is None:
-            return Layer(weight, bias)
-        return Layer(weight, bias, self.gain.detach()[0], self.shift.detach()[0])
+        return Layer(self.weight.detach()[0], self.bias.detach()[0])
 
 
 class MLP(nn.Module):
@@ -47,16 +40,13 @@ class MLP(nn.Module):
         n_in: width of the concatenated inputs.
         n_out: width of the output.
         hidden: widths of the hidden layers.
-        layer_norm: normalise each hidden layer before its activation.
         squash: end in Tanh.
 
     Raises:
         ValueError: a width is not positive, or there is no hidden layer.
     """
 
-    def __init__(
-        self, n_in: int, n_out: int, hidden: Sequence[int], *, layer_norm: bool = False, squash: bool = False
-    ) -> None:
+    def __init__(self, n_in: int, n_out: int, hidden: Sequence[int], *, squash: bool = False) -> None:
         widths = [n_in, *hidden, n_out]
         if len(widths) < 3 or min(widths) < 1:
             raise ValueError(
@@ -65,23 +55,20 @@ class MLP(nn.Module):
             )
         super().__init__()
         self.linears = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
-        self.norms = nn.ModuleList(nn.LayerNorm(width) for width in hidden if layer_norm)
         self.squash = squash
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Map inputs `(*batch, n_i)`, concatenated along the last dimension, to `(*batch, n_out)` on their device."""
-        there = next(self.parameters()).device
-        return self.functional(self.layers(), *(x.to(there) for x in inputs)).to(inputs[0].device)
+        layers = self.layers()
+        there = layers[0].weight.device
+        return self.functional(layers, *(x.to(there) for x in inputs)).to(inputs[0].device)
 
     def layers(self, parameters: TensorDictBase | None = None) -> list[Layer]:
         """List the tensors of each layer, from `parameters` (a TensorDict of this module) or its own."""
         if parameters is None:
-            pairs = [(linear.weight, linear.bias) for linear in self.linears]
-            norms = [(norm.weight, norm.bias) for norm in self.norms]
-        else:
-            pairs = [_pair(parameters, "linears", i) for i in range(len(self.linears))]
-            norms = [_pair(parameters, "norms", i) for i in range(len(self.norms))]
-        return [Layer(*pair, *norm) for pair, norm in zip_longest(pairs, norms, fillvalue=())]
+            return [Layer(linear.weight, linear.bias) for linear in self.linears]
+        names = [("linears", str(i)) for i in range(len(self.linears))]
+        return [Layer(*(parameters.get((*name, kind)) for kind in ("weight", "bias"))) for name in names]
 
     def functional(self, layers: Sequence[Layer], *inputs: Tensor) -> Tensor:
         """Evaluate with given tensors: `(*batch, n_out)`, or `(n_nets, batch, n_out)` for stacked ones.
@@ -93,8 +80,7 @@ class MLP(nn.Module):
         if last.weight.dim() == 3 and x.dim() == 2:
             x = x.expand(last.weight.shape[0], *x.shape)
         for layer in hidden:
-            x = _linear(x, layer)
-            x = F.leaky_relu_(x if layer.gain is None else _normalise(x, layer))
+            x = F.leaky_relu_(_linear(x, layer))
         x = _linear(x, last)
         return torch.tanh(x) if self.squash else x
 
@@ -125,25 +111,13 @@ class Actor:
             self.policy = self.deployed = actor(n_obs, n_u, hidden)
 
 
-def critic(n_obs: int, n_u: int, hidden: Sequence[int], layer_norm: bool = False) -> ValueOperator:
+def critic(n_obs: int, n_u: int, hidden: Sequence[int]) -> ValueOperator:
     """Return one critic, `observation` and `action` to `state_action_value (*batch, 1)`."""
-    network = MLP(n_obs + n_u, 1, hidden, layer_norm=layer_norm)
+    network = MLP(n_obs + n_u, 1, hidden)
     return ValueOperator(network, in_keys=["observation", "action"])
-
-
-def _pair(parameters: TensorDictBase, kind: str, index: int) -> tuple[Tensor, Tensor]:
-    return parameters.get((kind, str(index), "weight")), parameters.get((kind, str(index), "bias"))
 
 
 def _linear(x: Tensor, layer: Layer) -> Tensor:
     if layer.weight.dim() == 2:
         return F.linear(x, layer.weight, layer.bias)
     return torch.baddbmm(layer.bias.unsqueeze(1), x, layer.weight.mT)
-
-
-def _normalise(x: Tensor, layer: Layer) -> Tensor:
-    if layer.weight.dim() == 2:
-        return F.layer_norm(x, x.shape[-1:], layer.gain, layer.shift)
-    assert layer.gain is not None
-    assert layer.shift is not None
-    return torch.addcmul(layer.shift.unsqueeze(1), F.layer_norm(x, x.shape[-1:]), layer.gain.unsqueeze(1))

@@ -58,7 +58,6 @@ class Hyperparameters:
         noise_decay: share of the exploration noise lost per real control step [-].
         noise_min: lower bound of the exploration noise [-].
         critics: number of critics, of which the target takes the smallest.
-        layer_norm: normalise the hidden layers of the critics.
         max_grad_norm: bound of each gradient's norm; 0 leaves gradients as they are.
         policy_average: share of the actor that enters the deployed average per actor update;
             0 deploys the actor itself.
@@ -81,7 +80,6 @@ class Hyperparameters:
     noise_decay: float = 1e-3
     noise_min: float = 0.0
     critics: Annotated[int, range(2, 101), "the limit is arbitrary"] = 2
-    layer_norm: bool = False
     max_grad_norm: float = 0.0
     policy_average: float = 0.0
     machine_code: bool = True
@@ -156,7 +154,7 @@ class TD3:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.policy = actor(n_obs, n_u, s.hidden).to(device)
-            critics = [critic(n_obs, n_u, s.hidden, s.layer_norm).to(device) for _ in range(s.critics)]
+            critics = [critic(n_obs, n_u, s.hidden).to(device) for _ in range(s.critics)]
         generator = torch.Generator().manual_seed(seed + 1)
         self.loss = TD3Loss(
             self.policy,

@@ -37,7 +37,7 @@ class Traced(Protocol):
 
 def by_hand(network: object) -> bool:
     """Return whether a network's derivatives are taken by hand."""
-    return isinstance(network, MLP) and not network.norms and network.squash
+    return isinstance(network, MLP) and network.squash
 
 
 def trace(network: Callable[[Tensor], Tensor], observation: Tensor) -> Traced:

@@ -114,7 +114,7 @@ def network(controller: Controller) -> MLP:
         ValueError: The policy is of another kind.
     """
     module = getattr(controller.policy, "module", controller.policy)
-    if not isinstance(module, MLP) or module.norms:
+    if not isinstance(module, MLP):
         raise ValueError(
             f"the policy is a {type(module).__name__}, which no file holds; allowed is the actor of one of our agents"
         )

@@ -25,10 +25,10 @@ def batch(n=32, n_obs=5, n_u=2, terminated=None, truncated=None):
     )
 
 
-def ours(layer_norm=False, policy_noise=0.2, hidden=(16, 12), n_critics=2):
+def ours(policy_noise=0.2, hidden=(16, 12), n_critics=2):
     loss = TD3Loss(
         actor(5, 2, hidden),
-        [critic(5, 2, hidden, layer_norm) for _ in range(n_critics)],
+        [critic(5, 2, hidden) for _ in range(n_critics)],
         gamma=0.9,
         policy_noise=policy_noise,
         noise_clip=0.3,
@@ -40,11 +40,11 @@ def ours(layer_norm=False, policy_noise=0.2, hidden=(16, 12), n_critics=2):
     return loss
 
 
-def theirs(loss, layer_norm, hidden=(16, 12)):
+def theirs(loss, hidden=(16, 12)):
     """TorchRL's plain loss with the same parameters."""
     plain = TorchRLTD3Loss(
         actor(5, 2, hidden),
-        [critic(5, 2, hidden, layer_norm) for _ in range(loss.num_qvalue_nets)],
+        [critic(5, 2, hidden) for _ in range(loss.num_qvalue_nets)],
         bounds=(-1.0, 1.0),
         num_qvalue_nets=loss.num_qvalue_nets,
         policy_noise=loss.policy_noise,
@@ -83,11 +83,10 @@ def test_target_equals_the_formula_by_hand():
     np.testing.assert_allclose(loss.target_value(td["next"]).numpy(), expected, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("layer_norm", [False, True])
 @pytest.mark.parametrize("n_critics", [2, 3])
-def test_values_and_gradients_equal_torchrl(layer_norm, n_critics):
-    loss, td = ours(layer_norm, n_critics=n_critics), batch()
-    plain = theirs(loss, layer_norm)
+def test_values_and_gradients_equal_torchrl(n_critics):
+    loss, td = ours(n_critics=n_critics), batch()
+    plain = theirs(loss)
     for method, parameters in (
         ("value_loss", "qvalue_network_params"),
         ("actor_loss", "actor_network_params"),
@@ -111,7 +110,7 @@ def test_values_and_gradients_equal_torchrl(layer_norm, n_critics):
 
 def test_calling_the_module_returns_what_torchrl_returns():
     loss, td = ours(policy_noise=0.0), batch()
-    out, expected = loss(td.clone()), theirs(loss, False)(td.clone())
+    out, expected = loss(td.clone()), theirs(loss)(td.clone())
     for key in ("loss_qvalue", "loss_actor", "pred_value", "target_value"):
         torch.testing.assert_close(out[key], expected[key])
 
@@ -140,7 +139,7 @@ def test_moving_to_float64_moves_what_is_evaluated():
 
 def test_soft_update_equals_torchrl():
     loss = ours()
-    plain = theirs(loss, False)
+    plain = theirs(loss)
     SoftUpdate(loss, tau=0.3)  # copies the sources into the targets
     ours_updater, theirs_updater = OurSoftUpdate(loss, tau=0.3), SoftUpdate(plain, tau=0.3)
     for module in (loss, plain):

@@ -8,20 +8,18 @@ from torch import nn
 from dynasindy.agents.networks import MLP, actor, critic
 
 
-@pytest.mark.parametrize("layer_norm", [False, True])
-def test_mlp_equals_a_sequential_of_torch_modules(layer_norm):
-    net = MLP(3, 2, [8, 6], layer_norm=layer_norm, squash=True)
+def test_mlp_equals_a_sequential_of_torch_modules():
+    net = MLP(3, 2, [8, 6], squash=True)
     modules = []
-    for i, linear in enumerate(net.linears[:-1]):
-        modules += [linear, *([net.norms[i]] if layer_norm else []), nn.LeakyReLU()]
+    for linear in net.linears[:-1]:
+        modules += [linear, nn.LeakyReLU()]
     reference = nn.Sequential(*modules, net.linears[-1], nn.Tanh())
     x = torch.randn(4, 7, 3)
     torch.testing.assert_close(net(x), reference(x))
 
 
-@pytest.mark.parametrize("layer_norm", [False, True])
-def test_a_stack_evaluates_each_of_its_networks(layer_norm):
-    networks = [MLP(4, 1, [8, 6], layer_norm=layer_norm) for _ in range(3)]
+def test_a_stack_evaluates_each_of_its_networks():
+    networks = [MLP(4, 1, [8, 6]) for _ in range(3)]
     stack = TensorDict.from_modules(*networks)
     x, u = torch.randn(5, 3), torch.randn(5, 1)
     out = networks[0].functional(networks[0].layers(stack), x, u)
@@ -59,7 +57,7 @@ def test_the_slope_of_the_hidden_units_and_the_linear_end_are_those_of_plain_num
 
 
 def test_the_first_of_a_stack_is_a_detached_view_of_its_numbers():
-    networks = [MLP(4, 1, [8], layer_norm=True) for _ in range(2)]
+    networks = [MLP(4, 1, [8]) for _ in range(2)]
     with torch.no_grad():
         for network in networks:
             for p in network.parameters():
@@ -68,13 +66,12 @@ def test_the_first_of_a_stack_is_a_detached_view_of_its_numbers():
     firsts = [layer.first() for layer in stack]
     x = torch.randn(5, 4)
     torch.testing.assert_close(networks[0].functional(firsts, x), networks[0](x))
-    assert not any(part.requires_grad for layer in firsts for part in layer if part is not None)
+    assert not any(part.requires_grad for layer in firsts for part in layer)
 
 
 def test_observations_come_before_actions_and_every_part_of_the_critic_counts():
-    value = critic(3, 2, [8], layer_norm=True)
-    assert len(value.module.norms) == 1 and not value.module.squash
+    value = critic(3, 2, [8])
+    assert not value.module.squash
     x, u = torch.randn(4, 3), torch.randn(4, 2)
     expected = value.module(torch.cat([x, u], -1))
     torch.testing.assert_close(value(TensorDict({"observation": x, "action": u}, [4]))["state_action_value"], expected)
-    assert len(critic(3, 2, [8]).module.norms) == 0

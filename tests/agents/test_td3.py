@@ -362,20 +362,19 @@ def test_seeds_of_weights_smoothing_and_exploration_are_apart():
 
 
 def test_settings_reach_their_parts():
-    agent = small(noise_min=0.04, noise_decay=0.9, exploration_noise=0.3, layer_norm=True, critics=4, tau=0.2)
+    agent = small(noise_min=0.04, noise_decay=0.9, exploration_noise=0.3, critics=4, tau=0.2)
     td = TensorDict({"observation": torch.zeros(2, 4)}, [2])
     agent.explore(td.clone())
     agent.explore(td.clone())
     assert agent.noise.sigma == 0.04
-    assert agent.loss.critic_layers[0].gain.shape == (4, 16) and agent.target_updater.tau == 0.2
-    assert agent.loss.actor_layers[0].gain is None
+    assert agent.loss.critic_layers[0].bias.shape == (4, 16) and agent.target_updater.tau == 0.2
     assert (agent.loss.policy_noise, agent.loss.noise_clip, agent.loss.discount) == (0.2, 0.5, 0.995)
 
 
 def test_defaults_that_the_paper_does_not_set_are_td3s():
     s = Hyperparameters()
     assert (s.policy_delay, s.policy_noise, s.noise_clip, s.critics) == (2, 0.2, 0.5, 2)  # Fujimoto 2018
-    assert (s.lr_decay, s.noise_min, s.max_grad_norm, s.policy_average, s.layer_norm) == (0, 0, 0, 0, False)
+    assert (s.lr_decay, s.noise_min, s.max_grad_norm, s.policy_average) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize(

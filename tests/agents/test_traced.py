@@ -13,7 +13,6 @@ def networks():
     return {
         "perceptron": MLP(4, 2, (16, 8), squash=True),
         "deep": MLP(4, 3, (8, 8, 8), squash=True),
-        "normalised": MLP(4, 2, (16, 8), squash=True, layer_norm=True),
         "open": MLP(4, 2, (16, 8)),
         "other": nn.Sequential(nn.Linear(4, 2), nn.Tanh()),
     }

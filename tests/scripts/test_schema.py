@@ -64,7 +64,7 @@ def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
         ("train.recent_steps", "NUMBER", "a whole number or null: NUMBER stands for a value of yours, so write that"),
         ("agent.hidden", 400, "agent.hidden is 400; allowed is a list, each a whole number"),
         ("agent.actor_lr", "x", f"agent.actor_lr is 'x'; {NUMBER}"),
-        ("agent.layer_norm", 1, "agent.layer_norm is 1; allowed is true or false"),
+        ("agent.machine_code", 1, "agent.machine_code is 1; allowed is true or false"),
         ("agent.tua", 1, "'tua' does not exist in 'agent'; allowed are actor_lr"),
         ("gate.open_below", None, "gate.open_below is null; allowed is a finite number"),
         ("excitation._target_", "dynasindy.systems.Tras", "excitation is {'_target_': 'dynasindy.systems.Tras'"),
