@@ -13,9 +13,9 @@ import gymnasium
 if TYPE_CHECKING:
     from dynasindy.control import Controller, load
     from dynasindy.progress import Progress
-    from dynasindy.workbench import foretell, identify, plan, read
+    from dynasindy.workbench import forecast, identify, plan, read
 
-__all__ = ["Controller", "Progress", "__version__", "foretell", "identify", "load", "plan", "read"]
+__all__ = ["Controller", "Progress", "__version__", "forecast", "identify", "load", "plan", "read"]
 
 __version__ = "0.1.0"
 
@@ -29,7 +29,7 @@ _PLACES = {
     "Controller": "dynasindy.control",
     "load": "dynasindy.control",
     "Progress": "dynasindy.progress",
-    "foretell": "dynasindy.workbench",
+    "forecast": "dynasindy.workbench",
     "identify": "dynasindy.workbench",
     "plan": "dynasindy.workbench",
     "read": "dynasindy.workbench",

@@ -1,4 +1,4 @@
-"""From a log to a controller and to what it will do: `read`, `identify`, `plan`, `foretell`; `load` a saved one.
+"""From a log to a controller and to what it will do: `read`, `identify`, `plan`, `forecast`; `load` a saved one.
 
 The speed of a cart follows its motor with a time constant of 0.5 s, sampled every 0.05 s, without noise:
 
@@ -13,7 +13,7 @@ The speed of a cart follows its motor with a time constant of 0.5 s, sampled eve
 >>> print(*model.equations())
 speed' = -2 speed + 2 u
 >>> controller = dynasindy.plan(model, {"speed": (-0.5, 0.5)}, log=log, updates=60)  # without it, as many as suit
->>> print(dynasindy.foretell(controller, model, log).words())
+>>> print(dynasindy.forecast(controller, model, log).words())
 PREDICTED on 3 models fitted to data that the plan never saw (no plant was moved): CONTROLLED: ...
 >>> controller.reset()
 >>> u = controller.act({"speed": 0.1}, {"speed": 0.3})  # once per control period: measured, wanted
@@ -44,11 +44,11 @@ from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.equations import found_in_model
 from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.horizons import forecast
+from dynasindy.evaluation.horizons import forecast_errors
 from dynasindy.evaluation.identification import Logged
 from dynasindy.evaluation.period import as_planned, other_period, suited_period
-from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.evaluation.symptoms import resolution, resolutions_by, samples_of, step_of
@@ -96,7 +96,7 @@ def read(
     dt: float | None = None,
     validation_share: float = VALIDATION_SHARE,
 ) -> Source:
-    """Read a log of a plant from a CSV file, or from several; the last part of it is kept for `foretell`.
+    """Read a log of a plant from a CSV file, or from several; the last part of it is kept for `forecast`.
 
     Args:
         path: The file, with a line of headings such as `angle [rad]`; or a list of files with the same columns.
@@ -106,7 +106,7 @@ def read(
         time: Heading of the time column, in seconds unless it says another unit, as in `count [ms]`.
         dt: Sampling time [s]; the file's own if omitted. Where the time counts rows it is the time between two.
         validation_share: Part of the log, at its end, that neither the fit nor the plan sees. With 0 they see all of
-            it, and `foretell` can promise nothing.
+            it, and `forecast` can promise nothing.
 
     Returns:
         Both parts, the signature, and notes on what was skipped or resampled.
@@ -238,20 +238,20 @@ def plan(
     return Controller(actor.deployed, pace, observer)
 
 
-def foretell(
+def forecast(
     controller: Controller,
     model: SindyModel,
     log: Source | None = None,
     scenario: Scenario | None = None,
     seed: int = 0,
     within: float = WITHIN,
-) -> Prediction:
+) -> Forecast:
     """Predict what a controller will do, on models fitted to data that neither it nor its model has seen.
 
     This is the verdict of `train.py data=csv`: nothing is promised where the model lacks something, or where flights
     leave what the log tells. Models get their inputs as late as the data say, and the policy has its integral action if
     the controller does. A controller out of a file has forgotten where its targets lie and where episodes begin: give
-    it a scenario, and foretell it before it is saved.
+    it a scenario, and forecast it before it is saved.
 
     Args:
         controller: The controller.
@@ -285,7 +285,7 @@ def foretell(
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
     found = predict(models, env, policy, scenario, sensing, within)
-    forecasts = forecast(model, log.training, log.validation)
+    forecasts = forecast_errors(model, log.training, log.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)
     if found.shown is not None:
         told += beyond(model, log.training.u, found.shown.inputs.flatten(0, -2))
@@ -295,7 +295,7 @@ def foretell(
     return _advised(replace(found, doubts=tuple(told), unheld=never), controller, model, log)
 
 
-def _advised(found: Prediction, controller: Controller, model: SindyModel, log: Source | None) -> Prediction:
+def _advised(found: Forecast, controller: Controller, model: SindyModel, log: Source | None) -> Forecast:
     """Return a prediction that says which control period to try where the one of the plan may be why it fails."""
     if found.controlled or found.unheld:
         return found
@@ -309,7 +309,7 @@ def _steps(task: Tracking) -> Scenario:
         ValueError: It has no range of targets.
     """
     if task.ends is None:
-        raise ValueError("the task has no range of targets, low and high, to fly steps in; give foretell a scenario")
+        raise ValueError("the task has no range of targets, low and high, to fly steps in; give forecast a scenario")
     return Scenario("step", step_references(*task.ends, FLOWN), FLOWN, None)
 
 

@@ -77,7 +77,7 @@ def prepared(cfg: DictConfig) -> Prepared:
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
-    """Identify, plan and foretell, write the folder, print what came of it, and return what is foretold."""
+    """Identify, plan and forecast, write the folder, print what came of it, and return what is forecast."""
     torch.set_num_threads(cfg.threads)
     begun = prepared(cfg)
     source, parts = begun.source, begun.parts
@@ -147,7 +147,7 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
 
 
 def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return what a job of the same settings has foretold of the same files, as in a sweep that goes on."""
+    """Return what a job of the same settings has forecast of the same files, as in a sweep that goes on."""
     kept, origin, metrics = (folder / name for name in ("config.yaml", "origin.json", "metrics.json"))
     if not (all(file.is_file() for file in (kept, origin, metrics)) and kept.read_text() == settings):
         return None

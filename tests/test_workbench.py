@@ -25,7 +25,7 @@ from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
-from dynasindy.workbench import foretell, sensors_of
+from dynasindy.workbench import forecast, sensors_of
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -220,7 +220,7 @@ def held_with(integral, model):
 
     task = dynasindy.workbench.tracking(model, {"theta": (-0.6, 0.6)})
     controller = Controller(policy, Pace(task, 0.05), integral=integral)
-    return foretell(controller, model, None, STILL)
+    return forecast(controller, model, None, STILL)
 
 
 def test_the_prediction_has_the_controllers_integral_action(model):
@@ -236,7 +236,7 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     alone = Source.of(Recording(exact.whole, exact.signature), 0)
     model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, longest_delay=0.0)
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, alone, **SHORT)
-    found = foretell(controller, model, alone)
+    found = forecast(controller, model, alone)
     assert found.own and not found.promised
     assert found.shown.trajectory.batch_size[0] == 64  # steps over the range of the targets
 
@@ -259,10 +259,10 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
     def full(tensordict):
         return tensordict.set("action", torch.ones_like(tensordict["state"][..., :1]).float())
 
-    limited = foretell(Controller(full, controller.pace), bent, exact, STILL)
+    limited = forecast(Controller(full, controller.pace), bent, exact, STILL)
     assert limited.shown.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
     free = replace(controller.pace, task=controller.pace.task.with_input_limits([[-1.0], [1.0]]))
-    (said,) = foretell(Controller(full, free), bent, exact, STILL).doubts
+    (said,) = forecast(Controller(full, free), bent, exact, STILL).doubts
     assert said.startswith("flights take u from 1 to 1, the log tells of") and "plan with the log" in said
 
 
@@ -270,9 +270,9 @@ def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
     task = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     controller = Controller(lambda tensordict: tensordict, Pace(task, 0.05))
     with pytest.raises(
-        ValueError, match="no range of targets, low and high, to fly steps in; give foretell a scenario"
+        ValueError, match="no range of targets, low and high, to fly steps in; give forecast a scenario"
     ):
-        foretell(controller, model)
+        forecast(controller, model)
 
 
 def test_a_rate_that_is_known_needs_no_column(path, log, model):
@@ -314,7 +314,7 @@ def test_targets_that_no_input_holds_are_told(model):
 
 
 def test_the_package_says_what_it_has():
-    with pytest.raises(AttributeError, match=r"it has Controller, .*, foretell, identify, load, plan, read"):
+    with pytest.raises(AttributeError, match=r"it has Controller, .*, forecast, identify, load, plan, read"):
         dynasindy.train  # noqa: B018
 
 

@@ -13,8 +13,8 @@ from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.equations import found_in_model
 from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
@@ -22,7 +22,7 @@ from dynasindy.progress import say, width
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.tasks import Tracking
-from dynasindy.workbench import foretell, plan
+from dynasindy.workbench import forecast, plan
 
 
 @dataclass(frozen=True)
@@ -83,19 +83,19 @@ def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> C
     return plan(model, wanted.task, source, wanted.sensors, wanted.dt, wanted.seed, **wanted.planning)
 
 
-def judged(controller: Controller, model: SindyModel, source: Source | None, wanted: Wanted) -> Prediction:
+def judged(controller: Controller, model: SindyModel, source: Source | None, wanted: Wanted) -> Forecast:
     """Predict what a controller will do on models that its plan never saw; without a log, on its own."""
     scenario = replace(wanted.scenario, seconds=None, lengths=1.0)  # as long as the task's episodes
-    return foretell(controller, model, source, scenario, wanted.seed, wanted.within)
+    return forecast(controller, model, source, scenario, wanted.seed, wanted.within)
 
 
-def write(folder: Path, controller: Controller, model: SindyModel, prediction: Prediction) -> None:
+def write(folder: Path, controller: Controller, model: SindyModel, prediction: Forecast) -> None:
     """Write `controller.json` and `metrics.json`."""
     save(controller, folder / NAME)
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
 
 
-def report(model: SindyModel, prediction: Prediction) -> str:
+def report(model: SindyModel, prediction: Forecast) -> str:
     """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
     lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
     if prediction.shown is not None:

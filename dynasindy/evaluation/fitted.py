@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.evaluation.equations import hidden_states
-from dynasindy.evaluation.horizons import LOST, Forecasts, forecast
+from dynasindy.evaluation.horizons import LOST, ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.progress import report_progress, reporting_as
@@ -142,7 +142,7 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
 def _fitted(model: SindyModel, source: Source) -> Fitted:
     report_progress("fit")
     plain = Fitted(model, source, model.fit(source.training))
-    before = forecast(model, source.training, source.validation) if source.logged else None
+    before = forecast_errors(model, source.training, source.validation) if source.logged else None
     if before is None:
         return plain
     settings = model.refinement
@@ -165,7 +165,7 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
     return _straighter(plain, before)[0]
 
 
-def _whole(found: Fitted, before: Forecasts) -> tuple[Fitted, Forecasts]:
+def _whole(found: Fitted, before: ForecastErrors) -> tuple[Fitted, ForecastErrors]:
     """Return the fit by one simulation, if it was set aside and predicts better what no fit has seen; and its errors.
 
     Where a trajectory strays, something pushes the plant, which spoils its fit, or functions are missing. Then pieces
@@ -197,7 +197,7 @@ def _noted(found: Fitted, note: str) -> Fitted:
     return replace(found, report=replace(found.report, notes=(*found.report.notes, note)))
 
 
-def _straighter(found: Fitted, before: Forecasts) -> tuple[Fitted, Forecasts]:
+def _straighter(found: Fitted, before: ForecastErrors) -> tuple[Fitted, ForecastErrors]:
     """Return the fit without functions that bend, where it predicts as well what no fit has seen; and its errors.
 
     Where a model that lacks something is fitted, its errors last, and all the samples of one error are witnesses of the
@@ -237,8 +237,8 @@ def _straight(model: SindyModel) -> SindyModel | None:
     return bare
 
 
-def _forecast(found: Fitted) -> Forecasts | None:
-    return forecast(found.model, found.source.training, found.source.validation)
+def _forecast(found: Fitted) -> ForecastErrors | None:
+    return forecast_errors(found.model, found.source.training, found.source.validation)
 
 
 def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> Iterator[Fitted]:
@@ -266,18 +266,18 @@ def _with(trial: Trial, source: Source) -> Fitted | None:
     return None
 
 
-def _better(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
+def _better(before: ForecastErrors, after: ForecastErrors, signature: Signature) -> bool:
     """Tell whether errors are lower by far."""
     return float(_ratios(before, after, signature).nanmean().exp()) < BETTER
 
 
-def _as_good(before: Forecasts, after: Forecasts, signature: Signature) -> bool:
+def _as_good(before: ForecastErrors, after: ForecastErrors, signature: Signature) -> bool:
     """Tell whether errors are no larger, and those of no state are larger by much."""
     ratios = _ratios(before, after, signature)
     return float(ratios.nanmean()) <= 0 and float(ratios.nanmean(0).nan_to_num().max()) <= math.log(ROUGHLY)
 
 
-def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor:
+def _ratios(before: ForecastErrors, after: ForecastErrors, signature: Signature) -> Tensor:
     """Return the logarithm of how large errors are by what they were, `(horizons, n_x)`, NaN where nothing was seen.
 
     An error counts as what the sensor resolves at least, and as what has run away at most; exact logs resolve anything.
@@ -290,7 +290,7 @@ def _ratios(before: Forecasts, after: Forecasts, signature: Signature) -> Tensor
     return torch.where(theirs.isnan(), math.nan, ratios.log())
 
 
-def _over_the_same(*both: Forecasts) -> list[Tensor]:
+def _over_the_same(*both: ForecastErrors) -> list[Tensor]:
     """Return the errors of models over the horizons that all of them are judged over, `(horizons, n_x)` each."""
     shared = set.intersection(*(set(one.horizons) for one in both))
     return [one.model[[horizon in shared for horizon in one.horizons]] for one in both]

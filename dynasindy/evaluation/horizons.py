@@ -45,7 +45,7 @@ HOUR = 3600.0
 
 
 @dataclass(frozen=True)
-class Forecasts:
+class ForecastErrors:
     """Hold what a model and simpler predictions reach on data that no fit has seen.
 
     Attributes:
@@ -74,9 +74,9 @@ class Forecasts:
         return min(range(len(self.horizons)), key=lambda k: abs(math.log(self.horizons[k] / self.characteristic)))
 
 
-def forecast(
+def forecast_errors(
     model: SindyModel, training: Transitions, validation: Transitions, horizons: Sequence[float] | None = None
-) -> Forecasts | None:
+) -> ForecastErrors | None:
     """Judge a model from many start times; None where the validation data are too short for that.
 
     Args:
@@ -93,7 +93,7 @@ def forecast(
     return _forecast(model, training, validation, [*sooner, *found.horizons]) if sooner else found
 
 
-def _lost(found: Forecasts, model: SindyModel) -> bool:
+def _lost(found: ForecastErrors, model: SindyModel) -> bool:
     """Tell whether a model runs away over the shortest time that it is judged over."""
     most = LOST * torch.tensor(model.signature.x_scale, dtype=found.model.dtype)
     return bool((found.model[0] > most).any())
@@ -101,7 +101,7 @@ def _lost(found: Forecasts, model: SindyModel) -> bool:
 
 def _forecast(
     model: SindyModel, training: Transitions, validation: Transitions, horizons: Sequence[float] | None
-) -> Forecasts | None:
+) -> ForecastErrors | None:
     """Judge a model over given horizons, or those that the data ask for."""
     if not len(validation):
         return None
@@ -126,7 +126,7 @@ def _forecast(
     held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
     ours, simple, last = (_errors(guess, real, steps) for guess in both)
-    return Forecasts(
+    return ForecastErrors(
         tuple(k * validation.dt for k in steps),
         time,
         len(starts),

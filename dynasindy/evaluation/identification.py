@@ -20,7 +20,7 @@ from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import FAILURES, fitted
-from dynasindy.evaluation.horizons import Forecasts, begun, forecast
+from dynasindy.evaluation.horizons import ForecastErrors, begun, forecast_errors
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
@@ -209,7 +209,7 @@ class Identified:
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
     source: Source
-    forecasts: Forecasts | None = None
+    forecasts: ForecastErrors | None = None
     found: Found | None = None
     hidden: Sequence[str] = ()
     bend: Bend | None = None
@@ -220,7 +220,7 @@ class Identified:
         """Which states the data are too quiet to tell of, and what to move; empty where there are none."""
         return too_quiet(self.source.training, self.source.signature, self._rates())
 
-    def heard(self) -> Forecasts | None:
+    def heard(self) -> ForecastErrors | None:
         """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
         return heard(self.forecasts, quiet_states(self.source.training, self._rates()))
 
@@ -268,7 +268,7 @@ def identify(
     if not bool(validation.x.isnan().any()):
         errors["one_step_error"] = one_step_error(model, delayed(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
-    forecasts = forecast(model, source.training, validation, horizons)
+    forecasts = forecast_errors(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     lacking = source.logged and forecasts is not None and bool(verdict.unresolved(forecasts, source.signature).any())

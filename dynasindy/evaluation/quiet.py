@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.horizons import ForecastErrors
 from dynasindy.evaluation.symptoms import all_samples_of, step_seen
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
@@ -40,7 +40,7 @@ def quiet_states(data: Transitions, but: Collection[int] = ()) -> dict[int, floa
     return moved
 
 
-def heard(forecasts: Forecasts | None, quiet: Collection[int]) -> Forecasts | None:
+def heard(forecasts: ForecastErrors | None, quiet: Collection[int]) -> ForecastErrors | None:
     """Return errors of predictions without those of quiet states, as if they had not been measured; None if none stay.
 
     Args:

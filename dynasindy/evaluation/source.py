@@ -50,7 +50,7 @@ class Source:
 
         Args:
             log: the log.
-            share: how much of it; with 0 nothing can be foretold.
+            share: how much of it; with 0 nothing can be forecast.
 
         Raises:
             ValueError: the share is not at least 0 and below 1.

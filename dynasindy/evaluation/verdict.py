@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.horizons import LOST, Forecasts
+from dynasindy.evaluation.horizons import LOST, ForecastErrors
 from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Factor, Feature
@@ -40,7 +40,7 @@ CELL = 11
 """Columns of a number in the table of errors."""
 
 
-def table(forecasts: Forecasts, signature: Signature, columns: int | None = None) -> list[str]:
+def table(forecasts: ForecastErrors, signature: Signature, columns: int | None = None) -> list[str]:
     """Write the errors over all horizons: of the model, of a linear one, and of the last value held, a line each.
 
     A linear model may run away without ever being infinite: beyond `LOST` ranges of a state its error is no number.
@@ -82,7 +82,7 @@ def table(forecasts: Forecasts, signature: Signature, columns: int | None = None
     return lines
 
 
-def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
+def judge(forecasts: ForecastErrors, signature: Signature) -> list[str]:
     """Say whether the model predicts, over the time in which the slowest state changes, and whether it is needed."""
     doubtful = doubts(forecasts, signature)
     if short := shortcoming(forecasts, signature):
@@ -107,7 +107,7 @@ def judge(forecasts: Forecasts, signature: Signature) -> list[str]:
     return [f"this model predicts {ahead} ahead{near}"]
 
 
-def _falls(forecasts: Forecasts, signature: Signature) -> list[str]:
+def _falls(forecasts: ForecastErrors, signature: Signature) -> list[str]:
     """Say that a plant seems to run away by itself, where a linear model does as well as this one, a line at most."""
     most = LOST * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
     most = torch.maximum(most, forecasts.held)
@@ -128,7 +128,7 @@ def _falls(forecasts: Forecasts, signature: Signature) -> list[str]:
     ]
 
 
-def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
+def doubts(forecasts: ForecastErrors, signature: Signature) -> list[str]:
     """Say which states a linear model on past samples predicts far better: what it knows of the past, a state lacks.
 
     One that is no better than the last value held knows nothing.
@@ -150,7 +150,7 @@ def doubts(forecasts: Forecasts, signature: Signature) -> list[str]:
     return lines
 
 
-def unresolved(forecasts: Forecasts, signature: Signature) -> Tensor:
+def unresolved(forecasts: ForecastErrors, signature: Signature) -> Tensor:
     """Return where errors are larger than the sensors explain and than counts as small, bool `(horizons, n_x)`."""
     small = SMALL * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
     return forecasts.model > torch.maximum(RESOLVED * forecasts.resolution.to(small), small)
@@ -284,7 +284,7 @@ def _bent(feature: Feature, read: set[str], signature: Signature) -> bool:
     return len(mine) > 1 or not all(map(_straight, mine))
 
 
-def shortcoming(forecasts: Forecasts, signature: Signature) -> str:
+def shortcoming(forecasts: ForecastErrors, signature: Signature) -> str:
     """Say what keeps the model from being one that predicts; empty of one that does."""
     k, seen = forecasts.middle, _seen(forecasts, signature)
     ours, held, names, ahead = forecasts.model[k], forecasts.held[k], signature.state_names, forecasts.horizons[k]
@@ -299,12 +299,12 @@ def shortcoming(forecasts: Forecasts, signature: Signature) -> str:
     return f"over {format_duration(ahead)} it misses {said}; the last value held misses {than}"
 
 
-def _seen(forecasts: Forecasts, signature: Signature) -> list[int]:
+def _seen(forecasts: ForecastErrors, signature: Signature) -> list[int]:
     """Return the states that were measured."""
     return [i for i in range(signature.n_x) if not math.isnan(float(forecasts.held[forecasts.middle, i]))]
 
 
-def _fine(forecasts: Forecasts, seen: Sequence[int]) -> list[int]:
+def _fine(forecasts: ForecastErrors, seen: Sequence[int]) -> list[int]:
     """Return the states that are predicted as well as a sensor can tell."""
     ours = forecasts.model[forecasts.middle]
     return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
@@ -344,7 +344,7 @@ def _short(value: float) -> str:
     return f"{value:.2g}" if abs(value) < 100 else (f"{value:.0f}" if math.isfinite(value) else "runs away")
 
 
-def errors(forecasts: Forecasts, signature: Signature) -> dict[str, dict[str, float]]:
+def errors(forecasts: ForecastErrors, signature: Signature) -> dict[str, dict[str, float]]:
     """Return the errors over each horizon, of the states that were measured, for a file."""
     seen = [i for i in range(signature.n_x) if not bool(torch.isnan(forecasts.held[:, i]).all())]
     kinds = {"": forecasts.model, "linear_": forecasts.linear, "held_": forecasts.held}

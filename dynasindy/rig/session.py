@@ -19,19 +19,20 @@ from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.equations import LATE
 from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
-from dynasindy.rig.foretold import foretold
 from dynasindy.rig.log import heading
-from dynasindy.rig.shown import Shown
+from dynasindy.rig.shown import LAST, Shown
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
-from dynasindy.systems import Signature
+from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.transitions import Transitions
+from dynasindy.tasks import Step
 from dynasindy.text import did_you_mean
 
 Tell = Callable[[str], None]
@@ -230,7 +231,7 @@ class Session:
         """
         self._require(controller)
         if self.model is not None and controller is self.learnt:  # nobody knows the model of one that was given
-            self.tell(f"  {foretold(controller, self.model, targets, seconds)}")
+            self.tell(f"  {forecast_flight(controller, self.model, targets, seconds)}")
         self._tell_inputs(controller.signature)
         names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
 
@@ -390,3 +391,38 @@ def _grown(signal: Excitation, dt: float) -> Array:
         levels = signal.offset + signal.growth(torch.arange(len(levels))).unsqueeze(-1) * (levels - signal.offset)
     grown: Array = levels.numpy()
     return grown
+
+
+def forecast_flight(
+    controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float
+) -> str:
+    """Say how near a model comes to each target; where it cannot be simulated, say why, as the flight goes on.
+
+    Args:
+        controller: What will act on the rig.
+        model: The model that it was planned on.
+        targets: One number per output each, held one after the other.
+        seconds: How long each is held [s].
+    """
+    try:
+        return _forecast(controller, model, targets, seconds)
+    except (ValueError, RuntimeError, Diverged) as error:
+        why = " ".join(str(error).split())
+        return (
+            "prediction: there is none of this flight, as the model could not be simulated "
+            f"({type(error).__name__}{why and f': {why}'}); the flight goes on without it"
+        )
+
+
+def _forecast(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
+    """Simulate a model to each target, from where episodes begin, and say how near it comes, as of a flight."""
+    scenario = Scenario("flight", Step(targets), len(targets), seconds)
+    flight = workbench.forecast(controller, model, None, scenario).shown
+    if flight is None:
+        return "prediction: on the model this flight runs away"
+    signature, wanted = model.signature, torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)
+    apart = (flight.outputs.double() - wanted).abs()
+    errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
+    units = (signature.state_units[signature.state_index(name)] for name in controller.outputs)
+    told = [f"{n} to {error:.3g} {unit}" for n, error, unit in zip(controller.outputs, errors, units, strict=True)]
+    return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"

@@ -98,7 +98,7 @@ def made(path: Path, seed: int) -> Controller:
         for name, unit in zip(signature.state_names, signature.state_units, strict=True)
     }
     inputs = {name: name for name in signature.input_names}
-    log = dynasindy.read(path, states, inputs, validation_share=0)  # nothing is foretold: the plant itself is flown
+    log = dynasindy.read(path, states, inputs, validation_share=0)  # nothing is forecast: the plant itself is flown
     model = dynasindy.identify(log, facts.library, KNOWN)
     targets = {name: (low, high) for name, low, high in zip(KNOWN, facts.low, facts.high, strict=True)}
     return dynasindy.plan(model, targets, log, seed=seed)

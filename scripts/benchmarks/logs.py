@@ -1,6 +1,6 @@
 """Plants that are known by a log alone, all settings at their defaults: what is foretold, and what the plant then does.
 
-Each log is made behind sensors, without rates. `train.py data=csv` identifies, plans and foretells; the controller that
+Each log is made behind sensors, without rates. `train.py data=csv` identifies, plans and forecasts; the controller that
 it leaves is flown on the true plant, behind the same sensors, to targets drawn within their range.
 """
 

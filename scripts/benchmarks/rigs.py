@@ -211,7 +211,7 @@ def replayed(before: Array, q: Array) -> float:
 
     Args:
         before: Places of the axis in the other log [m], `(M,)`.
-        q: Places that are foretold [m], `(N,)`; they are compared as far as both logs go.
+        q: Places that are forecast [m], `(N,)`; they are compared as far as both logs go.
     """
     both = min(len(before), len(q))
     return 1e3 * float(np.sqrt(np.mean((before[:both] - q[:both]) ** 2)))

@@ -11,7 +11,7 @@ import torch
 from dynasindy.data.simulated import record
 from dynasindy.evaluation import fitted as module
 from dynasindy.evaluation.fitted import Fitted, fitted
-from dynasindy.evaluation.horizons import Forecasts, forecast
+from dynasindy.evaluation.horizons import ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
@@ -87,7 +87,7 @@ def test_no_lag_is_looked_for_in_a_difference_equation_that_misses_its_log():
     source = Source(signature, data.select(place < 300), data.select(place >= 300), logged=True)
     model = SindyModel(signature, ["a", "u"], Regression("bic"), time="discrete")
     found = fitted(model, source)
-    missed = forecast(model, source.training, source.validation)
+    missed = forecast_errors(model, source.training, source.validation)
     assert bool(unresolved(missed, signature).any())  # so it would be looked for
     assert found.hidden == [] and found.model is model
 
@@ -127,7 +127,7 @@ def test_a_trial_that_fails_does_not_keep_the_next_one_from_being_tried(source, 
 def forecasts(*errors):
     model = torch.tensor(errors, dtype=torch.float64)
     same = torch.ones_like(model)
-    return Forecasts((0.1, 0.2), 1.0, 10, model, same, same, torch.tensor([1e-4, 1e-4], dtype=torch.float64), 4)
+    return ForecastErrors((0.1, 0.2), 1.0, 10, model, same, same, torch.tensor([1e-4, 1e-4], dtype=torch.float64), 4)
 
 
 def test_what_runs_away_or_is_exact_counts_and_does_not_decide():
@@ -232,9 +232,9 @@ def bowl(words=("1", "y", "u", "y^2")):
 
 
 def of_one(error):
-    """Forecasts of one state that miss by so much over both horizons [m]."""
+    """ForecastErrors of one state that miss by so much over both horizons [m]."""
     model = torch.full((2, 1), error, dtype=torch.float64)
-    return Forecasts((0.1, 0.2), 1.0, 10, model, model, model, torch.tensor([1e-6], dtype=torch.float64), 4)
+    return ForecastErrors((0.1, 0.2), 1.0, 10, model, model, model, torch.tensor([1e-6], dtype=torch.float64), 4)
 
 
 @pytest.mark.parametrize(("part", "straight"), [(0.99, True), (1.01, False), (1.4, False)])
@@ -311,11 +311,11 @@ def test_the_better_one_of_two_fits_is_the_better_one_on_other_logs_too():
     model = SindyModel(signature, ["1", "upper", "lower", "u"], Regression("bic"), Refinement("auto"), initial=initial)
     report = model.fit(source.training)
     assert report.in_pieces
-    taken = module._whole(Fitted(model, source, report), forecast(model, source.training, source.validation))[0]
+    taken = module._whole(Fitted(model, source, report), forecast_errors(model, source.training, source.validation))[0]
     assert taken.model is not model and "(error=simulation)" in taken.report.notes[-1]
     others = [two_tanks(seed) for seed in (11, 12, 13)]
     ours, theirs = (
-        sum(float(forecast(each, source.training, other).model[:, 1].log().mean()) for other in others)
+        sum(float(forecast_errors(each, source.training, other).model[:, 1].log().mean()) for other in others)
         for each in (taken.model, model)
     )
     assert ours < theirs

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.horizons import _length, characteristic, estimate, forecast
+from dynasindy.evaluation.horizons import _length, characteristic, estimate, forecast_errors
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
@@ -67,14 +67,14 @@ def test_a_poor_sensor_does_not_spoil_what_a_good_one_sees():
 @pytest.mark.parametrize("delay", [0, 3])
 def test_the_right_model_has_the_noise_for_its_error_over_all_horizons(delay):
     data, _ = recording(noise=0.01, delay=delay)
-    found = forecast(oscillator(delay * DT), data, data, [0.1, 1.0, 4.0])
+    found = forecast_errors(oscillator(delay * DT), data, data, [0.1, 1.0, 4.0])
     assert found is not None and found.horizons == pytest.approx((0.1, 1.0, 4.0)) and found.starts == 200
     # Noise of the sensor, and that of a start from ten samples, which an undamped swing keeps.
     assert bool(((found.model[:, 0] > 0.009) & (found.model[:, 0] < 0.017)).all())
     assert bool(found.model[:, 1].isnan().all())
     assert float(found.resolution[0]) == pytest.approx(0.01, rel=0.15)
     if delay:
-        wrong = forecast(oscillator(), data, data, [0.1, 1.0, 4.0])
+        wrong = forecast_errors(oscillator(), data, data, [0.1, 1.0, 4.0])
         assert wrong is not None and float(wrong.model[1, 0]) > 0.03
 
 
@@ -88,13 +88,13 @@ def test_what_sensors_can_tell_of_a_map_is_what_the_map_leaves_over():
     model = SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "cos(4 x)", "u"], time="discrete")
     model.library = model.library.with_step(0.5)
     model.set_coefficients(torch.tensor([[-1.0], [0.9], [0.3]], dtype=torch.float64) / 0.5)
-    told = forecast(model, data.select(torch.arange(1200) < 900), data.select(torch.arange(1200) >= 900))
+    told = forecast_errors(model, data.select(torch.arange(1200) < 900), data.select(torch.arange(1200) >= 900))
     assert float(told.resolution) < 1e-6
 
 
 def test_horizons_are_round_times_from_a_tenth_to_three_times_the_time_in_which_the_plant_changes():
     data, _ = recording()
-    found = forecast(oscillator(), data, data)
+    found = forecast_errors(oscillator(), data, data)
     assert found is not None and 0.34 < found.characteristic < 0.5  # a swing changes by its spread in pi / 3 / 3 s
     assert found.horizons == pytest.approx((0.04, 0.1, 0.2, 0.5, 1.0))  # 0.05 s are two samples and a half
 
@@ -102,7 +102,7 @@ def test_horizons_are_round_times_from_a_tenth_to_three_times_the_time_in_which_
 def test_the_error_of_the_last_value_held_on_a_random_walk_is_that_of_its_steps():
     walk = torch.from_numpy(np.random.default_rng(0).normal(size=(60_000, 1)).cumsum(0))
     data = Transitions.from_trajectory(torch.cat([walk, walk * math.nan], -1), torch.zeros(60_000, 1), DT)
-    found = forecast(oscillator(), data, data, [10 * DT, 40 * DT])
+    found = forecast_errors(oscillator(), data, data, [10 * DT, 40 * DT])
     assert found is not None
     for k, n in enumerate((10, 40)):  # mean of 1 .. n steps of variance one
         assert float(found.held[k, 0]) == pytest.approx(math.sqrt((n + 1) / 2), rel=0.15)
@@ -113,7 +113,7 @@ def test_lost_samples_do_not_count_and_the_last_measured_value_is_held():
     line = DT * torch.arange(3001, dtype=torch.float64)
     line[torch.arange(3001) % 3 > 0] = math.nan
     data = Transitions.from_trajectory(torch.stack([line, line * math.nan], -1), torch.zeros(3000, 1), DT)
-    found = forecast(oscillator(), data, data, [3 * DT])
+    found = forecast_errors(oscillator(), data, data, [3 * DT])
     assert found is not None and bool(found.linear.isnan().all()) and bool(found.model.isfinite()[:, 0].all())
     assert float(found.held[0, 0]) == pytest.approx(3 * DT)
 
@@ -121,16 +121,16 @@ def test_lost_samples_do_not_count_and_the_last_measured_value_is_held():
 def test_a_model_that_runs_away_has_an_infinite_error():
     model, (data, _) = oscillator(), recording(600)
     model.set_coefficients(torch.tensor([[0.0, 4e4], [1.0, 0.0], [0.0, 1.0]]))
-    found = forecast(model, data, data, [0.1, 4.0])
+    found = forecast_errors(model, data, data, [0.1, 4.0])
     assert found is not None and float(found.model[1, 0]) > 1e6
 
 
 def test_a_model_that_runs_away_at_once_is_judged_over_shorter_times_too():
     """An error grows by e^8 in 0.04 s, the shortest time that is looked at otherwise, and by e^4 in a sample."""
     model, (data, _) = oscillator(), recording(600)
-    usual = forecast(model, data, data)
+    usual = forecast_errors(model, data, data)
     model.set_coefficients(torch.tensor([[0.0, 4e4], [1.0, 0.0], [0.0, 1.0]]))
-    found = forecast(model, data, data)
+    found = forecast_errors(model, data, data)
     assert usual is not None and found is not None
     assert found.horizons == (0.02, *usual.horizons)
 
@@ -155,14 +155,14 @@ def test_a_second_order_plant_is_met_exactly_by_a_linear_model_on_two_past_sampl
 
 def test_starts_are_estimated_from_fewer_samples_where_the_data_are_short():
     data, _ = recording()
-    found = forecast(oscillator(), data, data.select(torch.arange(1500) < 15), [8 * DT])
+    found = forecast_errors(oscillator(), data, data.select(torch.arange(1500) < 15), [8 * DT])
     assert found is not None and found.starts == 3  # five rows before, eight from it on: rows 5, 6 and 7 of 15
     assert float(found.model[0, 0]) < 1e-3
 
 
 def test_too_short_validation_data_are_not_judged():
     data, _ = recording(300)
-    assert forecast(oscillator(), data, data.select(torch.arange(300) < 8), [5.0]) is None
+    assert forecast_errors(oscillator(), data, data.select(torch.arange(300) < 8), [5.0]) is None
 
 
 @pytest.mark.parametrize("pushed", [True, False])
@@ -179,4 +179,4 @@ def test_starts_are_estimated_on_as_many_samples_as_predict_best(pushed):
     model.set_coefficients(torch.zeros(1, 1))
     assert _length(model, data, 200, [1]) == (12 if pushed else 200)
     if pushed:
-        assert float(forecast(model, data, data, [DT, 400 * DT]).model[0]) < 3
+        assert float(forecast_errors(model, data, data, [DT, 400 * DT]).model[0]) < 3

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.horizons import ForecastErrors
 from dynasindy.evaluation.quiet import FEW, heard, quiet_states, quiet_targets, too_quiet
 from dynasindy.systems import Pendulum, Signature, rk4
 from dynasindy.systems.transitions import Transitions
@@ -111,7 +111,7 @@ def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
 
 def test_errors_of_what_is_quiet_are_not_judged():
     one = torch.ones(3, 2)
-    forecasts = Forecasts((0.1, 0.2, 0.4), 0.2, 9, one, one, one, torch.ones(2), 1)
+    forecasts = ForecastErrors((0.1, 0.2, 0.4), 0.2, 9, one, one, one, torch.ones(2), 1)
     assert heard(None, [0]) is None and heard(forecasts, []) is forecasts
     assert heard(forecasts, [0, 1]) is None
     left = heard(forecasts, [0])

@@ -9,8 +9,8 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.held import held
-from dynasindy.evaluation.predicted import Prediction
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
 from dynasindy.evaluation.summary import heading, summarise, to_text
 from dynasindy.progress import listening
@@ -356,7 +356,7 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         assert result.errors[0, -1, 0].item() == pytest.approx(0.02 * math.pi / box)
         found = held(result, torch.tensor([True, True]))
         assert found.turned == (["theta"] if box > 6 else [])
-        told = Prediction((found,), result).words()
+        told = Forecast((found,), result).words()
         assert ("1 % of a turn on average" in told) is (box > 6)
 
 

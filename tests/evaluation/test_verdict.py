@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.horizons import Forecasts
+from dynasindy.evaluation.horizons import ForecastErrors
 from dynasindy.evaluation.verdict import (
     beyond,
     doubts,
@@ -29,13 +29,13 @@ from dynasindy.systems.transitions import Transitions
 SIGNATURE = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
 
 
-def forecasts(q: float, w: float = 20.0, linear: float = 1.0) -> Forecasts:
+def forecasts(q: float, w: float = 20.0, linear: float = 1.0) -> ForecastErrors:
     """Errors over 0.2, 2 and 5 s, of which 2 s matters; v is not measured."""
     ours, simple, held = (
         torch.tensor([[9.0, math.nan, 9.0], [a, math.nan, b], [9.0, math.nan, 9.0]])
         for a, b in ((q, w), (linear, 500.0), (0.1, 800.0))
     )
-    return Forecasts((0.2, 2.0, 5.0), 1.7, 200, ours, simple, held, torch.tensor([0.0015, math.nan, 21.0]), 8)
+    return ForecastErrors((0.2, 2.0, 5.0), 1.7, 200, ours, simple, held, torch.tensor([0.0015, math.nan, 21.0]), 8)
 
 
 @pytest.mark.parametrize(

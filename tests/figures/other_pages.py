@@ -42,7 +42,7 @@ def readme(text: str) -> Iterator[Tie]:
     assert all(float(row["error_percent"]) <= 1 for row in logs if (row["plant"], row["seed"]) in promised)
     assert promised == runs
     words = (
-        "For all {} logs of twelve other plants the command foretells that its controller will hold the plant, "
+        "For all {} logs of twelve other plants the command forecasts that its controller will hold the plant, "
         "and all of these hold the true plant."
     )
     yield Tie(README, words, (str(len(runs)),))

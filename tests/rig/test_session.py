@@ -303,19 +303,19 @@ def test_a_controller_in_other_units_is_refused_before_anything_moves(session, m
     assert not session.flights
 
 
-def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, monkeypatch):
+def test_only_the_controller_that_was_planned_on_the_model_is_forecast(session, monkeypatch):
     told = []
     session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
     signature = session.wiring.signature
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     mine, given = (Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)) for _ in range(2))
     asked = []
-    monkeypatch.setattr("dynasindy.rig.session.foretold", lambda *given: asked.append(given) or "foretold")
+    monkeypatch.setattr("dynasindy.rig.session.forecast_flight", lambda *given: asked.append(given) or "ahead")
     session.model, session.learnt = SindyModel(signature, "polynomial"), mine
     session.fly(given, [[0.1]], 0.1)
-    assert not asked and not any("foretold" in line for line in told)
+    assert not asked and not any("ahead" in line for line in told)
     session.fly(mine, [[0.1]], 0.1)
-    assert asked == [(mine, session.model, [[0.1]], 0.1)] and "  foretold" in told
+    assert asked == [(mine, session.model, [[0.1]], 0.1)] and "  ahead" in told
     assert list(session.shown) == ["flight_1", "flight_2"]
 
 
@@ -328,22 +328,22 @@ def test_only_the_controller_that_was_planned_on_the_model_is_foretold(session, 
     ],
 )
 def test_a_flight_goes_on_where_its_prediction_fails(tmp_path, monkeypatch, error, why):
-    session, told = foretelling(tmp_path, monkeypatch, error)
+    session, told = failing_forecast(tmp_path, monkeypatch, error)
     flown = session.fly(session.learnt, [[0.1]], 0.2)
     assert flown.fault is None and flown.periods == 4
     (said,) = [line for line in told if "prediction" in line]
-    assert re.search(f"nothing is foretold of this flight, .*{why}; the flight goes on", said) and "\n" not in said
+    assert re.search(f"there is none .*{why}; the flight goes on", said) and "\n" not in said
 
 
 @pytest.mark.parametrize("error", [IndexError, AttributeError, TypeError, KeyError, AssertionError])
 def test_a_mistake_in_the_program_is_no_line_before_a_flight(tmp_path, monkeypatch, error):
-    session, _ = foretelling(tmp_path, monkeypatch, error("x"))
+    session, _ = failing_forecast(tmp_path, monkeypatch, error("x"))
     with pytest.raises(error):
         session.fly(session.learnt, [[0.1]], 0.2)
     assert not session.flights  # nothing has moved
 
 
-def foretelling(tmp_path, monkeypatch, error):
+def failing_forecast(tmp_path, monkeypatch, error):
     """Return a session with a controller whose prediction fails, and the list of what it says."""
     signature, told = Signature(("y",), ("m",), ("u",), (1.0,)), []
     model = SindyModel(signature, ["y", "u"])
@@ -356,7 +356,7 @@ def foretelling(tmp_path, monkeypatch, error):
     def failing(*_):
         raise error
 
-    monkeypatch.setattr("dynasindy.workbench.foretell", failing)
+    monkeypatch.setattr("dynasindy.workbench.forecast", failing)
     return session, told
 
 

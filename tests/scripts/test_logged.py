@@ -99,7 +99,7 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
     read = dynasindy.read(log)
     model = dynasindy.identify(read, known=case.known)
     controller = dynasindy.plan(model, case.targets, read, seed=seed, **given)
-    found = dynasindy.foretell(controller, model, read, seed=seed, within=0.02)
+    found = dynasindy.forecast(controller, model, read, seed=seed, within=0.02)
     assert list(model.equations()) == told["equations"]
     assert json.loads(json.dumps(found.record())) == told["prediction"]
     assert found.words() in done.stdout
@@ -284,7 +284,7 @@ def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monk
     assert read["read"] == {str(file): hashlib.sha256(b"time,y,u\n").hexdigest()}
     (run / "config.yaml").write_text("settings")
     (run / "origin.json").write_text(json.dumps({"command": "train.py"} | read))
-    assert logged._finished(run, "settings", read) is None  # it has foretold nothing yet
+    assert logged._finished(run, "settings", read) is None  # it has forecast nothing yet
     (run / "metrics.json").write_text('{"prediction": {"controlled": true, "score": 0.25}}')
     assert logged._finished(run, "settings", read) == {"controlled": True, "score": 0.25}
     assert logged._finished(run, "other settings", read) is None

@@ -1,4 +1,4 @@
-"""A search of Optuna on a log: its score is the one that each trial foretold, and the same command goes on with it."""
+"""A search of Optuna on a log: its score is the one that each trial forecast, and the same command goes on with it."""
 
 import json
 import os

@@ -11,9 +11,9 @@ from tensordict.nn import TensorDictModule
 
 from dynasindy.dyna.verdict import judge
 from dynasindy.envs import ControlEnv, LateEnv
-from dynasindy.evaluation import predicted as module
+from dynasindy.evaluation import forecast as module
+from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.held import Held
-from dynasindy.evaluation.predicted import Prediction, predict
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, System
@@ -25,7 +25,7 @@ def seen(share, away=None, worst=None, idle=None):
 
 
 def test_it_is_promised_where_every_model_is_held():
-    good = Prediction((seen(0.001), seen(0.009)))
+    good = Forecast((seen(0.001), seen(0.009)))
     assert good.promised
     assert "on 2 models fitted to data that the plan never saw" in good.words()
     assert "CONTROLLED: errors at the end: theta 0.1 to 0.9 % of the target range on average" in good.words()
@@ -45,7 +45,7 @@ def test_it_is_promised_where_every_model_is_held():
     ],
 )
 def test_one_model_that_is_not_held_breaks_it(flights, words):
-    found = Prediction(flights)
+    found = Forecast(flights)
     assert not found.promised
     with pytest.raises(ValueError, match=words):
         raise ValueError(found.words())
@@ -54,7 +54,7 @@ def test_one_model_that_is_not_held_breaks_it(flights, words):
 
 
 def test_an_error_that_is_finer_than_the_sensor_is_told_as_one_that_it_cannot_show():
-    fine = Prediction((seen(0.001), seen(0.002)), resolved={"theta": 0.01})
+    fine = Forecast((seen(0.001), seen(0.002)), resolved={"theta": 0.01})
     told = "theta 0.1 to 0.2 % of the target range on average (its sensor resolves 1 %, and cannot show what is less)"
     assert told in fine.words()
     assert "sensor" not in replace(fine, resolved={"theta": 0.0005}).words()
@@ -77,34 +77,34 @@ def test_it_is_shown_in_a_line_without_its_flights():
     env = ControlEnv(Pendulum(), task)
     idle = TensorDictModule(lambda seen: 0 * seen[..., :1], ["observation"], ["action"])
     shown = evaluate(env, idle, Scenario("step", episodes=2))
-    found = Prediction((seen(0.001), None), shown, errors=(0.0123, float("inf")))
+    found = Forecast((seen(0.001), None), shown, errors=(0.0123, float("inf")))
     assert repr(found) == (
-        "Prediction(promised=False, controlled=False, score=inf, 2 models; words() tells what they show)"
+        "Forecast(promised=False, controlled=False, score=inf, 2 models; words() tells what they show)"
     )
 
 
 def test_a_model_promises_nothing_of_itself():
-    found = Prediction((seen(0.001),), own=True)
+    found = Forecast((seen(0.001),), own=True)
     assert found.controlled
     assert not found.promised
     assert "promises nothing of the plant: CONTROLLED: errors at the end: theta" in found.words()
     assert "asked for" not in found.words()
-    far = Prediction((seen(0.02),), own=True)
+    far = Forecast((seen(0.02),), own=True)
     assert not far.controlled
     assert "NOT CONTROLLED, 1 % is asked for" in far.words()
 
 
 def test_what_is_asked_for_is_an_argument():
-    assert Prediction((seen(0.02),), within=0.03).promised
-    assert not Prediction((seen(0.02),), within=0.015).promised
+    assert Forecast((seen(0.02),), within=0.03).promised
+    assert not Forecast((seen(0.02),), within=0.015).promised
 
 
 def test_a_share_of_zero_is_zero():
-    assert "theta 0 to 0.1 % of the target range" in Prediction((seen(0.0), seen(0.001))).words()
+    assert "theta 0 to 0.1 % of the target range" in Forecast((seen(0.0), seen(0.001))).words()
 
 
 def test_a_mileage_breaks_no_promise():
-    found = Prediction((seen(0.001, idle={"mileage": 1.0}),))
+    found = Forecast((seen(0.001, idle={"mileage": 1.0}),))
     assert found.promised
     assert "mileage runs on, which nothing depends on" in found.words()
 
@@ -116,7 +116,7 @@ def test_it_is_judged_as_a_run_is(share, worst, away):
     flight = seen(share, away, worst, {"mileage": 1.0})
     returns = {"untrained": {"return": 0.0}, "evaluation": {"return": 1.0}}
     verdict = judge({"scenario": "step", "held": vars(flight), **returns})
-    assert Prediction((flight,)).promised == verdict.controlled
+    assert Forecast((flight,)).promised == verdict.controlled
 
 
 class Exploding(System):
@@ -218,15 +218,15 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = "nothing runs away: a longer plan, of more updates, may hold it"
     swinging = Held({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
-    assert "cart, which is not tracked, does not come to rest" in Prediction((swinging,)).words()
-    assert longer in Prediction((swinging,)).words() and longer in Prediction((seen(0.02),)).words()
-    assert longer not in Prediction((seen(0.001),)).words()
+    assert "cart, which is not tracked, does not come to rest" in Forecast((swinging,)).words()
+    assert longer in Forecast((swinging,)).words() and longer in Forecast((seen(0.02),)).words()
+    assert longer not in Forecast((seen(0.001),)).words()
     for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):
-        assert longer not in Prediction(gone).words() and "away" in Prediction(gone).words()
+        assert longer not in Forecast(gone).words() and "away" in Forecast(gone).words()
 
 
 def test_a_doubt_breaks_a_promise():
-    doubted = Prediction((seen(0.001),), doubts=("a function is missing",))
+    doubted = Forecast((seen(0.001),), doubts=("a function is missing",))
     assert not doubted.controlled and not doubted.record()["controlled"]
     assert doubted.record()["doubts"] == ["a function is missing"]
     assert "NOT promised: errors at the end: theta" in doubted.words() and doubted.words().endswith(
@@ -235,16 +235,16 @@ def test_a_doubt_breaks_a_promise():
 
 
 def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer_plan():
-    told = Prediction((seen(0.001), seen(0.02))).words()
+    told = Forecast((seen(0.001), seen(0.02))).words()
     assert "by what the log leaves open: log longer" in told and "longer plan" not in told
-    assert "log longer" not in Prediction((seen(0.02), seen(0.03))).words()
+    assert "log longer" not in Forecast((seen(0.02), seen(0.03))).words()
 
 
 def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
-    told = Prediction((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).words()
+    told = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).words()
     assert "CONTROLLED: errors at the end of flights of 400 s: theta 0.1 % of the target range" in told
     assert told.endswith("0.3 % at worst, after it overshot by 62 % of the step")
-    assert "overshot" not in Prediction((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).words()
+    assert "overshot" not in Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).words()
 
 
 def test_the_overshoot_is_that_of_flights():
@@ -262,7 +262,7 @@ def test_the_overshoot_is_that_of_flights():
 
 @pytest.mark.parametrize(("flights", "told"), [((None,), True), ((seen(0.02),), True), ((seen(0.001),), False)])
 def test_a_period_to_try_is_told_in_place_of_a_longer_plan_where_a_plan_fails(flights, told):
-    words = Prediction(flights, period="try a control period of 2 s").words()
+    words = Forecast(flights, period="try a control period of 2 s").words()
     assert words.endswith("try a control period of 2 s") == told and "longer plan" not in words
 
 

@@ -23,7 +23,7 @@ OVERSHOT = 20.0
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Forecast:
     """Flights of a controller on several models of one plant.
 
     Attributes:
@@ -56,7 +56,7 @@ class Prediction:
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
-        return f"Prediction({kept}, {len(self.flights)} models; words() tells what they show)"
+        return f"Forecast({kept}, {len(self.flights)} models; words() tells what they show)"
 
     @property
     def controlled(self) -> bool:
@@ -162,7 +162,7 @@ def predict(
     scenario: Scenario,
     sensing: Sensing | None = None,
     within: float = WITHIN,
-) -> Prediction:
+) -> Forecast:
     """Fly a controller on models in the place of the plant.
 
     A model with an attribute `delay` [s] gets its inputs so much later.
@@ -198,7 +198,7 @@ def predict(
             name: max(overshoot.get(name, 0.0), share) for name, share in zip(result.output_names, over, strict=True)
         }
     seconds = scenario.length(plan)
-    found = Prediction(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
+    found = Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
     return found if sensing is None or shown is None else replace(found, resolved=_resolved(shown, sensing))
 
 
