@@ -2,8 +2,7 @@
 
 At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c` does the
 same arithmetic on the same tensors without it: weights, targets, the moments of Adam and the smoothing noise are
-torch's and stay where they are. A step equals that of `Steps` up to rounding. At lower precision than "highest" the
-products are taken in bfloat16, where the processor has that (Intel AMX, or AVX-512 BF16).
+torch's and stay where they are. A step equals that of `Steps` up to rounding.
 """
 
 from __future__ import annotations
@@ -20,20 +19,16 @@ from torch.optim import Adam
 
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.agents.steps import PRECISIONS, Check, Steps, kept_by
+from dynasindy.agents.steps import Check, Steps, kept_by
 from dynasindy.systems.compiler import load
 
 LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
-PARTS = dict(zip(PRECISIONS, (0, 2, 1), strict=True))
-"""How many numbers of bfloat16 stand for one of float32 in a product; 0 leaves it as it is."""
-FUNCTIONS = ("learn_values", "learn_policy", "descend", "room", "halves")
+FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
 
 
-def best_steps(
-    loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True, precision: str = "highest"
-) -> Steps:
+def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True) -> Steps:
     """Return machine code for these networks where there can be, and otherwise automatic differentiation.
 
     Args:
@@ -42,16 +37,15 @@ def best_steps(
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
         machine_code: whether machine code is wanted.
-        precision: of the products, a key of `PARTS`.
     """
     if machine_code and readable(loss) and all(map(usual, (critics, actor))):
         try:
-            return MachineSteps(loss, critics, actor, bound, precision)
+            return MachineSteps(loss, critics, actor, bound)
         except FileNotFoundError:
             pass  # there is no compiler
         except (ValueError, OSError) as error:
             warnings.warn(f"TD3 learns by torch code, which is slower: {error}", stacklevel=3)
-    return Steps(loss, critics, actor, bound, precision)
+    return Steps(loss, critics, actor, bound)
 
 
 def readable(loss: TD3Loss) -> bool:
@@ -80,7 +74,6 @@ class MachineSteps(Steps):
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
-        precision: of the products, a key of `PARTS`; where the processor knows no bfloat16, all are "highest".
 
     Raises:
         FileNotFoundError: there is no compiler.
@@ -88,10 +81,9 @@ class MachineSteps(Steps):
         OSError: what the compiler wrote cannot be loaded.
     """
 
-    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float, precision: str = "highest") -> None:
-        super().__init__(loss, critics, actor, bound, precision)
-        folder = resources.files("dynasindy.agents").joinpath("c")
-        source = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in ("products.h", "td3.c"))
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
+        super().__init__(loss, critics, actor, bound)
+        source = resources.files("dynasindy.agents").joinpath("c", "td3.c").read_text(encoding="utf-8")
         self._code = load(source, FUNCTIONS, fast=True)
         self._code.room.restype = ctypes.c_long
         gradients = [[_zeros(layer) for layer in layers] for layers in (loss.actor_layers, loss.critic_layers)]
@@ -99,9 +91,7 @@ class MachineSteps(Steps):
         networks = [loss.actor_layers, loss.critic_layers, *targets, *gradients]
         first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
         self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
-        parts = PARTS[precision]
-        parts = self._code.halves(parts) if parts else 0  # asking has the system keep more room for each signal
-        sizes = self.n_obs, self.n_u, last.shape[0], parts
+        sizes = self.n_obs, self.n_u, last.shape[0]
         self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
         self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
@@ -191,7 +181,7 @@ class _Network(ctypes.Structure):
 
 class _Agent(ctypes.Structure):
     _fields_ = (
-        *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics", "parts")),
+        *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
         *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
         *((name, _Network) for name in ("actor", "critic", "target_actor", "target_critic")),
         *((name, _Network) for name in ("actor_gradient", "critic_gradient")),

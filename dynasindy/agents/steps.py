@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import TensorDictBase
@@ -15,24 +14,6 @@ from dynasindy.agents.loss import TD3Loss
 Check = Callable[[Tensor, str], None]
 """Takes a loss and its name before any weight moves by it; raises if it is not finite."""
 
-PRECISIONS = ("highest", "high", "medium")
-"""Precisions of the products of matrices in float32, by torch's names."""
-
-
-@contextmanager
-def products_in(precision: str) -> Iterator[None]:
-    """Have torch take products of matrices in float32 at this precision meanwhile.
-
-    Args:
-        precision: One of `PRECISIONS`, see `torch.set_float32_matmul_precision`.
-    """
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(precision)
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)
-
 
 class Steps:
     """Steps of Adam down the two losses of TD3.
@@ -42,12 +23,10 @@ class Steps:
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
-        precision: of the products, one of `PRECISIONS`.
     """
 
-    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float, precision: str = "highest") -> None:
-        self.loss, self.optimizers = loss, (critics, actor)
-        self.bound, self.precision = bound, precision
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
+        self.loss, self.optimizers, self.bound = loss, (critics, actor), bound
 
     def stands(self) -> bool:
         """Return whether the steps still fit what they were made of."""
@@ -60,10 +39,9 @@ class Steps:
             batch: transitions `(batch,)`.
             check: told of the loss before the step.
         """
-        with products_in(self.precision):
-            loss, parts = self.loss.value_loss(batch)
-            check(loss, "the critics' loss")
-            self._descend(loss, self.optimizers[0])
+        loss, parts = self.loss.value_loss(batch)
+        check(loss, "the critics' loss")
+        self._descend(loss, self.optimizers[0])
         return loss.detach(), parts["pred_value"].mean()
 
     def actor(self, batch: TensorDictBase, check: Check) -> Tensor:
@@ -73,10 +51,9 @@ class Steps:
             batch: transitions `(batch,)`.
             check: told of the loss before the step.
         """
-        with products_in(self.precision):
-            loss, _ = self.loss.actor_loss(batch)
-            check(loss, "the actor's loss")
-            self._descend(loss, self.optimizers[1])
+        loss, _ = self.loss.actor_loss(batch)
+        check(loss, "the actor's loss")
+        self._descend(loss, self.optimizers[1])
         return loss.detach()
 
     def _descend(self, loss: Tensor, optimizer: Adam) -> None:

@@ -31,7 +31,7 @@ from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
-from dynasindy.agents.steps import PRECISIONS, Steps
+from dynasindy.agents.steps import Steps
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
 
@@ -62,8 +62,6 @@ class Hyperparameters:
         policy_average: share of the actor that enters the deployed average per actor update;
             0 deploys the actor itself.
         machine_code: learn by machine code on one core of the CPU, if there is a C compiler.
-        matmul_precision: of the products of matrices in an update, by torch's names: "highest" is float32;
-            "high" and "medium" may take each factor as two numbers of bfloat16, or as one, and add in float32.
     """
 
     hidden: Sequence[int] = (400, 300)
@@ -83,7 +81,6 @@ class Hyperparameters:
     max_grad_norm: float = 0.0
     policy_average: float = 0.0
     machine_code: bool = True
-    matmul_precision: str = "highest"
 
     def __post_init__(self) -> None:
         """Check every range.
@@ -104,7 +101,6 @@ _RANGES: tuple[tuple[tuple[str, ...], tuple[type, ...], Callable[[Any], bool], s
     (("lr_decay", "policy_average"), (int, float), lambda v: 0 <= v < 1, "a number in [0, 1)"),
     (("policy_noise", "noise_clip", "max_grad_norm"), (int, float), lambda v: v >= 0, "a number >= 0"),
     (("policy_delay", "target_update_interval"), (int,), lambda v: v > 0, "a whole number > 0"),
-    (("matmul_precision",), (str,), lambda v: v in PRECISIONS, f"a precision: {', '.join(PRECISIONS)}"),
     (("critics",), (int,), lambda v: v > 1, "a whole number > 1: the target takes the smallest of them"),
 )
 
@@ -244,7 +240,7 @@ class TD3:
         if self._made is None or not self._made.stands():
             s = self.settings
             optimizers = self.critic_optimizer, self.actor_optimizer
-            self._made = best_steps(self.loss, *optimizers, s.max_grad_norm, s.machine_code, s.matmul_precision)
+            self._made = best_steps(self.loss, *optimizers, s.max_grad_norm, s.machine_code)
         return self._made
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "TD3":

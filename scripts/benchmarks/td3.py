@@ -2,7 +2,6 @@
 
 All update the same architecture on the same batch, with the actor and the targets every second update, one
 after the other within each repeat; the medians over the repeats are reported. Drawing a batch is timed apart.
-Two contenders take their products in bfloat16, where the processor can (`agent.matmul_precision=medium`).
 The time is CPU time of the process, one thread, which other processes disturb less than they do wall time.
 """
 
@@ -29,7 +28,6 @@ from torchrl.objectives import SoftUpdate, TD3Loss, ValueEstimators
 
 from benchmarks.arguments import REPEATS
 from dynasindy.agents import TD3
-from dynasindy.agents.steps import products_in
 from dynasindy.data import DynaReplay
 from dynasindy.evaluation.rows import write_rows
 
@@ -38,7 +36,6 @@ REPLAY_ROWS = (80_000, 320_000)  # real and imagined, of the paper's two million
 RESULTS = Path("docs/results/td3.csv")
 OURS, IN_TORCH = "dynasindy TD3.update", "dynasindy TD3.update, without machine code"
 COMPILED = "torch.compile"
-ROUNDED = "products in bfloat16"
 STEPS = 10
 BEST = f"Stable-Baselines3 TD3, fused Adam, {STEPS} updates a call"
 
@@ -86,13 +83,6 @@ def measure(size: Size, repeats: int) -> list[dict[str, str | float]]:
         TD3(N_OBS, N_U, hidden=size.hidden, target_update_interval=2, machine_code=code).update
         for code in (True, False)
     )
-    rounded = TD3(N_OBS, N_U, hidden=size.hidden, target_update_interval=2, matmul_precision="medium").update
-    their_rounded = stable_baselines3_update(size, batch, STEPS, fused=True)
-
-    def _theirs_rounded() -> None:
-        with products_in("medium"):
-            their_rounded()
-
     contenders: dict[str, tuple[Callable[[], object], int]] = {
         OURS: (lambda: update(batch), 1),
         "TorchRL TD3Loss loop": (torchrl_update(size, batch), 1),
@@ -101,8 +91,6 @@ def measure(size: Size, repeats: int) -> list[dict[str, str | float]]:
         f"TorchRL TD3Loss loop, {COMPILED}": (torchrl_update(size, batch, compiled=True), 1),
         f"{BEST}, {COMPILED}": (stable_baselines3_update(size, batch, STEPS, fused=True, compiled=True), STEPS),
         IN_TORCH: (lambda: in_torch(batch), 1),
-        f"{OURS}, {ROUNDED}": (lambda: rounded(batch), 1),
-        f"{BEST}, {ROUNDED}": (_theirs_rounded, STEPS),
         "matrix products alone": (matrix_products(size), 1),
         "DynaReplay.sample": (replay.sample, 1),
     }

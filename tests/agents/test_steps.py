@@ -21,10 +21,10 @@ def batch():
     return TensorDict({"observation": seen, "action": acted, "next": TensorDict(following, [8])}, [8])
 
 
-def steps(bound=0.0, precision="highest"):
+def steps(bound=0.0):
     loss = TD3(3, 2, hidden=(6,), machine_code=False).loss
     networks = loss.qvalue_network_params, loss.actor_network_params
-    return Steps(loss, *(Adam(list(network.parameters()), lr=1e-2) for network in networks), bound, precision)
+    return Steps(loss, *(Adam(list(network.parameters()), lr=1e-2) for network in networks), bound)
 
 
 NAMES = {"critics": "the critics' loss", "actor": "the actor's loss"}
@@ -56,17 +56,3 @@ def test_no_weight_moves_by_a_loss_that_is_refused(kind):
     with pytest.raises(Found, match=kind):
         getattr(made, kind)(batch(), refuse)
     assert all(torch.equal(old, layer.weight) for old, layer in zip(before, layers, strict=True))
-
-
-@pytest.mark.parametrize("kind", ["critics", "actor"])
-def test_products_have_their_precision_in_a_step_alone_even_if_it_fails(kind):
-    made, seen = steps(precision="medium"), []
-    before = torch.get_float32_matmul_precision()
-
-    def refuse(loss, what):
-        seen.append(torch.get_float32_matmul_precision())
-        raise Found(what)
-
-    with pytest.raises(Found):
-        getattr(made, kind)(batch(), refuse)
-    assert before != "medium" and seen == ["medium"] and torch.get_float32_matmul_precision() == before

@@ -392,7 +392,6 @@ def test_defaults_that_the_paper_does_not_set_are_td3s():
         ("policy_delay", (1,), (0, 1.0)),
         ("target_update_interval", (1,), (0, -1, 1.0)),
         ("critics", (2,), (1, 2.0)),
-        ("matmul_precision", ("highest", "high", "medium"), ("low", True)),
     ],
 )
 def test_ranges_are_met_at_their_edges(name, edges, beyond):

@@ -93,7 +93,7 @@ def test_times_are_per_update_however_many_a_call_takes(monkeypatch):
     monkeypatch.setattr(td3, "stable_baselines3_update", lambda *a, **k: lambda: calls.append(k.get("fused", False)))
     rows = td3.measure(SIZE, 1)
     assert {row["ms_per_update"] for row in rows} == {100.0}  # a second by the clock for ten updates
-    assert calls.count(False) == 20 and calls.count(True) == 6  # one repeat, after one that warms up
+    assert calls.count(False) == 20 and calls.count(True) == 4  # one repeat, after one that warms up
 
 
 def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys):
@@ -105,7 +105,6 @@ def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys)
     rivals = ["TorchRL TD3Loss loop", "Stable-Baselines3 TD3", td3.BEST]
     assert [row["what"] for row in rows][:4] == [td3.OURS, *rivals]
     assert sum(row["what"].endswith(td3.COMPILED) for row in rows) == 2
-    assert sum(row["what"].endswith(td3.ROUNDED) for row in rows) == 2
     assert float(rows[0]["ratio_to_ours"]) == 1.0
     assert all(float(row["ms_per_update"]) > 0 for row in rows)
     printed = capsys.readouterr().out

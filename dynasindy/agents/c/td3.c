@@ -5,6 +5,24 @@
 #include <math.h>
 #include <string.h>
 
+#if defined(__AVX512F__)
+#define LANES 16
+#elif defined(__AVX__)
+#define LANES 8
+#else
+#define LANES 4
+#endif
+#define INLINE static inline __attribute__((always_inline))
+enum { P = 2 * LANES, AT_ONCE = 8 }; /* AT_ONCE * 2 sums fit into the registers */
+typedef float vec __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
+
+/* Element (m, k) of a matrix lies at a[m * row + k * col], where k runs over `outer` blocks of `inner`. */
+typedef struct {
+    const float *a;
+    long row, col, jump; /* from one m to the next, from one k to the next, from one block to the next */
+    int outer, inner;
+} Factor;
+
 static const float SLOPE = 0.01f; /* of a LeakyReLU below zero */
 
 typedef struct {
@@ -15,7 +33,7 @@ typedef struct {
 } Network;
 
 typedef struct {
-    int n_obs, n_u, critics, parts; /* parts: of each factor of a product, see `Halves` */
+    int n_obs, n_u, critics;
     float gamma, sigma, clip;
     Network actor, critic, target_actor, target_critic, actor_gradient, critic_gradient;
 } Agent;
@@ -32,6 +50,46 @@ static float *take(float **work, long numbers) /* numbers begin at cache lines, 
     float *taken = *work;
     *work += (numbers + 15) / 16 * 16;
     return taken;
+}
+
+/* ---- products of matrices: out[m] = sum_k a(m, k) x[k] for rows m of a factor and panels x of P columns ---- */
+
+INLINE void tile(int count, int wide, Factor f, const float *x, float *out)
+{
+    vec sum[AT_ONCE][2];
+#pragma GCC unroll 8
+    for (int m = 0; m < count; m++)
+#pragma GCC unroll 2
+        for (int v = 0; v < wide; v++)
+            sum[m][v] = (vec){0};
+    for (int block = 0; block < f.outer; block++) {
+        const float *a = f.a + block * f.jump;
+        for (int k = 0; k < f.inner; k++, a += f.col, x += P) {
+            vec right[2];
+#pragma GCC unroll 2
+            for (int v = 0; v < wide; v++)
+                right[v] = *(const vec *)(x + v * LANES);
+#pragma GCC unroll 8
+            for (int m = 0; m < count; m++)
+#pragma GCC unroll 2
+                for (int v = 0; v < wide; v++)
+                    sum[m][v] += a[m * f.row] * right[v];
+        }
+    }
+#pragma GCC unroll 8
+    for (int m = 0; m < count; m++)
+#pragma GCC unroll 2
+        for (int v = 0; v < wide; v++)
+            *(vec *)(out + m * P + v * LANES) = sum[m][v];
+}
+
+/* As many of the next m, from `left`, as one tile takes. */
+INLINE int product(int left, int wide, Factor f, const float *x, float *out)
+{
+    if (left >= 8) return tile(8, wide, f, x, out), 8;
+    if (left >= 4) return tile(4, wide, f, x, out), 4;
+    if (left >= 2) return tile(2, wide, f, x, out), 2;
+    return tile(1, wide, f, x, out), 1;
 }
 
 /* ---- layers ---- */
@@ -90,18 +148,16 @@ static void turn(long panels, int n, const float *from, float *to)
 }
 
 /* The layers of network `net`, from its inputs in layers[0] on. */
-static void forward(const Network *network, int net, long panels, float **layers, Halves *halves)
+static void forward(const Network *network, int net, long panels, float **layers)
 {
     for (int l = 0; l < network->depth; l++) {
         int n = network->widths[l], out = network->widths[l + 1], last = l + 1 == network->depth;
         const float *w = network->weight[l] + (long)net * n * out, *b = network->bias[l] + (long)net * out;
-        begin(halves, (Factor){w, n, 1, 0, 1, n}, out, P);
         for (long p = 0; p < panels; p++) {
             const float *x = layers[l] + p * n * P;
-            go_on(halves, (Factor){x, 1, P, 0, 1, n}, P);
             for (int m = 0, done; m < out; m += done) {
                 float *z = layers[l + 1] + (p * out + m) * P;
-                done = rows_of(halves, m, out, 2, (Factor){w + (long)m * n, n, 1, 0, 1, n}, x, z);
+                done = product(out - m, 2, (Factor){w + (long)m * n, n, 1, 0, 1, n}, x, z);
                 for (int i = 0; i < done; i++)
                     for (int j = 0; j < P; j++) {
                         float y = z[i * P + j] + b[m + i];
@@ -114,37 +170,33 @@ static void forward(const Network *network, int net, long panels, float **layers
 
 /* From the derivatives by units `first`... of layer l + 1, `slope`, those by `count` units of layer l. */
 static void pull(const Network *network, int net, int l, long panels, const float *slope, int first, int count,
-                 float *to, Halves *halves)
+                 float *to)
 {
     int n = network->widths[l], out = network->widths[l + 1];
     const float *w = network->weight[l] + (long)net * n * out + first;
-    begin(halves, (Factor){w, 1, n, 0, 1, out}, count, P);
     for (long p = 0; p < panels; p++) {
         const float *x = slope + p * out * P;
-        go_on(halves, (Factor){x, 1, P, 0, 1, out}, P);
         for (int m = 0, done; m < count; m += done) {
             float *z = to + (p * count + m) * P;
-            done = rows_of(halves, m, count, 2, (Factor){w + m, 1, n, 0, 1, out}, x, z);
+            done = product(count - m, 2, (Factor){w + m, 1, n, 0, 1, out}, x, z);
         }
     }
 }
 
 /* Derivatives by weights and biases from those by the outputs of layer l and its inputs; `turned` is room. */
 static void gather(const Network *gradient, int net, int l, long panels, const float *slope, const float *inputs,
-                   float *turned, Halves *halves)
+                   float *turned)
 {
     int n = gradient->widths[l], out = gradient->widths[l + 1];
     float *w = gradient->weight[l] + (long)net * n * out, *b = gradient->bias[l] + (long)net * out;
-    float sums[SIDE * P];
-    begin(halves, (Factor){slope, P, 1, (long)out * P, (int)panels, P}, out, n);
-    if (!halves->used) turn(panels, n, inputs, turned);
+    float sums[AT_ONCE * P];
+    turn(panels, n, inputs, turned);
     for (int first = 0; first < n; first += P) {
         int count = n - first < P ? n - first : P;
         const float *x = turned + (long)first * panels * P;
-        go_on(halves, (Factor){inputs + (long)first * P, P, 1, (long)n * P, (int)panels, P}, count);
         for (int m = 0, done; m < out; m += done) {
             Factor f = {slope + m * P, P, 1, (long)out * P, (int)panels, P};
-            done = count > LANES ? rows_of(halves, m, out, 2, f, x, sums) : rows_of(halves, m, out, 1, f, x, sums);
+            done = count > LANES ? product(out - m, 2, f, x, sums) : product(out - m, 1, f, x, sums);
             for (int i = 0; i < done; i++)
                 memcpy(w + (long)(m + i) * n + first, sums + i * P, sizeof(float) * (unsigned)count);
         }
@@ -169,13 +221,13 @@ static void bend(long numbers, const float *outputs, float *slope)
 
 /* Derivatives by all weights of network `net` from those by its outputs, `slope`; `other` and `turned` are room. */
 static void backward(const Network *network, const Network *gradient, int net, long panels, float **layers,
-                     float *slope, float *other, float *turned, Halves *halves)
+                     float *slope, float *other, float *turned)
 {
     for (int l = network->depth - 1; l >= 0; l--) {
         int n = network->widths[l];
-        gather(gradient, net, l, panels, slope, layers[l], turned, halves);
+        gather(gradient, net, l, panels, slope, layers[l], turned);
         if (!l) break;
-        pull(network, net, l, panels, slope, 0, n, other, halves);
+        pull(network, net, l, panels, slope, 0, n, other);
         bend(panels * n * P, layers[l], other);
         float *before = slope;
         slope = other, other = before;
@@ -196,15 +248,6 @@ static void reserve(const Network *network, long panels, float **layers, float *
         layers[l] = take(work, panels * network->widths[l] * P);
 }
 
-/* Words of room for any left factor in bfloat16, or for 32 rows of a right one: of weights, or of a batch. */
-static long words_of_halves(const Agent *agent, long panels, int left)
-{
-    int critic = widest(&agent->critic), actor = widest(&agent->actor), most = critic > actor ? critic : actor;
-    Factor weights = {.outer = 1, .inner = most}, batch = {.outer = (int)panels, .inner = P};
-    Factor longest = steps_of(weights) > steps_of(batch) ? weights : batch;
-    return words_of(longest, left ? most : SIDE, agent->parts);
-}
-
 /* Numbers of room that an update of so many rows needs. */
 long room(const Agent *agent, long rows)
 {
@@ -212,16 +255,7 @@ long room(const Agent *agent, long rows)
     long numbers = 1 + 3 * padded; /* target, and three of the widest */
     for (int l = 0; l <= agent->critic.depth; l++)
         numbers += agent->critic.widths[l] + agent->actor.widths[l];
-    numbers = panels_of(rows) * P * numbers + 16 * (2 * (agent->critic.depth + 1) + 4); /* and to the next cache line */
-    return numbers + words_of_halves(agent, panels_of(rows), 1) + words_of_halves(agent, panels_of(rows), 0);
-}
-
-/* Room for factors; the tiles of this thread are set until `release_tiles`. */
-static Halves halves_in(float **work, const Agent *agent, long panels)
-{
-    uint32_t *left = (uint32_t *)take(work, words_of_halves(agent, panels, 1));
-    if (agent->parts) set_tiles();
-    return (Halves){agent->parts, 0, 0, 0, left, (uint32_t *)take(work, words_of_halves(agent, panels, 0))};
+    return panels_of(rows) * P * numbers + 16 * (2 * (agent->critic.depth + 1) + 4); /* and to the next cache line */
 }
 
 /* ---- losses ---- */
@@ -236,10 +270,9 @@ void learn_values(const Agent *agent, const Batch *batch, float *work, double *l
     reserve(&agent->critic, panels, layers, &work);
     reserve(&agent->actor, panels, acting, &work);
     float *target = take(&work, panels * P);
-    Halves room = halves_in(&work, agent, panels), *halves = &room;
 
     enter(rows, n_obs, batch->next_observation, 0, n_obs, acting[0]);
-    forward(&agent->target_actor, 0, panels, acting, halves);
+    forward(&agent->target_actor, 0, panels, acting);
     enter(rows, n_obs, batch->next_observation, 0, n_in, layers[0]);
     for (long r = 0; r < panels * P; r++)
         for (int i = 0; i < n_u; i++) {
@@ -249,7 +282,7 @@ void learn_values(const Agent *agent, const Batch *batch, float *work, double *l
             layers[0][(r / P * n_in + n_obs + i) * P + r % P] = a < -1 ? -1 : a > 1 ? 1 : a;
         }
     for (int net = 0; net < agent->critics; net++) {
-        forward(&agent->target_critic, net, panels, layers, halves);
+        forward(&agent->target_critic, net, panels, layers);
         for (long r = 0; r < rows; r++) { /* what is no number is the smallest, as for torch */
             float q = layers[depth][r];
             target[r] = net == 0 || q < target[r] || q != q ? q : target[r];
@@ -265,16 +298,15 @@ void learn_values(const Agent *agent, const Batch *batch, float *work, double *l
     enter(rows, n_u, batch->action, n_obs, n_in, layers[0]);
     *loss = *value = 0;
     for (int net = 0; net < agent->critics; net++) {
-        forward(&agent->critic, net, panels, layers, halves);
+        forward(&agent->critic, net, panels, layers);
         for (long r = 0; r < panels * P; r++) {
             float error = r < rows ? layers[depth][r] - target[r] : 0;
             slope[r] = 2 * error / (float)rows;
             *loss += (double)(error * error) / (double)rows;
             *value += r < rows ? (double)layers[depth][r] / (double)(rows * agent->critics) : 0;
         }
-        backward(&agent->critic, &agent->critic_gradient, net, panels, layers, slope, other, turned, halves);
+        backward(&agent->critic, &agent->critic_gradient, net, panels, layers, slope, other, turned);
     }
-    if (agent->parts) release_tiles();
 }
 
 /* Gradients of the actor's loss, -mean Q_1(s, pi(s)) (Fujimoto 2018, Algorithm 1). Returns the loss. */
@@ -289,10 +321,9 @@ void learn_policy(const Agent *agent, const Batch *batch, float *work, double *l
     most = most > more ? most : more;
     float *slope = take(&work, panels * P * most), *other = take(&work, panels * P * most);
     float *turned = take(&work, panels * P * most);
-    Halves room = halves_in(&work, agent, panels), *halves = &room;
 
     enter(rows, n_obs, batch->observation, 0, n_obs, acting[0]);
-    forward(&agent->actor, 0, panels, acting, halves);
+    forward(&agent->actor, 0, panels, acting);
     enter(rows, n_obs, batch->observation, 0, n_in, layers[0]);
     for (long p = 0; p < panels; p++)
         for (int i = 0; i < n_u * P; i++) {
@@ -300,7 +331,7 @@ void learn_policy(const Agent *agent, const Batch *batch, float *work, double *l
             *a = tanhf(*a);
             layers[0][(p * n_in + n_obs) * P + i] = *a;
         }
-    forward(&agent->critic, 0, panels, layers, halves);
+    forward(&agent->critic, 0, panels, layers);
     *loss = 0;
     for (long r = 0; r < panels * P; r++) {
         slope[r] = r < rows ? -1 / (float)rows : 0;
@@ -308,16 +339,15 @@ void learn_policy(const Agent *agent, const Batch *batch, float *work, double *l
     }
     for (int l = depth - 1; l > 0; l--) {
         int n = agent->critic.widths[l];
-        pull(&agent->critic, 0, l, panels, slope, 0, n, other, halves);
+        pull(&agent->critic, 0, l, panels, slope, 0, n, other);
         bend(panels * n * P, layers[l], other);
         float *before = slope;
         slope = other, other = before;
     }
-    pull(&agent->critic, 0, 0, panels, slope, n_obs, n_u, other, halves);
+    pull(&agent->critic, 0, 0, panels, slope, n_obs, n_u, other);
     for (long i = 0; i < panels * n_u * P; i++) /* of a hyperbolic tangent */
         other[i] *= 1 - acting[depth][i] * acting[depth][i];
-    backward(&agent->actor, &agent->actor_gradient, 0, panels, acting, other, slope, turned, halves);
-    if (agent->parts) release_tiles();
+    backward(&agent->actor, &agent->actor_gradient, 0, panels, acting, other, slope, turned);
 }
 
 /* ---- steps ---- */
