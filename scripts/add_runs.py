@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from reader import while_read
 from saved_run import load_config, load_policy
 
-from dynasindy.evaluation.given import read_record, understood
+from dynasindy.safe_io import read_json, reading
 from dynasindy.viz.controllers import by_planning, named
 
 
@@ -33,7 +33,7 @@ def keys(folders: list[Path], plugins: Sequence[str] = ()) -> dict[tuple[str, ..
     found: dict[tuple[str, ...], Path] = {}
     for folder in folders:
         config = load_config(folder, plugins)
-        with understood(folder / "config.yaml"):
+        with reading(folder / "config.yaml"):
             key = (config.system._target_.rpartition(".")[2].lower(), *controller(config), str(int(config.seed)))
         if key in found:
             raise ValueError(f"{found[key]} and {folder} are both {', '.join(key)}; give one of them")
@@ -51,8 +51,8 @@ def main(argv: list[str]) -> None:
     torch.set_num_threads(1)
     for key, folder in keys(arguments.runs, arguments.plugins).items():
         env, policy = load_policy(load_config(folder, arguments.plugins), folder)
-        with understood(folder / "metrics.json"):
-            seconds = float(read_record(folder / "metrics.json")["cost"]["plant_seconds"])
+        with reading(folder / "metrics.json"):
+            seconds = float(read_json(folder / "metrics.json")["cost"]["plant_seconds"])
         baselines.append(arguments.out, baselines.judge(env, policy, (*key, seconds), baselines.scenarios(key[0])))
     baselines.write_tables(arguments.out)
 

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from dynasindy.evaluation.given import DamagedFileError, read_text, understood
+from dynasindy.safe_io import DamagedFileError, read_text, reading
 
 LARGEST, DEEPEST = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
@@ -41,7 +41,7 @@ def read_config(file: Path) -> DictConfig:
     """
     text, depth = read_text(file, LARGEST), 0
     try:
-        with understood(file):
+        with reading(file):
             for event in yaml.parse(text, Loader=yaml.SafeLoader):
                 depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
                 if depth > DEEPEST:

@@ -10,7 +10,7 @@ from command import command
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.stopped import Stopped
-from dynasindy.evaluation.given import folder_for, understood
+from dynasindy.safe_io import output_folder, reading
 
 if TYPE_CHECKING:
     from dynasindy.checking import Check
@@ -31,9 +31,9 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.checking.plant import step_for
     from dynasindy.checking.record import record
     from dynasindy.checking.verdict import in_figures, in_short, lost
-    from dynasindy.evaluation.files import add_to_record, write_json
     from dynasindy.export.write import Exported
     from dynasindy.progress import say, track
+    from dynasindy.safe_io import add_to_json, write_json
     from dynasindy.viz.check import draw
     from dynasindy.viz.style import save
 
@@ -48,7 +48,7 @@ def main(cfg: DictConfig) -> None:
     settings = Settings(
         **_places(cfg, run), **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
     )
-    folder = folder_for(cfg.folder, run, "check")
+    folder = output_folder(run, "check", cfg.folder)
     step = step_for(given.model, given.controller.pace, given.step)
     loop = Loop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
     kept: list[Check] = []  # what was found until now, the latest last
@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> None:
     (folder / STOPPED).unlink(missing_ok=True)
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
-        add_to_record(metrics, "check", in_figures(found, findings))
+        add_to_json(metrics, "check", in_figures(found, findings))
     figures = draw(found)
     for name, figure in track("figures", figures.items(), len(figures), "files"):
         save(figure, folder / name)
@@ -81,7 +81,7 @@ def _keep(found: "Check", file: Path) -> str:
     """Write what was found until a check was stopped, and say so in one line."""
     from dynasindy.checking import verdict
     from dynasindy.checking.record import record
-    from dynasindy.evaluation.files import write_json
+    from dynasindy.safe_io import write_json
 
     findings = verdict(found)
     write_json(file, record(found, findings))
@@ -102,7 +102,7 @@ def _places(cfg: DictConfig, run: Path) -> dict[str, Any]:
         raise ValueError(
             f"{absent[0]} is not given, and there is no {file} to read it from; give {absent[0]}=[...] of the targets"
         )
-    with understood(file):
+    with reading(file):
         kept = read_config(file) if file.is_file() else OmegaConf.create()
         plant, task = kept.get("plant") or {}, kept.get("task") or {}
         box = {key: tuple(map(float, plant[key] if key in absent else cfg[key])) for key in ENDS}

@@ -36,6 +36,7 @@ from reader import while_read
 import dynasindy
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.progress import report_progress
+from dynasindy.safe_io import LinkError, write_text
 
 # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
@@ -183,6 +184,9 @@ class Sweep(Callback):
                 Sweep.jobs = _folders(config, folder)
         try:
             Sweep.claim.enter_context(claimed(folder))
+            for file in (folder / "multirun.yaml", folder / "optimization_results.yaml"):
+                if file.is_symlink():  # Hydra and Optuna would write through it
+                    raise LinkError(file)
         except ValueError as error:
             Sweep.running = None
             PROGRESS.close()
@@ -375,7 +379,7 @@ def _leave_word(line: str) -> None:
     if any(folder.iterdir()) or swept:
         file = _beside(folder) if finished else folder / "error.txt"
         file.unlink(missing_ok=True)  # it may be a link in a run folder of others
-        file.write_text(line + "\n")
+        write_text(file, line + "\n")
     else:
         remove_empty(folder)
 

@@ -13,12 +13,11 @@ def main(cfg: DictConfig) -> None:
     from saved_run import load_config, load_policy, load_scenario, load_sensing
     from schema import check
 
-    from dynasindy.evaluation.files import save_evaluation
-    from dynasindy.evaluation.given import own_folder
     from dynasindy.evaluation.scenarios import evaluate
-    from dynasindy.evaluation.summary import beyond_targets, heading, summarise, to_text
+    from dynasindy.evaluation.summary import beyond_targets, heading, save_evaluation, summarise, to_text
     from dynasindy.planning.integral import IntegralAction
     from dynasindy.progress import say, width
+    from dynasindy.safe_io import output_folder
     from dynasindy.viz.animation import animate
     from dynasindy.viz.controllers import by_planning, with_integral
     from dynasindy.viz.evaluation import draw_evaluation
@@ -34,7 +33,7 @@ def main(cfg: DictConfig) -> None:
     name = by_planning(config.planning)
     if cfg.integral:
         policy, name = IntegralAction(policy, env), with_integral(name)
-    out = own_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
+    out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario, sensing)

@@ -11,16 +11,16 @@ def main(cfg: DictConfig) -> None:
     """Write the files, and print what each is and takes."""
     import torch
 
-    from dynasindy.evaluation.given import folder_for
     from dynasindy.export.write import Exported, write
     from dynasindy.progress import say
+    from dynasindy.safe_io import output_folder
 
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
         raise ValueError("run is not given; give run=PATH, a run folder, a controller.json or a model.json")
     run = Path(cfg.run)
     exported = Exported.read(run)
-    folder = folder_for(cfg.folder, run, "export")
+    folder = output_folder(run, "export", cfg.folder)
     say(*write(exported, folder, cfg.formats, cfg.fmi), f"Files: {folder}")
 
 

@@ -19,7 +19,6 @@ from schema import check
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
-from dynasindy.evaluation.given import refuse_links
 
 
 @dataclass(frozen=True)
@@ -74,13 +73,12 @@ def _resumed(cfg: DictConfig) -> DictConfig:
     """Return the config of the run to resume, in the folder where it is now.
 
     Raises:
-        ValueError: Other settings were given, which the run does not have, or its folder holds a link.
+        ValueError: Other settings were given, which the run does not have.
     """
     own = ("resume=", "finish=", "threads=", "plugins=", "device=")
     if others := [word for word in HydraConfig.get().overrides.task if not word.startswith(own)]:
         raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
     kept = load_config(Path(cfg.resume), cfg.plugins)
-    refuse_links(Path(cfg.resume))
     check(kept, f"{cfg.resume}/config.yaml")
     folder = Path(cfg.resume)
     ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()

@@ -19,8 +19,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
 from dynasindy.dyna.stopped import Stopped
-from dynasindy.evaluation.files import write_json, write_text
-from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.period import PERIOD, nearest_period, sampled_in_words, suited_period
 from dynasindy.evaluation.quiet import quiet_targets
@@ -28,6 +26,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
+from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import named
 from dynasindy.viz.evaluation import draw_evaluation
@@ -82,6 +81,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     begun = prepared(cfg)
     source, parts = begun.source, begun.parts
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
+    figures = output_folder(folder, "figures")
     swept = HydraConfig.get().mode == RunMode.MULTIRUN
     read = {"read": _digests(cfg)}
     if swept and (before := _finished(folder, settings, read)) is not None:
@@ -110,7 +110,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)
     if prediction.shown:
-        draw_evaluation(prediction.shown, folder / "figures", named("gradient"), place=prediction.place)
+        draw_evaluation(prediction.shown, figures, named("gradient"), place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task
@@ -151,10 +151,10 @@ def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> dict[str,
     kept, origin, metrics = (folder / name for name in ("config.yaml", "origin.json", "metrics.json"))
     if not (all(file.is_file() for file in (kept, origin, metrics)) and kept.read_text() == settings):
         return None
-    with understood(metrics):
-        if read_record(origin).get("read") != read["read"]:
+    with reading(metrics):
+        if read_json(origin).get("read") != read["read"]:
             return None
-        found = read_record(metrics)["prediction"]
+        found = read_json(metrics)["prediction"]
         return {"controlled": bool(found["controlled"]), "score": found["score"]}
 
 

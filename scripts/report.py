@@ -6,8 +6,8 @@ from admitted import read_config
 from command import command
 from omegaconf import DictConfig, OmegaConf
 
-from dynasindy.evaluation.given import own_folder
 from dynasindy.evaluation.saved import check_copy, keep_run, to_save
+from dynasindy.safe_io import output_folder
 
 
 @command("report")
@@ -52,11 +52,11 @@ def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:
     """Evaluate a run in the scenarios in which it was not evaluated since it ended."""
     from saved_run import load_config, load_policy, load_scenario, load_sensing
 
-    from dynasindy.evaluation.files import save_evaluation
     from dynasindy.evaluation.scenarios import evaluate
+    from dynasindy.evaluation.summary import save_evaluation
 
     config, ended = load_config(folder, plugins), (folder / "metrics.json").stat().st_mtime
-    out = own_folder(folder, "evaluation")
+    out = output_folder(folder, "evaluation")
     files = {name: out / f"{name}.json" for name in scenarios}
     due = [name for name, file in files.items() if not file.is_file() or file.stat().st_mtime < ended]
     if due:

@@ -23,12 +23,13 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from dynasindy import load
-    from dynasindy.evaluation.files import write_text
     from dynasindy.progress import Progress, say
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
+    from dynasindy.safe_io import output_folder, write_text
 
     torch.set_num_threads(cfg.threads)
+    output_folder(Path(cfg.folder), "figures")  # refuses links in it before anything moves
     system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
     if not system.known:
         cfg.sensors = None  # what is known of it is what it sends, and for that it has sensors

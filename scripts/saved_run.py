@@ -22,8 +22,8 @@ from schema import register_functions
 
 from dynasindy.dyna.weights import read_weights
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.given import read_record, understood
 from dynasindy.evaluation.scenarios import Policy, Scenario
+from dynasindy.safe_io import read_json, reading
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import Oracle, SindyModel
 
@@ -111,8 +111,8 @@ def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing |
     if not isinstance(model, Oracle):
         model = SindyModel.load(folder / "model.json")
     observer, file = Observer(model, sensors, env), folder / "observer.json"
-    record = read_record(file)
-    with understood(file):
+    record = read_json(file)
+    with reading(file):
         observer.load_state_dict(record)
     return Sensing(env, observer, torch.Generator())
 

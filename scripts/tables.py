@@ -19,6 +19,7 @@ import torch
 from dynasindy.evaluation.ablation import Level, read_rows, to_markdown
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import over_seeds
+from dynasindy.safe_io import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -47,7 +48,7 @@ def main() -> None:
     """Write every page whose tables differ from the files."""
     for file, text in pages().items():
         if file.read_text(encoding="utf-8") != text:
-            file.write_text(text, encoding="utf-8")
+            write_text(file, text)
             print(file.relative_to(ROOT))
 
 

@@ -9,7 +9,7 @@ import pytest
 import tables
 from benchmarks import baselines
 
-from dynasindy.evaluation.rows import read_rows
+from dynasindy.safe_io import read_rows
 
 REPOSITORY = Path(__file__).parents[1]
 RESULTS = REPOSITORY / "docs" / "results"

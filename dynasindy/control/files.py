@@ -28,9 +28,8 @@ from torch import Tensor
 
 from dynasindy.agents.networks import MLP
 from dynasindy.control.controller import Controller, Pace
-from dynasindy.evaluation.files import write_json
-from dynasindy.evaluation.given import DamagedFileError, read_record, understood
 from dynasindy.planning.integral import IntegralAction
+from dynasindy.safe_io import DamagedFileError, read_json, reading, write_json
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
@@ -94,10 +93,10 @@ def load(path: str | Path) -> Controller:
         raise FileNotFoundError(
             f"{file} does not exist; give a controller that was saved, or the folder of a run that has ended"
         )
-    record = read_record(file)
+    record = read_json(file)
     if record.get("format") != FORMAT:
         raise DamagedFileError(f"{file} is not of the format {FORMAT!r}; give a {NAME} of a run folder")
-    with understood(file):
+    with reading(file):
         signature = Signature(**record["signature"])
         pace = _pace(signature, record)
         policy = TensorDictModule(_network(record["policy"], pace.task), in_keys=["observation"], out_keys=["action"])

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 
 from dynasindy.dyna.callback import Callback, Place
-from dynasindy.evaluation.files import whole
+from dynasindy.safe_io import remove_leftovers, replace_file
 
 MARK = b"dynasindy checkpoint 1"
 KEPT = 2
@@ -50,7 +50,7 @@ class Checkpoints:
         torch.save(dict(state), buffer)
         payload = buffer.getbuffer()
         path = self.folder / f"{number:06d}.pt"
-        with whole(path) as temporary, temporary.open("wb") as file:
+        with replace_file(path) as file:
             file.write(b"%s %d %s\n" % (MARK, len(payload), _digest(payload)))
             file.write(payload)
         for old in self._files()[:-KEPT]:
@@ -66,7 +66,8 @@ class Checkpoints:
 
     def remove(self) -> None:
         """Remove all checkpoints, as of a run that has ended."""
-        for path in [*self._files(), *self.folder.glob(".*.tmp")]:
+        remove_leftovers(self.folder)
+        for path in self._files():
             path.unlink(missing_ok=True)
         if self.folder.is_dir() and not any(self.folder.iterdir()):
             self.folder.rmdir()

@@ -13,6 +13,8 @@ from typing import Any
 
 import torch
 
+from dynasindy.safe_io import remove_leftovers
+
 FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
 MADE = (
@@ -98,4 +100,6 @@ def clear(folder: Path) -> None:
     """Remove what an earlier run of the same settings left, so that no result outlives its run."""
     for name in MADE:
         (folder / name).unlink(missing_ok=True)
+    for place in (folder, folder / "data"):
+        remove_leftovers(place)
     shutil.rmtree(folder / "scalars", ignore_errors=True)

@@ -11,7 +11,6 @@ from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.equations import found_in_model
-from dynasindy.evaluation.files import write_json
 from dynasindy.evaluation.fitted import fitted
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.held import WITHIN
@@ -19,6 +18,7 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
 from dynasindy.progress import say, width
+from dynasindy.safe_io import write_json
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.tasks import Tracking

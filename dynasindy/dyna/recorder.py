@@ -28,11 +28,11 @@ from dynasindy.dyna.parts import Parts
 from dynasindy.dyna.verdict import distrusted, judge
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.equations import late
-from dynasindy.evaluation.files import whole, with_units, write_csv, write_json, write_text
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import Summary, beyond_targets, summarise
+from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
 from dynasindy.planning.rests import states_that_matter
+from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.tasks import Tracking
 
@@ -205,10 +205,9 @@ class Recorder(Callback):
             write_json(self.folder / "observer.json", metrics["observer"])
         metrics["verdict"] = asdict(judge(metrics, self.within))
         self._write_rollout("step_response", final.trajectory[shown.row], last=True)
-        with whole(self.folder / "model.json") as path:
-            self.parts.world_model.save(path)
-        with whole(self.folder / "policy.pt") as path:
-            torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), path)
+        self.parts.world_model.save(self.folder / "model.json")
+        with replace_file(self.folder / "policy.pt") as file:
+            torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), file)
         self._write_controller()
         write_json(self.folder / "metrics.json", metrics)
         return metrics
@@ -352,7 +351,7 @@ class Recorder(Callback):
             [None if math.isnan(value) else value for value in row]
             for row in torch.cat([time_column, values], -1).tolist()
         ]
-        headings = with_units(["time", *columns], self.plant.system.signature)
+        headings = column_headings(["time", *columns], self.plant.system.signature)
         write_csv(self.folder / "data" / f"{name}.csv", headings, rows)
 
 

@@ -16,12 +16,11 @@ from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
 from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.equations import late
-from dynasindy.evaluation.files import write_json, write_text
-from dynasindy.evaluation.given import read_record
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.progress import Progress, width
+from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
 from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
 
@@ -119,7 +118,7 @@ def run(
         What `metrics.json` holds.
 
     Raises:
-        ValueError: A part refuses its settings, or the folder holds something else or is in use.
+        ValueError: A part refuses its settings, or the folder holds something else or a link, or is in use.
         Stopped: The run was asked to stop.
         Diverged: Its numbers went wrong; what was kept is sound.
         OSError: The folder cannot be written.
@@ -136,6 +135,7 @@ def run(
     )
     kept: dict[str, Kept] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
+        refuse_links(folder)
         check_settings(folder, provenance.settings)
         if (metrics := result(folder, recipe.train.episodes)) is not None:
             (folder / "error.txt").unlink(missing_ok=True)
@@ -195,7 +195,7 @@ def _resume(folder: Path, provenance: Provenance) -> None:
     for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
         (folder / name).unlink(missing_ok=True)
     file = folder / "origin.json"
-    begun = read_record(file) if file.is_file() else {}
+    begun = read_json(file) if file.is_file() else {}
     if (commit := provenance.origin.get("commit")) != begun.get("commit"):
         write_json(file, {**begun, "resumed_at_commit": commit})
 

@@ -9,16 +9,15 @@ it is the axis with the largest error as a share of its target range, in the col
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynasindy.evaluation.files import whole, write_text
-from dynasindy.evaluation.given import DamagedFileError, read_cells, read_record, understood
+from dynasindy import safe_io
 from dynasindy.evaluation.table import OVER_SEEDS, markdown, over_seeds, overrides
+from dynasindy.safe_io import DamagedFileError, read_cells, read_json, reading, write_text
 
 Row = dict[str, str | float | None]
 KEY = ("system", "experiment", "setting")
@@ -100,7 +99,7 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
         return []
     before, curves_before = read_tables(results)
     rows = _merged(before, [row for row, _ in runs])
-    with understood(results / TABLE):
+    with reading(results / TABLE):
         text = to_markdown(rows, level)
     write_rows(results / CURVES, _merged(curves_before, [line for _, lines in runs for line in lines]))
     write_rows(results / TABLE, rows)
@@ -194,23 +193,20 @@ def read_rows(path: Path) -> list[Row]:
     if not path.exists():
         return []
     header, rows = read_cells(path)
-    with understood(path):
+    with reading(path):
         return [{key: _value(key, cell) for key, cell in zip(header, row)} for row in rows]
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write a table whole, with the columns of all rows, and at once."""
     columns = list(dict.fromkeys(column for row in rows for column in row))
-    with whole(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: f"{v:.7g}" if isinstance(v, float) else v for k, v in row.items()})
+    cells = [{k: f"{v:.7g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]
+    safe_io.write_rows(path, columns, cells)
 
 
 def _read_table(path: Path) -> list[Row]:
     try:
-        with understood(path):
+        with reading(path):
             rows = read_rows(path)
             for row in rows:
                 _key(row)  # what it lacks is told here
@@ -228,7 +224,7 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
     Raises:
         DamagedFileError: What the run wrote cannot be read.
     """
-    with understood(folder):
+    with reading(folder):
         place, curve = _place(folder, root), _curve(folder)
         if ranges := _ranges(folder):
             curve = [{**line, SHARE: _worst(line, ranges)} for line in curve]
@@ -238,7 +234,7 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
 
 def _place(folder: Path, root: Path) -> Row:
     system, experiment, *setting, _ = folder.relative_to(root).parts
-    seed = read_record(folder / "metrics.json")["seed"]
+    seed = read_json(folder / "metrics.json")["seed"]
     name = ",".join([*setting[:1], *(word for part in setting[1:] for word in overrides(part))])
     return {"system": system, "experiment": experiment, "setting": name, "seed": int(seed)}
 
@@ -246,7 +242,7 @@ def _place(folder: Path, root: Path) -> Row:
 def _commit(folder: Path) -> str:
     """Return the commit that made a run."""
     origin = folder / "origin.json"
-    return str(read_record(origin)["commit"]) if origin.is_file() else "unknown"
+    return str(read_json(origin)["commit"]) if origin.is_file() else "unknown"
 
 
 def _curve(folder: Path) -> list[dict[str, float | None]]:
@@ -267,7 +263,7 @@ def _key(row: Row) -> tuple[str, ...]:
 
 def _ranges(folder: Path) -> dict[str, float]:
     """Return the target range of each output, in its unit; none where all outputs are in rad."""
-    metrics = read_record(folder / "metrics.json")
+    metrics = read_json(folder / "metrics.json")
     if set(metrics.get("units", {}).values()) <= {"rad"}:
         return {}
     if "ranges" in metrics:

@@ -6,8 +6,6 @@ and numbers to `DIGITS` digits.
 
 from __future__ import annotations
 
-import csv
-import json
 import os
 import re
 import shutil
@@ -15,7 +13,17 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from dynasindy.evaluation.given import DamagedFileError, plain_name, read_cells, read_record, read_text, understood
+from dynasindy.safe_io import (
+    DamagedFileError,
+    file_name,
+    read_cells,
+    read_json,
+    read_text,
+    reading,
+    write_cells,
+    write_json,
+    write_text,
+)
 
 ROWS, DIGITS = 250, 5
 SPACING = {"data": 0.1, "evaluation": 0.2}
@@ -42,7 +50,7 @@ def to_save(folder: Path, name: str | None, seed: int, settings: Sequence[str]) 
         ValueError: A name is more than one plain component of a path, or two runs have it.
     """
     if (folder / "config.yaml").is_file():
-        return {folder: plain_name(folder.resolve().name if name is None else name, "name")}
+        return {folder: file_name(folder.resolve().name if name is None else name, "name")}
     ended = sorted(file.parent for file in folder.rglob(f"seed_{seed}/metrics.json"))
     found = {run: "_".join(run.relative_to(folder).parts[:-1]) for run in ended if run.parent.name in settings}
     if not found:
@@ -52,7 +60,7 @@ def to_save(folder: Path, name: str | None, seed: int, settings: Sequence[str]) 
     if len(set(found.values())) < len(found):
         twice = next(name for name in found.values() if list(found.values()).count(name) > 1)
         raise ValueError(f"two runs in {folder} would be saved as {twice}; save one of them by save=RUN name=NAME")
-    return {run: plain_name(name, "folder") for run, name in found.items()}
+    return {run: file_name(name, "folder") for run, name in found.items()}
 
 
 def check_copy(source: Path, target: Path, any_commit: bool = False) -> None:
@@ -139,11 +147,11 @@ def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = 
 def _copy(source: Path, target: Path, model: bool) -> None:
     """Write the copy of a run into a new folder."""
     target.mkdir()
-    (target / "config.yaml").write_text(without_machine(read_text(source / "config.yaml")))
-    _write_json(target / "origin.json", origin_without_machine(source))
+    write_text(target / "config.yaml", without_machine(read_text(source / "config.yaml")))
+    write_json(target / "origin.json", origin_without_machine(source), indent=1, finite=False)
     for name in RECORDS:
         if (source / name).is_file():
-            _write_json(target / name, read_record(source / name))
+            write_json(target / name, read_json(source / name), indent=1, finite=False)
     for name in PROGRESS:
         if (source / name).is_file():
             _thin_log(source / name, target / name)
@@ -157,7 +165,7 @@ def _copy(source: Path, target: Path, model: bool) -> None:
         if file.name != "step.csv":  # it is the step response
             _thin_series(file, target / "evaluation" / file.name, spare)
     for file in source.glob("evaluation/*.json"):
-        _write_json(target / file.relative_to(source), read_record(file))
+        write_json(target / file.relative_to(source), read_json(file), indent=1, finite=False)
 
 
 def origin_without_machine(folder: Path) -> dict[str, str]:
@@ -169,8 +177,8 @@ def origin_without_machine(folder: Path) -> dict[str, str]:
     file = folder / "origin.json"
     if not file.is_file():
         return {"command": "unknown", "commit": "unknown"}
-    with understood(file):
-        origin = read_record(file)
+    with reading(file):
+        origin = read_json(file)
         words = [word for word in origin["command"].split() if not re.search(r"=/|^(hydra\.run\.dir|folder)=", word)]
         if not isinstance(origin["commit"], str):
             raise DamagedFileError(f"{file} is damaged (its commit is no text); restore it, or make it again")
@@ -199,35 +207,24 @@ def _thin_log(source: Path, target: Path) -> None:
     """Copy a table with a row per episode: its first row, its last, and about `ROWS` evenly spaced ones."""
     header, rows = read_cells(source)
     every = -(-len(rows) // ROWS)
-    with understood(source):
-        _write(target, header, [rows[place] for place in sorted({0, *range(len(rows) - 1, -1, -max(every, 1))})])
+    with reading(source):
+        thinned = [rows[place] for place in sorted({0, *range(len(rows) - 1, -1, -max(every, 1))})]
+        write_cells(target, header, [[_short(cell) for cell in row] for row in thinned])
 
 
 def _thin_series(source: Path, target: Path, drop: Sequence[str] = ()) -> None:
     """Copy a table over time without some columns, a row per `SPACING`."""
     header, rows = read_cells(source)
     spacing = 0.0 if source.stem == "excitation" else SPACING[target.parent.name]
-    with understood(source):
+    with reading(source):
         times = [float(row[0]) for row in rows[:2]]
         every = max(1, round(spacing / (times[-1] - times[0]))) if len(rows) > 1 else 1
         columns = [k for k, heading in enumerate(header) if _name(heading) not in drop]
-        _write(target, [header[k] for k in columns], [[row[k] for k in columns] for row in rows[::every]])
-
-
-def _write(path: Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows([[_short(cell) for cell in row] for row in rows])
+        thinned = [[_short(row[k]) for k in columns] for row in rows[::every]]
+        write_cells(target, [header[k] for k in columns], thinned)
 
 
 def _short(cell: str) -> str:
     if not cell or float(cell).is_integer():
         return cell
     return f"{float(cell):.{DIGITS}g}"
-
-
-def _write_json(path: Path, record: object) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(record, indent=1) + "\n")

@@ -21,10 +21,10 @@ from dynasindy.data.sound import require_finite, sound_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, Told
-from dynasindy.evaluation.given import plain_name
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.progress import report_progress
+from dynasindy.safe_io import file_name
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Diverged, Signature, System, steps_needed
 from dynasindy.systems.angles import turn_of
@@ -68,7 +68,7 @@ class Scenario:
     lengths: float = 1.0
 
     def __post_init__(self) -> None:
-        plain_name(self.name, "scenario")
+        file_name(self.name, "scenario")
         if self.episodes < 1 or (self.seconds is not None and not self.seconds > 0) or not self.lengths > 0:
             raise ValueError(
                 f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}, lengths={self.lengths}; "

@@ -1,12 +1,17 @@
 """An evaluation in a few numbers: a dictionary for `metrics.json` and a table to read."""
 
+import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.safe_io import write_csv, write_json
+from dynasindy.systems import Signature
 from dynasindy.text import SECONDS, duration_unit, format_duration
 
 Summary = dict[str, float | None]
@@ -187,3 +192,33 @@ def _cell(value: float | None, factor: float = 1.0, missing: str = "-") -> str:
 
 def _number(value: Tensor) -> float | None:
     return value.item() if torch.isfinite(value) else None
+
+
+def save_evaluation(evaluation: Evaluation, folder: Path, row: int | None = None) -> list[Path]:
+    """Write `<scenario>.json` (the summary) and `<scenario>.csv` (states, inputs and references of one row).
+
+    Args:
+        evaluation: What to write.
+        folder: Where; made if missing.
+        row: Which episode goes into the CSV file; the one that is drawn, if omitted.
+
+    Returns:
+        The files.
+    """
+    figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
+    row = drawn(evaluation).row if row is None else row
+    record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
+    write_json(figures, record)
+    signature = evaluation.signature
+    header = [*signature.state_names, *signature.input_names]
+    header += [f"reference_{name}" for name in evaluation.output_names]
+    parts = (evaluation.trajectory["state"], evaluation.inputs, evaluation.references)
+    values = torch.cat([evaluation.time.unsqueeze(-1), *(part[row] for part in parts)], -1)
+    write_csv(table, column_headings(["time", *header], signature), values.tolist())
+    return [figures, table]
+
+
+def column_headings(names: Sequence[str], signature: Signature) -> list[str]:
+    """Return headings of a table over time: `time [s]`, `alpha_a [rad]`, `reference_alpha_a [rad]`, `u_a [-]`."""
+    units = {**dict(zip(signature.state_names, signature.state_units, strict=True)), "time": "s"}
+    return [f"{name} [{units.get(re.sub('^(reference|predicted)_', '', name), '-')}]" for name in names]

@@ -10,8 +10,8 @@ from typing import Any
 
 import torch
 
-from dynasindy.evaluation.given import escaped, read_record, understood
 from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
+from dynasindy.safe_io import escape_markdown, read_json, reading
 from dynasindy.text import format_duration
 
 HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
@@ -54,12 +54,12 @@ def sweep_table(folder: Path) -> str:
         if (file.parent / "report.txt").is_file():  # a fit by identify.py, which flew nothing
             continue
         setting = _setting(file.parent.relative_to(folder))
-        with understood(file):
-            _row(setting, [run := read_record(file)])
+        with reading(file):
+            _row(setting, [run := read_json(file)])
         groups.setdefault(setting, []).append(run)
     if not groups:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
-    with understood(folder):  # whose runs may not have the same figures
+    with reading(folder):  # whose runs may not have the same figures
         units = {_units(run) for runs in groups.values() for run in runs}
         shared = units.pop() if len(units) == 1 else ""  # plants may differ in them
         table = markdown(
@@ -91,7 +91,9 @@ def overrides(name: str) -> list[str]:
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table in Markdown, without a final line break; a cell ends and begins nothing but itself."""
     lines = (header, ["---"] * len(header), *rows)
-    return "\n".join("| " + " | ".join(escaped(cell).replace("|", r"\|") for cell in cells) + " |" for cells in lines)
+    return "\n".join(
+        "| " + " | ".join(escape_markdown(cell).replace("|", r"\|") for cell in cells) + " |" for cells in lines
+    )
 
 
 def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:

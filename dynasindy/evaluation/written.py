@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from dynasindy.evaluation import verdict
 from dynasindy.evaluation.equations import bend_hint, found_in_model, idle
 from dynasindy.evaluation.identification import Identified
 from dynasindy.evaluation.source import Source
+from dynasindy.safe_io import write_json, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.actuators import behind
 from dynasindy.sindy.equations import to_csv, to_latex, to_text, with_errors
@@ -94,13 +94,12 @@ def write(found: Identified, source: Source, folder: Path, before: Sequence[str]
         folder: where; made if missing.
         before: lines with which the report begins.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     library, coefficients = found.model.library, found.model.coefficients
     found.model.save(folder / "model.json")
     if found.found is not None and found.found.actuator:
         behind(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
-    (folder / "metrics.json").write_text(json.dumps(found.metrics, indent=1) + "\n")
-    (folder / "report.txt").write_text("\n".join([*before, to_words(found, source)]) + "\n")
-    (folder / "coefficients.txt").write_text(to_text(library, coefficients) + "\n")
-    (folder / "coefficients.tex").write_text(to_latex(library, coefficients))
-    (folder / "coefficients.csv").write_text(to_csv(library, coefficients))
+    write_json(folder / "metrics.json", found.metrics, indent=1, finite=False)
+    write_text(folder / "report.txt", "\n".join([*before, to_words(found, source)]) + "\n")
+    write_text(folder / "coefficients.txt", to_text(library, coefficients) + "\n")
+    write_text(folder / "coefficients.tex", to_latex(library, coefficients))
+    write_text(folder / "coefficients.csv", to_csv(library, coefficients))

@@ -18,7 +18,6 @@ from xml.etree import ElementTree
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.evaluation.files import whole
 from dynasindy.export.c_controller import controller_sources, enumerators, measured
 from dynasindy.export.c_model import field
 from dynasindy.export.expressions import formulas
@@ -26,6 +25,7 @@ from dynasindy.export.filter import stop_words
 from dynasindy.export.fmi_names import answers
 from dynasindy.export.names import module_name, number
 from dynasindy.export.templates import fill
+from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, build, compiler
@@ -160,7 +160,7 @@ def _write(unit: _Unit, path: Path, version: int) -> bool:
     built = compiler() is not None
     if built:
         files[f"binaries/{_platform(version)}/{unit.name}{SUFFIX}"] = _compiled(sources)
-    with whole(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+    with replace_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return built

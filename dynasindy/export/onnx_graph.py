@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.files import whole
+from dynasindy.safe_io import write_bytes
 
 OPSET, FORMAT = 17, 8
 """Versions of the operators and of the file, which runtimes since 2022 read."""
@@ -78,8 +78,7 @@ class Graph:
         )
         model = self.helper.make_model(graph, opset_imports=[self.helper.make_opsetid("", OPSET)], ir_version=FORMAT)
         self.helper.set_model_props(model, dict(told))
-        with whole(path) as temporary:
-            temporary.write_bytes(model.SerializeToString())
+        write_bytes(path, model.SerializeToString())
 
     def _end(self, where: str, name: str, shape: Sequence[int | str], dtype: Any) -> None:
         kind = self.helper.np_dtype_to_tensor_dtype(np.dtype(dtype))

@@ -8,8 +8,6 @@ from pathlib import Path
 
 from dynasindy.control import Controller, load
 from dynasindy.control.files import FORMAT, NAME
-from dynasindy.evaluation.files import write_text
-from dynasindy.evaluation.given import read_record
 from dynasindy.export.c_controller import ControllerSources, controller_sources
 from dynasindy.export.c_model import model_sources
 from dynasindy.export.compiler import microseconds
@@ -17,6 +15,7 @@ from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx_controller import controller_onnx
 from dynasindy.export.onnx_policy import policy_onnx
+from dynasindy.safe_io import read_json, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import compiler
@@ -54,7 +53,7 @@ class Exported:
         file = given / NAME if given.is_dir() else given
         model = given / "model.json" if given.is_dir() else given
         alone = given.is_dir() and not file.is_file() and model.is_file()
-        if alone or (given.is_file() and read_record(given).get("format") != FORMAT):
+        if alone or (given.is_file() and read_json(given).get("format") != FORMAT):
             return cls(None, SindyModel.load(model))
         controller = load(given)
         pace, observer = controller.pace, controller.observer

@@ -13,6 +13,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from dynasindy.safe_io import FileError
 from dynasindy.systems.parsed import parsed
 
 
@@ -54,7 +55,7 @@ class Function:
         return len(set(re.findall(r"\{\d\}", self.given))) or None
 
 
-class FunctionError(ValueError):
+class FunctionError(FileError):
     """A function is needed that is not known here, or is another one here; what needs it is not damaged for that.
 
     Args:

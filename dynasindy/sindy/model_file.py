@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dynasindy.safe_io import write_json
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.equations import equations
 from dynasindy.sindy.functions import FunctionError, forget, is_registered, register_formula, texts
@@ -50,7 +51,7 @@ def save(
         covariance: which coefficients' covariance is known, and its factor.
     """
     data = record(library, coefficients, constraints, delay, covariance)
-    Path(path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    write_json(path, data, indent=1, finite=False)
 
 
 def record(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial, wraps
@@ -12,6 +11,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from torch import Tensor
 
+from dynasindy.safe_io import write_json
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 
@@ -129,4 +129,4 @@ class Oracle(WorldModel):
 
     def save(self, path: str | Path) -> None:
         """Write which plant this is."""
-        Path(path).write_text(json.dumps({"oracle": type(self.system).__name__}, indent=2) + "\n")
+        write_json(path, {"oracle": type(self.system).__name__})

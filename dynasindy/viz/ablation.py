@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import SHARE, Level, Row, read_rows
-from dynasindy.evaluation.given import plain_name
+from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import FAMILIES, named
 from dynasindy.viz.learning import average_rewards, draw_bands, single
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
@@ -104,7 +104,7 @@ def draw_ablation(
     rows = read_rows(results / "ablation_curves.csv")
     files = []
     for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
-        lines, case = list(group), plain_name(f"{system}_{experiment}", "plant and experiment")
+        lines, case = list(group), file_name(f"{system}_{experiment}", "plant and experiment")
         title = f"plant {system}, experiment {experiment}"
         average = f"Imagined rollouts: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))

@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import matplotlib
@@ -20,6 +21,7 @@ from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.progress import track
+from dynasindy.safe_io import replace_file, write_bytes
 from dynasindy.text import duration_unit
 from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, span, time_axis
 
@@ -160,7 +162,6 @@ def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds:
         raise ValueError(f"an animation cannot be written as '{path.name}'; use a name in {' or '.join(SUFFIXES)}")
     if not seconds > 0:
         raise ValueError(f"seconds of an animation must be positive, got {seconds}; 10 is easy to watch")
-    path.parent.mkdir(parents=True, exist_ok=True)
     dt = float(evaluation.time[1] - evaluation.time[0])
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
@@ -176,7 +177,9 @@ def _write_gif(pictures: Iterable[Frame], path: Path, seconds: float) -> None:
     # The octree keeps thin coloured lines, which the default merges into the large grey areas.
     octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
     images = [Image.fromarray(picture).quantize(64, method=octree, dither=plain) for picture in pictures]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 * seconds), loop=0)
+    more = {"append_images": images[1:], "duration": round(1000 * seconds), "loop": 0}
+    with replace_file(path) as file:
+        images[0].save(file, format="gif", save_all=True, **more)
 
 
 def _write_mp4(pictures: Iterable[Frame], path: Path, seconds: float) -> None:
@@ -187,6 +190,9 @@ def _write_mp4(pictures: Iterable[Frame], path: Path, seconds: float) -> None:
     first = next(stream)
     height, width = first.shape[:2]
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {1 / seconds} -i -".split()
-    command = [ffmpeg, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p", str(path)]
+    command = [ffmpeg, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p"]
     data = b"".join(np.ascontiguousarray(p).tobytes() for p in chain([first], stream))
-    subprocess.run(command, input=data, check=True)
+    with TemporaryDirectory() as folder:  # ffmpeg wants a file of its own, in which it can go back
+        film = Path(folder) / path.name
+        subprocess.run([*command, str(film)], input=data, check=True)
+        write_bytes(path, film.read_bytes())

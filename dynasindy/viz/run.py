@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dynasindy.evaluation.given import read_cells, read_record, understood
+from dynasindy.safe_io import read_cells, read_json, reading
 from dynasindy.systems import Signature
 from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import excitation, growing_error, model_error, prediction, training_data
@@ -30,7 +30,7 @@ def read_table(path: Path) -> Table:
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist; give the folder of a finished run")
     header, rows = read_cells(path)
-    with understood(path):
+    with reading(path):
         cells = np.array([[float(cell) if cell else np.nan for cell in row] for row in rows]).reshape(-1, len(header))
     return dict(zip((name.partition(" [")[0] for name in header), cells.T, strict=True))
 
@@ -54,7 +54,7 @@ def draw_run(
 
 def _figures(folder: Path, signature: Signature, controller: str = "policy") -> dict[str, Figure]:
     names, figures = signature.state_names, {}
-    found = read_record(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
+    found = read_json(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
     time, u = excited["time"], stacked(excited, signature.input_names)
     left_out = folder / "data" / "left_out.json"
@@ -65,7 +65,7 @@ def _figures(folder: Path, signature: Signature, controller: str = "policy") -> 
         u,
         signature,
         "\n".join(filter(None, ["Training data of the first model", found.get("excitation", "")])),
-        left_out=read_record(left_out)["at_a_stop"] if left_out.is_file() else (),
+        left_out=read_json(left_out)["at_a_stop"] if left_out.is_file() else (),
     )
     for when, data in (("first", "the excitation alone"), ("last", "the data before it")):
         path = folder / "data" / f"prediction_{when}_episode.csv"

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.rates import NAMED
 from dynasindy.progress import report_progress
+from dynasindy.safe_io import replace_file
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.text import TimeUnit, duration_unit
 
@@ -302,10 +303,11 @@ def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) ->
     """Write a figure once per format as `path` with the format's suffix and return the files."""
     target = Path(path)
     report_progress("figures", note=target.name)
-    target.parent.mkdir(parents=True, exist_ok=True)
     files = [target.with_name(f"{target.name}.{suffix}") for suffix in formats]
     with matplotlib.rc_context(STYLE):
-        for file, suffix in zip(files, formats, strict=True):
+        for place, suffix in zip(files, formats, strict=True):
             # Dates would make equal figures differ.
-            figure.savefig(file, format=suffix, metadata={"Date": None} if suffix in ("svg", "pdf") else None)
+            metadata = {"Date": None} if suffix in ("svg", "pdf") else None
+            with replace_file(place) as file:
+                figure.savefig(file, format=suffix, metadata=metadata)
     return files

@@ -26,13 +26,13 @@ from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import markdown, over_seeds
 from dynasindy.export.formats import field_of
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.linear_model import Equilibria, jacobians
+from dynasindy.safe_io import Row, append_rows, read_rows, write_rows, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import System
 from dynasindy.systems.tracing import program
@@ -265,7 +265,7 @@ def write_tables(path: Path) -> None:
     """Write the tables of a CSV file into the page of the same name, after what stands above them there."""
     page = path.with_suffix(".md")
     above = page.read_text().partition(MARK)[0] if page.exists() else "# Controllers compared\n\n"
-    page.write_text(f"{above}{MARK}\n\n" + "\n\n".join(tables(read_rows(path))) + "\n")
+    write_text(page, f"{above}{MARK}\n\n" + "\n\n".join(tables(read_rows(path))) + "\n")
 
 
 def tables(rows: Sequence[Row]) -> list[str]:

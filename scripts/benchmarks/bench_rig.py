@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.files import write_csv
+from dynasindy.safe_io import write_csv
 from dynasindy.systems import Tras, integrate
 from dynasindy.systems.tras import TrasConstants
 

@@ -19,7 +19,7 @@ import torch
 from benchmarks.arguments import LOGS
 from benchmarks.bench_rig import closed_loop, write_log
 from benchmarks.commit import commit
-from dynasindy.evaluation.rows import Row, write_rows
+from dynasindy.safe_io import Row, write_rows
 
 COMMAND = Path(__file__).resolve().parents[2] / "scripts" / "identify.py"
 RESULTS, SECONDS = Path("docs/results/standin.csv"), 120.0

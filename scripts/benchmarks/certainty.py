@@ -16,8 +16,8 @@ from torch import Tensor
 
 from benchmarks.textbook import CASES
 from dynasindy.data.simulated import disturb, record_all
-from dynasindy.evaluation.rows import Row
 from dynasindy.excitation import HeldRandom
+from dynasindy.safe_io import Row
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.shooting import Descent, Flow, certainty, linearise
 from dynasindy.sindy.trajectory_fit import refine_trajectory

@@ -22,12 +22,12 @@ from benchmarks.commit import commit
 from benchmarks.gradient import BENCH, KNOWN, PLANTS
 from dynasindy import Controller
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.files import with_units, write_csv
-from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.evaluation.scenarios import step_references
+from dynasindy.evaluation.summary import column_headings
 from dynasindy.excitation import Multisine
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
+from dynasindy.safe_io import Row, append_rows, read_rows, write_csv
 from dynasindy.systems import Tras, integrate
 
 COLUMNS = (
@@ -86,7 +86,7 @@ def write_log(path: Path, seed: int) -> None:
     seen = [i for i in range(signature.n_x) if not bool(y[:, i].isnan().any())]
     names = ["time", *(signature.state_names[i] for i in seen), *signature.input_names]
     time = DT * torch.arange(len(inputs), dtype=torch.float64).unsqueeze(-1)
-    write_csv(path, with_units(names, signature), torch.cat([time, y[:, seen], inputs], -1).tolist())
+    write_csv(path, column_headings(names, signature), torch.cat([time, y[:, seen], inputs], -1).tolist())
 
 
 def made(path: Path, seed: int) -> Controller:

@@ -29,11 +29,11 @@ from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.metrics import STEADY_SECONDS
-from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Variation
 from dynasindy.planning.integral import IntegralAction
+from dynasindy.safe_io import Row, append_rows, read_rows
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import System, Tras, Trms33, Xi

@@ -30,8 +30,8 @@ from benchmarks.rivals import (
     stlsq,
 )
 from dynasindy.data.simulated import disturb, record, record_all
-from dynasindy.evaluation.rows import Row, read_rows, write_rows
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
+from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.sindy.prediction import one_step_error

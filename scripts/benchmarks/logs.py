@@ -25,8 +25,7 @@ from benchmarks.logged import SUBSTEPS, Case, Input
 from benchmarks.training import called, over_seeds
 from dynasindy import Controller
 from dynasindy.data.units import in_radians
-from dynasindy.evaluation.files import write_csv
-from dynasindy.evaluation.rows import Row
+from dynasindy.safe_io import Row, write_csv
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import integrate

@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.commit import commit
 from benchmarks.plants import EXAMPLES
 from benchmarks.training import called, over_seeds
-from dynasindy.evaluation.rows import Row
+from dynasindy.safe_io import Row
 
 PLANTS = ("tras", "xi", "tanks", "four_tanks", "springs", "reactor", "ship", "van_der_pol")
 """Plants of the package, and some of docs/examples."""

@@ -35,10 +35,10 @@ from dynasindy.dyna.folder import check_settings, claimed, clear
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.gym import GymControl
 from dynasindy.evaluation.ablation import Level, gather, read_rows
-from dynasindy.evaluation.files import write_csv, write_json, write_text
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.evaluation.summary import Summary, summarise
 from dynasindy.excitation import Chirp
+from dynasindy.safe_io import write_csv, write_json, write_text
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 from dynasindy.viz.ablation import draw_ablation
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.commit import commit
 from benchmarks.training import ROOT, called, over_seeds
-from dynasindy.evaluation.rows import Row
+from dynasindy.safe_io import Row
 
 EXAMPLES = ROOT / "docs" / "examples"
 UNTUNED = (

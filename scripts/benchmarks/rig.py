@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.commit import commit
-from dynasindy.evaluation.rows import Row, append_rows, read_rows
 from dynasindy.rig import Fault, Flown, Guard, UdpRig, Wiring, fly
 from dynasindy.rig.base import Array
 from dynasindy.rig.simulated import FAULTS as THEIRS
 from dynasindy.rig.simulated import FarEnd, Record
+from dynasindy.safe_io import Row, append_rows, read_rows
 from dynasindy.systems import Pendulum
 
 COLUMNS = (

@@ -33,7 +33,7 @@ from benchmarks.emps_axis import published_axis, steady_force
 from benchmarks.open_loop import simulated
 from benchmarks.qube import PublishedQube, ahead
 from benchmarks.rivals import pysindy_of
-from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
+from dynasindy.safe_io import Row, append_rows, read_rows, write_rows
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression

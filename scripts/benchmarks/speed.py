@@ -31,7 +31,7 @@ from benchmarks.gradient import CASES, build_recipe
 from benchmarks.stopwatch import cpu_seconds
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
-from dynasindy.evaluation.rows import Row, read_rows, write_rows
+from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import System
 from dynasindy.systems.compiler import forget

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 from tensordict import TensorDictBase
 
-from dynasindy.evaluation.rows import Row
 from dynasindy.evaluation.scenarios import Policy
 from dynasindy.planning import Planned, Planner
+from dynasindy.safe_io import Row
 
 
 def cpu_seconds() -> float:

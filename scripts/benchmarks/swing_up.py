@@ -21,8 +21,8 @@ from benchmarks.commit import commit
 from benchmarks.swings import SWINGS, Fenced, Settings, Swing
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.held import LOST, held
-from dynasindy.evaluation.rows import Row, append_rows, read_rows, write_rows
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.safe_io import Row, append_rows, read_rows, write_rows
 
 AGENTS: dict[str, type[OffPolicyAlgorithm]] = {"sac": SAC, "sac_bullet": SAC, "td3": TD3}
 EVERY, EPISODES = 1000, 16

@@ -29,7 +29,7 @@ from torchrl.objectives import SoftUpdate, TD3Loss, ValueEstimators
 from benchmarks.arguments import REPEATS
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
-from dynasindy.evaluation.rows import write_rows
+from dynasindy.safe_io import write_rows
 
 N_OBS, N_U = 8, 2
 REPLAY_ROWS = (80_000, 320_000)  # real and imagined, of the paper's two million

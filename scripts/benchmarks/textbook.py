@@ -13,8 +13,8 @@ from torch import Tensor
 from benchmarks.bound import cramer_rao
 from benchmarks.rivals import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
 from dynasindy.data.simulated import disturb, record_all
-from dynasindy.evaluation.rows import Row
 from dynasindy.excitation import HeldRandom
+from dynasindy.safe_io import Row
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import polynomial

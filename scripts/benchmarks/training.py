@@ -10,7 +10,7 @@ from argparse import Namespace
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from dynasindy.evaluation.rows import Row, append_rows, read_rows
+from dynasindy.safe_io import Row, append_rows, read_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 

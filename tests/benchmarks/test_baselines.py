@@ -7,8 +7,8 @@ from benchmarks.arguments import parsed
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
-from dynasindy.evaluation.rows import read_rows
 from dynasindy.planning.linear_model import jacobians, zero_order_hold
+from dynasindy.safe_io import read_rows
 from dynasindy.systems import Tras, Xi
 from dynasindy.tasks import Step, Tracking
 

@@ -10,7 +10,7 @@ from benchmarks import gradient
 from benchmarks.arguments import parsed
 from omegaconf import OmegaConf
 
-from dynasindy.evaluation.rows import read_rows
+from dynasindy.safe_io import read_rows
 from dynasindy.systems import Xi
 
 ROOT = Path(__file__).parents[2]

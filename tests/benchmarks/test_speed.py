@@ -7,7 +7,7 @@ import torch
 from benchmarks import speed
 from benchmarks.arguments import parsed
 
-from dynasindy.evaluation.rows import read_rows, write_rows
+from dynasindy.safe_io import read_rows, write_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import System, Tras
 from dynasindy.systems import compiler as compiling

@@ -9,7 +9,7 @@ from benchmarks.arguments import parsed
 from benchmarks.swings import SWINGS
 from stable_baselines3 import SAC
 
-from dynasindy.evaluation.rows import read_rows
+from dynasindy.safe_io import read_rows
 
 
 @pytest.fixture

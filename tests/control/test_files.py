@@ -12,7 +12,7 @@ from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import Pace
 from dynasindy.control.files import network
-from dynasindy.evaluation.given import DamagedFileError
+from dynasindy.safe_io import DamagedFileError
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Signature, Stops

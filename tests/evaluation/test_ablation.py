@@ -6,7 +6,7 @@ import math
 import pytest
 
 from dynasindy.evaluation.ablation import SUMMARY, Level, errors_in_words, gather, read_rows, summarise_run, to_markdown
-from dynasindy.evaluation.given import DamagedFileError
+from dynasindy.safe_io import DamagedFileError
 
 LEVEL = Level(0.05, 3)
 HEADER = (

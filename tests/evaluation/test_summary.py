@@ -1,8 +1,10 @@
 """Summaries: what is a mean, what is a median, and that JSON can hold them."""
 
+import csv
 import json
 import math
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,8 +14,8 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
-from dynasindy.systems import Pendulum, Signature
+from dynasindy.evaluation.summary import beyond_targets, heading, restless, save_evaluation, summarise, to_text
+from dynasindy.systems import Pendulum, Signature, Xi
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave, wave
 
 
@@ -196,3 +198,21 @@ def test_it_is_said_over_how_many_steps_overshoot_and_times_are_medians() -> Non
     assert row.split()[-2:] == ["3", "1"]
     del summary["steps/alpha_a"], summary["steps/alpha_p"]  # as earlier runs have saved it
     assert "targets that are steps" not in to_text(summary) and "overshoot" in to_text(summary)
+
+
+def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
+    system = Xi()
+    env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.2], [0.3, -0.1]])), substeps=1)
+    scenario = Scenario("two", episodes=2, seconds=0.5)
+    result = evaluate(env, lambda td: td.set("action", torch.full((*td.batch_size, 2), 0.25)), scenario)
+    figures, table = save_evaluation(result, tmp_path / "new", row=1)
+
+    record = json.loads(figures.read_text())
+    assert (record.pop("scenario"), record.pop("rows")) == ("two", 2)
+    assert record == summarise(result)
+
+    rows = list(csv.DictReader(table.open()))
+    assert len(rows) == 10
+    assert float(rows[3]["time [s]"]) == pytest.approx(0.15)
+    assert float(rows[3]["omega_p [rpm]"]) == pytest.approx(result.trajectory["state"][1, 3, 5].item(), rel=1e-8)
+    assert (rows[3]["u_a [-]"], float(rows[3]["reference_alpha_p [rad]"])) == ("0.25", pytest.approx(-0.1))

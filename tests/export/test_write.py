@@ -7,9 +7,9 @@ import zipfile
 import pytest
 
 from dynasindy.control import save
-from dynasindy.evaluation.given import DamagedFileError
 from dynasindy.export import fmu, write
 from dynasindy.export.write import Exported
+from dynasindy.safe_io import DamagedFileError
 from dynasindy.systems import Stops
 
 MODEL = {"model.c", "model.h", "model.tex", "model.py"}

@@ -9,8 +9,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from dynasindy.evaluation.rows import read_rows
 from dynasindy.evaluation.scenarios import Scenario, step_references
+from dynasindy.safe_io import read_rows
 
 CONF = Path(__file__).parents[2] / "conf"
 

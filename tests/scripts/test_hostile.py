@@ -104,9 +104,9 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "dynasindy.evaluation.saved.shutil.copy": {"src": str(REPOSITORY / "README.md"), "dst": str(canary)},
         "dynasindy.evaluation.saved.os.system": {"command": f"touch {canary}"},
         "dynasindy.dyna.weights.torch.load": {"f": str(pickled), "weights_only": False},
-        "dynasindy.evaluation.files.Path": {"_args_": [str(canary)]},
-        "dynasindy.evaluation.rows.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
-        "dynasindy.evaluation.files.write_csv": {"path": str(canary), "header": ["a"], "rows": []},
+        "dynasindy.safe_io.Path": {"_args_": [str(canary)]},
+        "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
+        "dynasindy.safe_io.write_csv": {"path": str(canary), "header": ["a"], "rows": []},
         "dynasindy.sindy.SindyModel.load": {"path": str(pickled)},
         "dynasindy.sindy.register_function": {"name": "sin", "compute": None},
         "dynasindy.data.csv.CsvLog": {"path": "/etc/passwd", "states": {"a": "a"}, "inputs": {"u": "u"}},
@@ -342,14 +342,14 @@ def linked(run: Path, name: str, to: Path) -> None:
 
 @pytest.mark.parametrize("name", ["evaluation", "evaluation/step.json", "evaluation/step.csv"])
 def test_results_are_not_written_through_links(run, tmp_path, name):
-    from dynasindy.evaluation.given import own_folder
+    from dynasindy.safe_io import output_folder
 
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "notes.txt").write_text("untouched")
     linked(run, name, mine if name == "evaluation" else mine / "notes.txt")
     with pytest.raises(ValueError, match="is a link, and may lead anywhere"):
-        own_folder(run, "evaluation")
+        output_folder(run, "evaluation")
 
 
 def script(name: str, *arguments: str, cwd: Path) -> str:

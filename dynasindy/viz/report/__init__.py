@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from dynasindy.evaluation.given import understood
+from dynasindy.safe_io import reading, write_text
 from dynasindy.viz.report import beyond, paper, sections
 from dynasindy.viz.report.document import (
     Finding,
@@ -55,16 +55,15 @@ def build(results: Results, folder: Path, formats: Sequence[str] = ("svg",)) -> 
     if not formats or formats[0] not in ("svg", "png") or not all(suffix.isalnum() for suffix in formats):
         raise ValueError(f"formats is {list(formats)}; a page shows svg or png, name one of them first")
     page = pages(results)
-    folder.mkdir(parents=True, exist_ok=True)
     html, markdown = folder / "report.html", folder / "report.md"
-    html.write_text(render_html(TITLE, page), encoding="utf-8")
-    markdown.write_text(render_markdown(TITLE, page, formats[0], html.name), encoding="utf-8")
+    write_text(html, render_html(TITLE, page))
+    write_text(markdown, render_markdown(TITLE, page, formats[0], html.name))
     return [html, markdown, *write_figures(page, folder / "figures", formats)]
 
 
 def pages(results: Results) -> list[Section]:
     """Return the sections from top to bottom: the verdict, the paper in its order, and what is beyond it."""
-    with understood(results.folder):
+    with reading(results.folder):
         found = [
             sections.drawings(),
             sections.chirp(results),

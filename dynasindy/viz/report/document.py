@@ -19,7 +19,7 @@ import matplotlib
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from dynasindy.evaluation.given import escaped, plain_name
+from dynasindy.safe_io import escape_markdown, file_name, write_text
 from dynasindy.viz.style import STYLE, save
 
 
@@ -89,7 +89,7 @@ class Picture:
     source: str = ""
 
     def __post_init__(self) -> None:
-        plain_name(self.name, "figure")
+        file_name(self.name, "figure")
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,7 @@ def write_figures(sections: Iterable[Section], folder: Path, formats: Sequence[s
             file = folder / f"{picture.name}.{suffix}"
             files.append(file)
             if suffix == "svg":
-                file.parent.mkdir(parents=True, exist_ok=True)
-                file.write_text(svg(picture.figure, picture.name) + "\n", encoding="utf-8")
+                write_text(file, svg(picture.figure, picture.name) + "\n")
             else:
                 save(picture.figure, file.with_suffix(""), [suffix])
     return files
@@ -235,13 +234,13 @@ def _markdown(part: Part, suffix: str) -> str:
         return "\n".join(f"    {' '.join(line.splitlines())}" for line in part.lines)
     if isinstance(part, Picture):
         alt = part.caption.partition(". ")[0].removesuffix(".").replace("`", "").replace("[", "(").replace("]", ")")
-        words = escaped(f"{part.caption} {part.source}".strip())
-        return f"![{escaped(alt)}](figures/{part.name}.{suffix})\n\n{_wrapped(words)}"
-    return _wrapped(escaped(part.words if isinstance(part, Text) else part.ours))
+        words = escape_markdown(f"{part.caption} {part.source}".strip())
+        return f"![{escape_markdown(alt)}](figures/{part.name}.{suffix})\n\n{_wrapped(words)}"
+    return _wrapped(escape_markdown(part.words if isinstance(part, Text) else part.ours))
 
 
 def _cell(cell: str | Link) -> str:
-    words = escaped(cell.words if isinstance(cell, Link) else cell).replace("|", r"\|")
+    words = escape_markdown(cell.words if isinstance(cell, Link) else cell).replace("|", r"\|")
     return f"[{words}](#{anchor(cell.title)})" if isinstance(cell, Link) else words
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dynasindy.evaluation.given import read_record, understood
-from dynasindy.evaluation.rows import read_rows
+from dynasindy.safe_io import read_json, read_rows, reading
 from dynasindy.viz.controllers import named
 from dynasindy.viz.report.document import Finding, Part, Statement, Text
 from dynasindy.viz.run import Table, read_table
@@ -49,7 +48,7 @@ class Run:
         Raises:
             MissingResult: The run does not have it.
         """
-        return read_record(self._file(name))
+        return read_json(self._file(name))
 
     def setting(self, key: str) -> Any:
         """Return a setting by its dotted key, None where the run has none."""
@@ -170,7 +169,7 @@ def each(build: Callable[..., list[Part]], *cases: tuple[str, ...], statements: 
     """
     parts: list[Part] = []
     for case in cases:
-        with understood(f"what is saved of {' '.join(case) or build.__name__.strip('_')}"):
+        with reading(f"what is saved of {' '.join(case) or build.__name__.strip('_')}"):
             try:
                 parts += build(*case)
                 continue

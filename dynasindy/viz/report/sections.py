@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from dynasindy.evaluation.metrics import MIN_STEP
-from dynasindy.evaluation.rows import read_rows
 from dynasindy.evaluation.table import over_seeds
+from dynasindy.safe_io import read_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.prediction import open_loop
 from dynasindy.systems.transitions import Transitions

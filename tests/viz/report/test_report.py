@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from dynasindy.evaluation.given import DamagedFileError
+from dynasindy.safe_io import DamagedFileError
 from dynasindy.viz.report import TITLE, Results, beyond, build, pages, sections
 from dynasindy.viz.report.document import Picture, Section, Table, Text, Verdict, render_html, render_markdown
 from dynasindy.viz.response import tracking

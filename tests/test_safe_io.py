@@ -5,16 +5,21 @@ import os
 
 import pytest
 
-from dynasindy.evaluation.given import (
+from dynasindy.safe_io import (
     DamagedFileError,
-    escaped,
-    folder_for,
-    own_folder,
-    plain_name,
+    append_rows,
+    escape_markdown,
+    file_name,
+    output_folder,
     read_cells,
-    read_record,
+    read_json,
+    read_rows,
     read_text,
-    understood,
+    reading,
+    remove_leftovers,
+    write_csv,
+    write_json,
+    write_rows,
 )
 from dynasindy.sindy.functions import FunctionError, function
 
@@ -24,7 +29,7 @@ def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
     (tmp_path / "b").write_text('{"x": [1, null]}')
     (tmp_path / "c").write_text('p,q\n1,"a,\n2"\n\n3,\n')
     assert read_text(tmp_path / "a") == "ä\n"
-    assert read_record(tmp_path / "b") == {"x": [1, None]}
+    assert read_json(tmp_path / "b") == {"x": [1, None]}
     assert read_cells(tmp_path / "c") == (["p", "q"], [["1", "a,\n2"], ["3", ""]])
 
 
@@ -34,7 +39,7 @@ def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
 def test_what_is_no_record_is_damaged(tmp_path, content):
     (tmp_path / "f.json").write_bytes(content)
     with pytest.raises(DamagedFileError, match=r"f\.json is damaged \(.+\); restore it") as error:
-        read_record(tmp_path / "f.json")
+        read_json(tmp_path / "f.json")
     assert "\n" not in str(error.value)
 
 
@@ -63,7 +68,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("reading", "said"),
+    ("read", "said"),
     [
         (lambda: {}["cost"], "it lacks 'cost'"),
         (lambda: f"{None:g}", "unsupported format string"),
@@ -72,27 +77,27 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
         (lambda: json.loads("["), "Expecting value"),
     ],
 )
-def test_what_a_reader_stumbles_over_is_one_line(reading, said):
-    with pytest.raises(DamagedFileError, match=f"f is damaged .*{said}") as error, understood("f"):
-        reading()
+def test_what_a_reader_stumbles_over_is_one_line(read, said):
+    with pytest.raises(DamagedFileError, match=f"f is damaged .*{said}") as error, reading("f"):
+        read()
     assert "\n" not in str(error.value)
 
 
 def test_the_file_that_is_damaged_is_named_once():
-    with pytest.raises(DamagedFileError, match=r"^inner is damaged"), understood("outer"), understood("inner"):
+    with pytest.raises(DamagedFileError, match=r"^inner is damaged"), reading("outer"), reading("inner"):
         raise ValueError("why")
-    with pytest.raises(FileNotFoundError), understood("outer"):
+    with pytest.raises(FileNotFoundError), reading("outer"):
         raise FileNotFoundError
 
 
 def test_a_file_that_needs_a_function_is_not_called_damaged():
-    with pytest.raises(FunctionError, match=r"^function 'nowhere' is not known"), understood("file"):
+    with pytest.raises(FunctionError, match=r"^function 'nowhere' is not known"), reading("file"):
         function("nowhere")
 
 
 @pytest.mark.parametrize("name", ["step", "xi_dyna_rollouts_800", "lr=1e-3,b=2", "a.b", "Größe", "_x", "two words"])
 def test_a_name_is_kept(name):
-    assert plain_name(name, "scenario") == name
+    assert file_name(name, "scenario") == name
 
 
 @pytest.mark.parametrize(
@@ -100,17 +105,17 @@ def test_a_name_is_kept(name):
 )
 def test_a_path_is_no_name(name):
     with pytest.raises(ValueError, match=r"scenario '.*' is no file name; allowed are letters"):
-        plain_name(name, "scenario")
+        file_name(name, "scenario")
 
 
 def test_a_folder_of_results_may_be_new_or_old_but_no_link(tmp_path):
-    assert own_folder(tmp_path, "evaluation") == tmp_path / "evaluation"
+    assert output_folder(tmp_path, "evaluation") == tmp_path / "evaluation"
     (tmp_path / "evaluation" / "deep").mkdir(parents=True)
     (tmp_path / "evaluation" / "deep" / "f").write_text("x")
-    assert own_folder(tmp_path, "evaluation") == tmp_path / "evaluation"
+    assert output_folder(tmp_path, "evaluation") == tmp_path / "evaluation"
     (tmp_path / "evaluation" / "deep" / "g").symlink_to(tmp_path / "nowhere")
     with pytest.raises(ValueError, match="g is a link"):
-        own_folder(tmp_path, "evaluation")
+        output_folder(tmp_path, "evaluation")
 
 
 @pytest.mark.parametrize(
@@ -126,16 +131,72 @@ def test_a_folder_of_results_may_be_new_or_old_but_no_link(tmp_path):
     ],
 )
 def test_words_stay_words(words, shown):
-    assert escaped(words) == shown
+    assert escape_markdown(words) == shown
 
 
 def test_a_command_writes_where_it_is_told_or_beside_what_it_read(tmp_path):
     file = tmp_path / "controller.json"
     file.touch()
-    assert folder_for(None, tmp_path, "check") == folder_for(None, file, "check") == tmp_path / "check"
+    assert output_folder(tmp_path, "check") == output_folder(file, "check") == tmp_path / "check"
     given = tmp_path / "elsewhere"
     given.mkdir()
-    assert folder_for(str(given), file, "check") == given
+    assert output_folder(file, "check", str(given)) == given
     (given / "out.c").symlink_to(file)
     with pytest.raises(ValueError, match="is a link"):
-        folder_for(str(given), file, "check")
+        output_folder(file, "check", str(given))
+
+
+COLUMNS = ("name", "value")
+
+
+def test_headings_stand_once_above_what_is_appended(tmp_path):
+    path = tmp_path / "made" / "table.csv"
+    append_rows(path, COLUMNS, [{"name": "a, b", "value": 0.1}])
+    append_rows(path, COLUMNS, [{"name": "c", "value": ""}])
+    assert path.read_bytes() == b'name,value\n"a, b",0.1\nc,\n'
+    assert read_rows(path) == [{"name": "a, b", "value": "0.1"}, {"name": "c", "value": ""}]
+
+
+def test_what_is_written_takes_the_place_of_the_file(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("old\n1\n")
+    write_rows(path, COLUMNS, [{"name": "a", "value": 1}])
+    assert path.read_text() == "name,value\na,1\n"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_failure_leaves_the_file_as_it_was(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("name,value\na,1\n")
+    for write in (write_rows, append_rows):
+        with pytest.raises(ValueError, match="colour"):
+            write(path, COLUMNS, [{"name": "b", "value": 2}, {"colour": "red"}])
+    assert path.read_text() == "name,value\na,1\n"
+
+
+def test_a_file_that_is_not_there_has_no_rows(tmp_path):
+    assert read_rows(tmp_path / "none.csv") == []
+
+
+def test_a_table_of_numbers_replaces_the_old_one_whole(tmp_path):
+    path = tmp_path / "deep" / "table.csv"
+    write_csv(path, ["a", "b"], [[1.0, None]])
+    write_csv(path, ["a", "b"], [[1.0, None], [2.5, 3.0]])
+    assert path.read_bytes() == b"a,b\r\n1,\r\n2.5,3\r\n"
+    assert [file.name for file in path.parent.iterdir()] == ["table.csv"]
+
+
+def test_files_have_the_rights_that_the_user_gives_new_ones(tmp_path):
+    before = os.umask(0o027)
+    try:
+        write_json(tmp_path / "a.json", {"x": 1})
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o640
+
+
+def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
+    for name in (f".{'0a' * 8}.tmp", ".mine.tmp", "0123456789abcdef.tmp"):
+        (tmp_path / name).touch()
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".mine.tmp", "0123456789abcdef.tmp"]

@@ -1,0 +1,360 @@
+"""Files: reading what others made, and writing whole.
+
+A file that cannot be read, or does not hold what its reader expects, costs one line. A name becomes a file only as one
+plain component of a path, and text becomes a page only after `escape_markdown`.
+
+A file is written under a random name beside its place, on which nobody can lay a link beforehand, and then put there at
+once: a reader, a second writer, a full disk, a kill or a power cut never meets half of it. A link in its place is
+refused, for it may lead anywhere.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+LARGEST = 100_000_000
+"""Size beyond which no file is read [bytes]; the longest log of the paper's experiment has a hundredth of it."""
+LONGEST = 200
+"""Letters that a name of a file may have."""
+NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+"""With these flags a file is opened itself, byte by byte, or not at all."""
+Row = dict[str, Any]
+
+
+class FileError(ValueError):
+    """A file is not as it has to be; the message names it and says what to do, and needs no more words."""
+
+
+class DamagedFileError(FileError):
+    """A file is not what its reader expects; the message says which and why."""
+
+
+class LinkError(FileError):
+    """A link stands where a file is to be written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} is a link, and may lead anywhere; remove it, then results are written there")
+
+
+@contextmanager
+def reading(source: Path | str) -> Iterator[None]:
+    """Say in one line that a file is damaged, where what it holds is not what the code within expects.
+
+    Raises:
+        DamagedFileError: It is; a file that is missing keeps its own error, and so does a `FileError`.
+    """
+    try:
+        yield
+    except (FileError, FileNotFoundError):
+        raise
+    except KeyError as missing:
+        raise _damaged(source, f"it lacks {missing}") from missing
+    except RecursionError as error:
+        raise _damaged(source, "it is nested too deeply") from error
+    except UnicodeDecodeError as error:
+        raise _damaged(source, f"it is no UTF-8 text from byte {error.start} on") from error
+    except OSError as error:
+        raise DamagedFileError(f"{source} cannot be read: {error.strerror}; check what it is") from error
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error) as error:
+        raise _damaged(source, " ".join(str(error).split())) from error
+
+
+def _damaged(source: Path | str, why: str) -> DamagedFileError:
+    return DamagedFileError(f"{source} is damaged ({why}); restore it, or make it again")
+
+
+def read_text(path: Path, largest: int = LARGEST) -> str:
+    """Return the text of a file.
+
+    Raises:
+        FileNotFoundError: It does not exist.
+        DamagedFileError: It is a folder or a device, too large, unreadable, or no UTF-8 text.
+    """
+    with reading(path):
+        size = path.stat().st_size
+        if not path.is_file():
+            raise DamagedFileError(f"{path} is no file; give a file, or restore it")
+        if size > largest:
+            raise DamagedFileError(f"{path} has {size} bytes; at most {largest} are read: check what it is")
+        return path.read_text(encoding="utf-8")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return what a JSON file holds, which is keys and values.
+
+    Raises:
+        FileNotFoundError: It does not exist.
+        DamagedFileError: It cannot be read, or holds something else.
+    """
+    text = read_text(path)
+    with reading(path):
+        record = json.loads(text)
+        if not isinstance(record, dict):
+            raise _damaged(path, f"it holds a {type(record).__name__}, not keys and values")
+        return record
+
+
+def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Return the headings of a CSV file and its rows, which are as long; lines without a cell are left out.
+
+    Raises:
+        FileNotFoundError: It does not exist.
+        DamagedFileError: It cannot be read, has no headings or one twice, or a row is shorter or longer.
+    """
+    text = read_text(path)
+    with reading(path):
+        header, *rows = [row for row in csv.reader(StringIO(text, newline=""), strict=True) if row] or [[]]
+        if not header or len(set(header)) < len(header):
+            raise _damaged(path, "its first line is no line of different headings")
+        wrong = next((place for place, row in enumerate(rows) if len(row) != len(header)), None)
+        if wrong is not None:
+            raise _damaged(path, f"row {wrong + 1} has {len(rows[wrong])} cells under {len(header)} headings")
+        return header, rows
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the rows of a CSV file by heading, each cell as text; none if there is no file.
+
+    Raises:
+        DamagedFileError: It is no table.
+    """
+    if not path.exists():
+        return []
+    header, rows = read_cells(path)
+    return [dict(zip(header, row)) for row in rows]
+
+
+@contextmanager
+def replace_file(path: str | Path) -> Iterator[BinaryIO]:
+    """Give a file to write to, and at the end put it in the place of `path`, all at once.
+
+    Args:
+        path: The file; its folder is made if missing.
+
+    Raises:
+        LinkError: A link stands there.
+        FileError: A device or a pipe does.
+        OSError: The file cannot be written; the earlier one stays.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        _require_replaceable(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_LINK, 0o666)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                yield file
+                # What is not on the disk when it is renamed may be an empty file after a power cut.
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        _sync(path.parent)
+    except OSError as error:
+        if error.filename in (None, str(temporary)):  # a full disk does not say whose file found no room
+            error.filename = str(path)
+        raise
+
+
+def _require_replaceable(path: Path) -> None:
+    if path.is_symlink():
+        raise LinkError(path)
+    if path.exists() and not (path.is_file() or path.is_dir()):  # of a folder the system says so
+        raise FileError(f"{path} is no file, and nothing can take its place; give another name")
+
+
+def _sync(folder: Path) -> None:
+    """Have the names in a folder written to the disk, where the system can."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what writers that were killed have left in a folder in which nobody writes now."""
+    for path in folder.glob(".*.tmp"):
+        if re.fullmatch(r"\.[0-9a-f]{16}\.tmp", path.name):
+            path.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a file whole."""
+    with replace_file(path) as file:
+        file.write(data)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file whole, in UTF-8."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_json(path: str | Path, record: Mapping[str, Any], indent: int = 2, finite: bool = True) -> None:
+    """Write a record whole, as JSON.
+
+    Args:
+        path: The file.
+        record: Keys and values.
+        indent: Blanks before each level.
+        finite: Refuse numbers that are not finite, for which JSON has no word.
+
+    Raises:
+        ValueError: A number is not finite, where all are to be.
+    """
+    write_text(path, json.dumps(record, indent=indent, allow_nan=not finite) + "\n")
+
+
+def add_to_json(path: Path, key: str, value: Any) -> None:
+    """Put a key into a JSON file that is there, and leave all else of it, and the time at which it was written.
+
+    Others tell by that time what was made after it, as evaluations of the run that it ended.
+
+    Raises:
+        DamagedFileError: It holds no keys and values.
+        ValueError: A number is not finite.
+    """
+    record, before = read_json(path), path.stat()
+    write_json(path, {**record, key: value})
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def write_cells(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]], end: str = "\n") -> None:
+    """Write a CSV file whole, each cell as it stands.
+
+    Args:
+        path: The file.
+        header: Headings.
+        rows: Cells below them.
+        end: What ends a line.
+    """
+    write_text(path, _csv([header, *rows], end))
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
+    """Write a table of numbers whole; empty cells stand for None."""
+    cells = [["" if value is None else f"{value:.9g}" for value in row] for row in rows]
+    write_cells(path, header, cells, "\r\n")
+
+
+def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a table whole, with a row of cells by heading; a column that a row lacks is empty.
+
+    Raises:
+        ValueError: A row has another column.
+    """
+    write_cells(path, columns, _ordered(columns, rows))
+
+
+def append_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Append rows to a file, after a line of headings if it is new: all of them, or none where the disk is full.
+
+    Raises:
+        LinkError: A link stands there.
+        ValueError: A row has another column.
+        OSError: The file cannot be written.
+    """
+    cells = _ordered(columns, rows)
+    _require_replaceable(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666)
+    try:
+        size = os.fstat(descriptor).st_size
+        with os.fdopen(descriptor, "wb", buffering=0, closefd=False) as file:
+            text = memoryview(_csv(cells if size else [columns, *cells], "\n").encode("utf-8"))
+            try:
+                while text:
+                    text = text[file.write(text) :]
+            except BaseException:
+                with suppress(OSError):
+                    os.ftruncate(descriptor, size)
+                raise
+    except OSError as error:
+        error.filename = error.filename or str(path)
+        raise
+    finally:
+        os.close(descriptor)
+
+
+def _ordered(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> list[list[object]]:
+    """Return the cells of rows in the order of the columns."""
+    cells = []
+    for row in rows:
+        if more := sorted(set(row) - set(columns)):
+            raise ValueError(f"a row has the column {more[0]!r}; the table has {', '.join(columns)}")
+        cells.append([row.get(column, "") for column in columns])
+    return cells
+
+
+def _csv(rows: Iterable[Sequence[object]], end: str) -> str:
+    text = StringIO(newline="")
+    csv.writer(text, lineterminator=end).writerows(rows)
+    return text.getvalue()
+
+
+def file_name(name: object, what: str) -> str:
+    """Return a name that is to be a file's or a folder's, if it can lead nowhere else.
+
+    Args:
+        name: The name.
+        what: What it names, for the message.
+
+    Raises:
+        ValueError: It is not one plain component of a path.
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"\w[\w.,=+ -]*", name) or len(name) > LONGEST:
+        raise ValueError(
+            f"{what} '{escape_markdown(str(name)[:LONGEST])}' is no file name; allowed are letters, digits, '_' and, "
+            f"after the first, '.,=+-' and spaces, {LONGEST} at most: choose another name"
+        )
+    return name
+
+
+def output_folder(run: Path, name: str, choice: str | None = None) -> Path:
+    """Return where a command writes: the folder that was chosen, or one in the run folder, or beside the file.
+
+    Args:
+        run: Run folder, or a file in it.
+        name: Name of the command's folder there.
+        choice: The folder, if the user chose one; it may itself be a link.
+
+    Raises:
+        LinkError: It holds a link, or is one that lies in the run folder.
+    """
+    folder = Path(choice) if choice is not None else (run if run.is_dir() else run.parent) / name
+    if choice is None and folder.is_symlink():
+        raise LinkError(folder)
+    refuse_links(folder)
+    return folder
+
+
+def refuse_links(folder: Path) -> None:
+    """Make sure that what is written into a folder, which may itself be a link, stays in it.
+
+    Raises:
+        LinkError: The folder holds a link.
+    """
+    if links := sorted(path for path in folder.rglob("*") if path.is_symlink()):
+        raise LinkError(links[0])
+
+
+def escape_markdown(words: str) -> str:
+    """Return text that Markdown takes neither for HTML nor for a link, and that stays on its line."""
+    line = re.sub(r"\s*[\x00-\x08\x0a-\x1f\x7f\x85\u2028\u2029]+\s*", " ", words)
+    # HTML needs a letter, '/', '!' or '?' behind '<', a link '(' or '[' behind ']', and where a link leads is told by a
+    # line that begins with '[': elsewhere they stand as they are.
+    return re.sub(r"\](?=[(\[])", r"]\\", re.sub(r"<(?=[A-Za-z/!?])", "&lt;", re.sub(r"^\s*\[", r"\\[", line)))
