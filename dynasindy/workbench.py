@@ -37,7 +37,7 @@ import torch
 
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
@@ -225,17 +225,17 @@ def plan(
         if task.ends is not None:
             require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
     task = as_planned(task, model, log)
-    pace = Pace(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
+    setup = ControlSetup(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
-    observer = None if sensors is None else watching(model, sensors, pace, log)
-    env = ControlEnv(model, task, pace.dt, pace.substeps, seed=seed)
+    observer = None if sensors is None else watching(model, sensors, setup, log)
+    env = ControlEnv(model, task, setup.dt, setup.substeps, seed=seed)
     others = []
     if log is not None:
         others = refits(model, log.training, HALVES, "the log")
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
     GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
-    return Controller(actor.deployed, pace, observer)
+    return Controller(actor.deployed, setup, observer)
 
 
 def forecast(
@@ -266,11 +266,11 @@ def forecast(
         ValueError: There are too few data for a fit, the log is of another plant, or the task is one without a range
             of targets and no scenario is given.
     """
-    scenario = scenario or _steps(controller.pace.task)
-    pace, policy = controller.pace, controller.policy
+    scenario = scenario or _steps(controller.setup.task)
+    setup, policy = controller.setup, controller.policy
     if controller.integral is not None:
-        policy = IntegralAction(policy, pace, **controller.integral)
-    env = ControlEnv(model, pace.task, pace.dt, FINE, dtype=torch.float64, seed=seed)
+        policy = IntegralAction(policy, setup, **controller.integral)
+    env = ControlEnv(model, setup.task, setup.dt, FINE, dtype=torch.float64, seed=seed)
     sensing = None
     if controller.observer is not None:
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
@@ -289,8 +289,8 @@ def forecast(
     told = [] if forecasts is None else doubts(forecasts, model.signature)
     if found.shown is not None:
         told += beyond(model, log.training.u, found.shown.inputs.flatten(0, -2))
-    if pace.task.ends is not None:
-        targets = dict(zip(controller.outputs, zip(*pace.task.ends, strict=True), strict=True))
+    if setup.task.ends is not None:
+        targets = dict(zip(controller.outputs, zip(*setup.task.ends, strict=True), strict=True))
         told += unlogged(model, log.training.x, targets)
     return _advised(replace(found, doubts=tuple(told), unheld=never), controller, model, log)
 
@@ -299,7 +299,7 @@ def _advised(found: Forecast, controller: Controller, model: SindyModel, log: So
     """Return a prediction that says which control period to try where the one of the plan may be why it fails."""
     if found.controlled or found.unheld:
         return found
-    return replace(found, period=other_period(model, controller.pace.task, log, controller.dt))
+    return replace(found, period=other_period(model, controller.setup.task, log, controller.dt))
 
 
 def _steps(task: Tracking) -> Scenario:
@@ -371,7 +371,7 @@ def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates) or not exact)
 
 
-def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None) -> Observer:
+def watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Source | None) -> Observer:
     """Return an observer that has learnt its process noise from a log.
 
     Raises:
@@ -380,9 +380,9 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None
     if log is None:
         raise ValueError("sensors need an observer, and it learns its noise levels from a log; give log=")
     data = log.training
-    stride = round(pace.dt / data.dt)
-    if stride < 1 or abs(stride * data.dt - pace.dt) > 1e-6 * pace.dt:
-        raise ValueError(f"dt is {pace.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
+    stride = round(setup.dt / data.dt)
+    if stride < 1 or abs(stride * data.dt - setup.dt) > 1e-6 * setup.dt:
+        raise ValueError(f"dt is {setup.dt} s, no multiple of the log's sampling time {data.dt:.6g} s; give another")
     labels, counts = data.segment.unique_consecutive(return_counts=True)
     part: Transitions = data.select(data.segment == labels[int(counts.argmax())])
     periods = len(part) // stride
@@ -390,6 +390,6 @@ def watching(model: SindyModel, sensors: Sensors, pace: Pace, log: Source | None
         raise ValueError(f"the longest stretch of the log has {len(part)} samples; give one of two periods or more")
     y = torch.cat([part.x[:1], part.x_next])[: periods * stride + 1 : stride]
     u = part.u[: periods * stride].reshape(periods, stride, -1).mean(1)
-    observer = Observer(model, sensors, pace)
+    observer = Observer(model, sensors, setup)
     observer.learn(y, u)
     return observer

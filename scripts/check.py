@@ -49,7 +49,7 @@ def main(cfg: DictConfig) -> None:
         **_places(cfg, run), **{key: cfg[key] for key in ("points", "seconds", "reach", "grid", "draws", "seed")}
     )
     folder = output_folder(run, "check", cfg.folder)
-    step = step_for(given.model, given.controller.pace, given.step)
+    step = step_for(given.model, given.controller.setup, given.step)
     loop = Loop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
     kept: list[Check] = []  # what was found until now, the latest last
     try:

@@ -12,7 +12,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, save
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.export import controller_sources
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
@@ -30,14 +30,14 @@ COMMAND = re.search(r"^    gcc (.*)$", PAGE, re.M)[1].split()
 def controller():
     signature = Signature(("theta", "Omega"), ("rad", "rad/s"), ("u",), (1.5, 3.0))
     task = Tracking(signature, Step([[0.0]]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    pace = Pace(task, 0.05, 1)
+    setup = ControlSetup(task, 0.05, 1)
     model = SindyModel(signature, ["u", "Omega", "sin(theta)"], known={"theta": "Omega"})
     model.set_coefficients(torch.tensor([[0.0, 8.0], [1.0, -0.6], [0.0, -9.5]]))
-    observer = Observer(model, Sensors({"theta": {"noise": 0.01}}, rates={"theta": "Omega"}), pace)
+    observer = Observer(model, Sensors({"theta": {"noise": 0.01}}, rates={"theta": "Omega"}), setup)
     observer.load_state_dict({"process_noise": [0.01, 0.02], "nis": 1.0})
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return Controller(actor(task.n_o, 1, (6, 5)).requires_grad_(False), pace, observer, {})
+        return Controller(actor(task.n_o, 1, (6, 5)).requires_grad_(False), setup, observer, {})
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")

@@ -13,7 +13,7 @@ import torch
 
 import dynasindy
 from dynasindy.control import Controller
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.data.csv import Recording
 from dynasindy.data.simulated import record
 from dynasindy.envs import ControlEnv
@@ -88,7 +88,10 @@ def test_the_controller_holds_the_plant_that_the_log_is_of(log, model, tmp_path)
     assert controller.observer.sensors.channels["theta"].resolution == pytest.approx(COUNT, rel=1e-3)
     dynasindy.control.save(controller, tmp_path / "controller.json")
     loaded = dynasindy.load(tmp_path)
-    plant, x = ControlEnv(Pendulum(), controller.pace.task, controller.dt, dtype=torch.float64), torch.zeros(2).double()
+    plant, x = (
+        ControlEnv(Pendulum(), controller.setup.task, controller.dt, dtype=torch.float64),
+        torch.zeros(2).double(),
+    )
     for k in range(200):
         y = {"theta": round(float(x[0]) / COUNT) * COUNT}
         u = controller.act(y, [0.4])
@@ -120,7 +123,7 @@ def test_without_a_log_all_states_are_to_be_measured(model):
 
 def test_a_task_of_ones_own_is_taken_as_it_is(model):
     own = Tracking(model.signature, RandomStep([0.0], [0.2]), ("Omega",), ("Omega",), TrackingReward((1.0,)))
-    assert dynasindy.plan(model, own, dt=0.1, updates=1, rollouts=4, window=5).pace.task is own
+    assert dynasindy.plan(model, own, dt=0.1, updates=1, rollouts=4, window=5).setup.task is own
 
 
 def test_the_seed_decides(model):
@@ -179,7 +182,7 @@ def test_an_observer_makes_up_for_a_delay(exact, late):
     """What is shown is the state two periods on: that of the plant, if the inputs are those commanded."""
     controller = dynasindy.plan(late, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     assert list(controller.observer.sensors.channels) == ["theta", "Omega"]
-    plant, x = ControlEnv(Pendulum(), controller.pace.task, 0.04, dtype=torch.float64), torch.zeros(2).double()
+    plant, x = ControlEnv(Pendulum(), controller.setup.task, 0.04, dtype=torch.float64), torch.zeros(2).double()
     waiting, shown, act = [torch.zeros(1).double()] * 2, [], controller._act
     controller._act = lambda seen: (shown.append(seen["state"]), act(seen))[1]
     for _ in range(40):
@@ -219,7 +222,7 @@ def held_with(integral, model):
         return tensordict.set("action", 0.5 * error * 1.2 - 0.2 * rate)
 
     task = dynasindy.workbench.tracking(model, {"theta": (-0.6, 0.6)})
-    controller = Controller(policy, Pace(task, 0.05), integral=integral)
+    controller = Controller(policy, ControlSetup(task, 0.05), integral=integral)
     return forecast(controller, model, None, STILL)
 
 
@@ -244,14 +247,14 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
 def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_bend_in_it(exact):
     """On a log of inputs from -0.8 to 0.8 of a pendulum whose torque is 12 u, and then has a trace of u^2."""
     straight = dynasindy.identify(exact, [*WORDS, "u^2"], {"theta": "Omega"}, "one_step")
-    assert not dynasindy.plan(straight, {"theta": (-0.6, 0.6)}, exact, **SHORT).pace.task.limited
+    assert not dynasindy.plan(straight, {"theta": (-0.6, 0.6)}, exact, **SHORT).setup.task.limited
     bent = copy.deepcopy(straight)
     bent.coefficients[bent.library.index("u^2"), 1] = 1e-6
     controller = dynasindy.plan(bent, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     u = exact.training.u
     room = 0.05 * float(u.max() - u.min())
     wanted = [float(u.min()) - room, float(u.max()) + room]
-    assert controller.pace.task.input_limits.flatten().tolist() == pytest.approx(wanted)
+    assert controller.setup.task.input_limits.flatten().tolist() == pytest.approx(wanted)
     assert max(abs(end) for end in wanted) < 0.95
     acts = [float(controller.act([0.1, 0.0], [target])[0]) for target in (-50.0, 50.0)]
     assert wanted[0] - 1e-6 <= min(acts) and max(acts) <= wanted[1] + 1e-6
@@ -259,16 +262,16 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
     def full(tensordict):
         return tensordict.set("action", torch.ones_like(tensordict["state"][..., :1]).float())
 
-    limited = forecast(Controller(full, controller.pace), bent, exact, STILL)
+    limited = forecast(Controller(full, controller.setup), bent, exact, STILL)
     assert limited.shown.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
-    free = replace(controller.pace, task=controller.pace.task.with_input_limits([[-1.0], [1.0]]))
+    free = replace(controller.setup, task=controller.setup.task.with_input_limits([[-1.0], [1.0]]))
     (said,) = forecast(Controller(full, free), bent, exact, STILL).doubts
     assert said.startswith("flights take u from 1 to 1, the log tells of") and "plan with the log" in said
 
 
 def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
     task = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    controller = Controller(lambda tensordict: tensordict, Pace(task, 0.05))
+    controller = Controller(lambda tensordict: tensordict, ControlSetup(task, 0.05))
     with pytest.raises(
         ValueError, match="no range of targets, low and high, to fly steps in; give forecast a scenario"
     ):

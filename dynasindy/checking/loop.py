@@ -64,17 +64,17 @@ class Loop:
             raise ValueError(
                 "the model has other states, units or inputs than the controller; give the model of its run"
             )
-        self.controller, self.plant, self.task = controller, plant, controller.pace.task
+        self.controller, self.plant, self.task = controller, plant, controller.setup.task
         # Differences of a step in single precision would be rounding, and little else.
         policy = copy.deepcopy(controller.policy)
         policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
         self._integral = (
-            None if controller.integral is None else IntegralAction(policy, controller.pace, **controller.integral)
+            None if controller.integral is None else IntegralAction(policy, controller.setup, **controller.integral)
         )
         whole = policy if self._integral is None else self._integral
         self.observer = controller.observer
         pushed = self.observer is not None and bool(self.observer.pushed)
-        self._act = acting(whole, controller.pace, pushed)
+        self._act = acting(whole, controller.setup, pushed)
         self.parts = self._layout()
         self.size = max(part.stop for part in self.parts.values())
         self.scale = self._scale()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops, integrate, steps_needed
 from dynasindy.systems.steps import Rates
@@ -19,12 +19,12 @@ TRIED, AROUND = 256, 2.0
 """States, drawn at random, whose periods are compared, and how far from zero they may be [ranges of a state]."""
 
 
-def step_for(model: SindyModel, pace: Pace, finest: float) -> float:
+def step_for(model: SindyModel, setup: ControlSetup, finest: float) -> float:
     """Return the longest Runge-Kutta step by which a model is moved well [s]: a shorter one ends periods where it does.
 
     Args:
         model: The model; what moves slowly is passed in few steps, however long a control period is.
-        pace: Control period, steps to begin with, stops and targets of its controller.
+        setup: Control period, steps to begin with, stops and targets of its controller.
         finest: A step that is short enough for whatever moves [s].
     """
     generator = torch.Generator().manual_seed(0)
@@ -33,10 +33,10 @@ def step_for(model: SindyModel, pace: Pace, finest: float) -> float:
         2 * torch.rand(TRIED, width, generator=generator, dtype=torch.float64) - 1
         for width in (model.signature.n_x, model.signature.n_u)
     )
-    low, high = pace.task.input_limits.double()
+    low, high = setup.task.input_limits.double()
     x, u = AROUND * size * x, low + (high - low) * (u + 1) / 2
-    number, _ = steps_needed(model, x, u, pace.dt, max(1, pace.substeps), pace.stops, FINE)
-    return min(finest, pace.dt) if number is None else max(min(finest, pace.dt), pace.dt / number)
+    number, _ = steps_needed(model, x, u, setup.dt, max(1, setup.substeps), setup.stops, FINE)
+    return min(finest, setup.dt) if number is None else max(min(finest, setup.dt), setup.dt / number)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ Values = float | Sequence[float] | NDArray[np.float64] | Tensor | Mapping[str, f
 
 
 @dataclass
-class Pace:
+class ControlSetup:
     """Where a controller acts, without a plant.
 
     Attributes:
@@ -52,7 +52,7 @@ class Controller:
 
     Args:
         policy: Reads `observation`, writes `action`.
-        pace: Task, control period and stops.
+        setup: Task, control period and stops.
         observer: Estimates the states from what is measured; None takes all states as they are given.
         integral: Settings of `IntegralAction`, `{}` for its own; None for a policy that is not shown the integral of
             its error.
@@ -64,30 +64,30 @@ class Controller:
     def __init__(
         self,
         policy: Policy,
-        pace: Pace,
+        setup: ControlSetup,
         observer: Observer | None = None,
         integral: Mapping[str, float] | None = None,
     ) -> None:
         if observer is not None and not observer.learnt:
             raise ValueError("a controller got an observer that has not learnt from data; call its `learn` first")
-        self.policy, self.pace, self.observer, self.integral = policy, pace, observer, integral
+        self.policy, self.setup, self.observer, self.integral = policy, setup, observer, integral
         self._warned = False
         self.reset()
 
     @property
     def signature(self) -> Signature:
         """Names, units and ranges of the plant's states and inputs."""
-        return self.pace.task.signature
+        return self.setup.task.signature
 
     @property
     def dt(self) -> float:
         """Control period [s]; `act` is to be called once in each."""
-        return self.pace.dt
+        return self.setup.dt
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the tracked states, in the order of the references."""
-        return self.pace.task.output_names
+        return self.setup.task.output_names
 
     def __repr__(self) -> str:
         names, units = self.signature.state_names, self.signature.state_units
@@ -98,17 +98,17 @@ class Controller:
         more = f", with {' and '.join(parts)}" if parts else ""
         inputs = ", ".join(self.signature.input_names)
         ends = "[-1, 1]"
-        if self.pace.task.limited:
-            ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.pace.task.input_limits.mT.tolist())
+        if self.setup.task.limited:
+            ends = ", ".join(f"[{low:.3g}, {high:.3g}]" for low, high in self.setup.task.input_limits.mT.tolist())
         inputs = "; ".join([f"{inputs} in {ends} every {self.dt:g} s{more}", *self.signature.own_inputs(ranged=False)])
         return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
 
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
-        self._integral = None if self.integral is None else IntegralAction(self.policy, self.pace, **self.integral)
+        self._integral = None if self.integral is None else IntegralAction(self.policy, self.setup, **self.integral)
         whole = self._integral or self.policy
         pushed = self.observer is not None and bool(self.observer.pushed)
-        self._act = acting(whole, self.pace, pushed)
+        self._act = acting(whole, self.setup, pushed)
         self._belief: Belief | None = None
         self._periods = 0
         self._shift = torch.zeros(0, dtype=torch.float64)
@@ -127,8 +127,8 @@ class Controller:
 
     def targets_in_words(self) -> list[str]:
         """Return the range of targets that each output was planned for, `h3 from 8 to 25 cm`; none if not known."""
-        signature, ends = self.signature, self.pace.task.ends
-        units = [signature.state_units[i] for i in self.pace.task.outputs]
+        signature, ends = self.signature, self.setup.task.ends
+        units = [signature.state_units[i] for i in self.setup.task.outputs]
         rows = zip(self.outputs, *(ends or ((), ())), units, strict=False)
         return [f"{name} from {low:g} to {high:g} {unit}" for name, low, high, unit in rows]
 
@@ -178,7 +178,7 @@ class Controller:
 
     def _warn_far(self, r: Tensor) -> None:
         """Warn once of a reference that lies more than a target range beyond the targets of the plan."""
-        task = self.pace.task
+        task = self.setup.task
         if self._warned or task.ends is None:
             return
         low, high = torch.tensor(task.ends, dtype=torch.float64)
@@ -223,7 +223,7 @@ class Controller:
         steps = torch.tensor([self._periods])  # 0 begins, whatever comes later goes on
         t = steps.to(x) * self.dt
         params = _line(r, slope, float(t))
-        observation = self.pace.task.observation(x, params, t).float()
+        observation = self.setup.task.observation(x, params, t).float()
         shown = {"observation": observation, "state": x, "task_params": params, "step_count": steps, "observer": held}
         return TensorDict(shown if held else {k: v for k, v in shown.items() if k != "observer"})
 
@@ -235,7 +235,7 @@ class Controller:
             self._belief, _, _ = observer.correct(observer.advance(self._belief, self._inputs), y)
         mean = observer.ahead(self._belief.mean, self._inputs)
         if observer.pushed:
-            self._shift = observer.correction(mean, self._inputs, self.pace.task.outputs, self._shift)
+            self._shift = observer.correction(mean, self._inputs, self.setup.task.outputs, self._shift)
         return mean[: self.signature.n_x], {"shift": self._shift}
 
     def _numbers(self, what: str, given: Values, names: Sequence[str], missing: float) -> Tensor:

@@ -27,7 +27,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 
 from dynasindy.agents.networks import MLP
-from dynasindy.control.controller import Controller, Pace
+from dynasindy.control.controller import Controller, ControlSetup
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.safe_io import DamagedFileError, read_json, reading, write_json
 from dynasindy.sensing import Observer, Sensors
@@ -56,9 +56,9 @@ def save(controller: Controller, path: str | Path) -> None:
     Raises:
         ValueError: The policy or the observer's model is of another kind, which no file holds.
     """
-    task, integral = controller.pace.task, controller.integral
-    moved = controller.observer or controller.pace
-    numbers = None if integral is None else IntegralAction(controller.policy, controller.pace, **integral)
+    task, integral = controller.setup.task, controller.integral
+    moved = controller.observer or controller.setup
+    numbers = None if integral is None else IntegralAction(controller.policy, controller.setup, **integral)
     record = {
         "format": FORMAT,
         "signature": asdict(controller.signature),
@@ -98,12 +98,12 @@ def load(path: str | Path) -> Controller:
         raise DamagedFileError(f"{file} is not of the format {FORMAT!r}; give a {NAME} of a run folder")
     with reading(file):
         signature = Signature(**record["signature"])
-        pace = _pace(signature, record)
-        policy = TensorDictModule(_network(record["policy"], pace.task), in_keys=["observation"], out_keys=["action"])
-        observer = _loaded_observer(record["observer"], pace, file)
+        setup = _setup(signature, record)
+        policy = TensorDictModule(_network(record["policy"], setup.task), in_keys=["observation"], out_keys=["action"])
+        observer = _loaded_observer(record["observer"], setup, file)
         integral = record["integral"]
         numbers = None if integral is None else {name: _positive(value) for name, value in integral.items()}
-        return Controller(policy, pace, observer, numbers)
+        return Controller(policy, setup, observer, numbers)
 
 
 def network(controller: Controller) -> MLP:
@@ -164,13 +164,13 @@ def _unpacked(text: str, *shape: int) -> Tensor:
     return torch.from_numpy(values.astype(np.float32)).reshape(shape)
 
 
-def _pace(signature: Signature, record: Mapping[str, Any]) -> Pace:
+def _setup(signature: Signature, record: Mapping[str, Any]) -> ControlSetup:
     """Return task, control period, Runge-Kutta steps and stops."""
     task = record["task"]
     substeps = task["substeps"]
     if type(substeps) is not int or not 1 <= substeps <= FINEST:
         raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
-    return Pace(_task(signature, task), _positive(task["dt"]), substeps, _stops(task["stops"], signature.n_x))
+    return ControlSetup(_task(signature, task), _positive(task["dt"]), substeps, _stops(task["stops"], signature.n_x))
 
 
 def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
@@ -265,14 +265,14 @@ def _observer(controller: Controller) -> dict[str, Any] | None:
     }
 
 
-def _loaded_observer(record: Mapping[str, Any] | None, pace: Pace, file: Path) -> Observer | None:
+def _loaded_observer(record: Mapping[str, Any] | None, setup: ControlSetup, file: Path) -> Observer | None:
     if record is None:
         return None
     model = SindyModel.of_record(record["model"], file)
     # The ranges may differ: of an output that a log shows far beyond its targets, policy and model have each its own.
-    if not model.signature.alike(pace.task.signature):
+    if not model.signature.alike(setup.task.signature):
         raise ValueError("the model of its observer has other states than the controller")
-    observer = Observer(model, Sensors(**record["sensors"]), pace)
+    observer = Observer(model, Sensors(**record["sensors"]), setup)
     observer.load_state_dict(record["state"])
     observer.late()  # refuses a delay that is too long, before the first measurement does
     return observer

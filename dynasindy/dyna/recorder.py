@@ -20,7 +20,7 @@ from torchrl.record import CSVLogger, TensorboardLogger
 from torchrl.record.loggers import Logger
 
 from dynasindy.control import Controller, save
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.excite import coarse, left_out, restarts
@@ -217,9 +217,9 @@ class Recorder(Callback):
         plant, sensing = self.plant, self.parts.sensing
         if not isinstance(plant.task, Tracking) or not isinstance(self.parts.world_model, SindyModel):
             return
-        pace = Pace(plant.task, plant.dt, plant.substeps, plant.stops)
+        setup = ControlSetup(plant.task, plant.dt, plant.substeps, plant.stops)
         observer = None if sensing is None else sensing.observer
-        save(Controller(self.parts.agent.deployed, pace, observer), self.folder / NAME)
+        save(Controller(self.parts.agent.deployed, setup, observer), self.folder / NAME)
 
     def _held(self, final: Evaluation) -> Held:
         start = final.trajectory["state"][0, 0]

@@ -59,7 +59,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
             formula.
     """
     name, mlp = module_name(name), network(controller)
-    task, signature = controller.pace.task, controller.signature
+    task, signature = controller.setup.task, controller.signature
     watching = None if controller.observer is None else Filter.of(controller.observer)
     found = None if watching is None else formulas(watching.model)
     sizes = Sizes(
@@ -103,7 +103,7 @@ def watching_words(controller: Controller) -> dict[str, str]:
 
 
 def _flags(controller: Controller) -> set[str]:
-    task = controller.pace.task
+    task = controller.setup.task
     return {
         *(["integral"] if controller.integral is not None else []),
         *(["observe_rate"] if task.observe_rate else []),
@@ -114,7 +114,7 @@ def _flags(controller: Controller) -> set[str]:
 
 def _words(controller: Controller, name: str) -> dict[str, object]:
     """Return what stands in the gaps of the templates, the observer apart."""
-    task, signature = controller.pace.task, controller.signature
+    task, signature = controller.setup.task, controller.signature
     words: dict[str, object] = {
         "name": name,
         "title": "A controller: measurements and references in, inputs of the plant out.",
@@ -133,7 +133,7 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
         "give_state": "s, " if controller.integral is not None else "",
     }
     if controller.integral is not None:
-        action = IntegralAction(controller.policy, controller.pace, **controller.integral)
+        action = IntegralAction(controller.policy, controller.setup, **controller.integral)
         words |= {f"integral_{key}": number(getattr(action, key)) for key in ("gain", "band", "limit", "rate")}
     return words
 
@@ -153,7 +153,7 @@ def enumerators(sizes: Mapping[str, object]) -> str:
 
 
 def _tables(controller: Controller) -> str:
-    task = controller.pace.task
+    task = controller.setup.task
     tables = [
         f"/* Ranges of the states. */\nstatic const double scale[NX] = {{{joined(controller.signature.x_scale)}}};",
         f"/* Places of the tracked states. */\nstatic const int output[NR] = {{{', '.join(map(str, task.outputs))}}};",
@@ -198,7 +198,7 @@ def _told(controller: Controller, whole: Cost) -> list[str]:
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     targets = controller.targets_in_words()
     return [
-        *signature_words(signature, controller.pace.task.input_limits.mT.tolist()),
+        *signature_words(signature, controller.setup.task.input_limits.mT.tolist()),
         "r: references" + (f", planned for {', '.join(targets)}" if targets else ""),
         *(f"    {i}  {n} [{units[n]}]" for i, n in enumerate(controller.outputs)),
         "",

@@ -72,12 +72,12 @@ def controller_onnx(controller: Controller, path: Path) -> None:
     later = {"begun": graph.constant([1.0])}
     x, du = y, None
     if watching is not None:
-        x, du = watching.step(kept, y, controller.pace.task.outputs, later)
+        x, du = watching.step(kept, y, controller.setup.task.outputs, later)
     found = _acted(graph, controller, x, r, rate, kept, later)
     if du is not None:
         found = found + du
-    if du is not None or controller.pace.task.limited:
-        least, most = (np.array(ends) for ends in controller.pace.task.input_limits.tolist())
+    if du is not None or controller.setup.task.limited:
+        least, most = (np.array(ends) for ends in controller.setup.task.input_limits.tolist())
         found = graph.put("Max", graph.put("Min", found, most), least)
     if watching is not None:
         later["inputs"] = graph.put("Concat", kept["inputs"][signature.n_u : sizes["inputs"]], found, axis=0)
@@ -104,14 +104,14 @@ def _acted(
     later: dict[str, Value],
 ) -> Value:
     """Return the policy's action, `(n_u,)`, and move the integral on."""
-    task, n_x = controller.pace.task, controller.signature.n_x
+    task, n_x = controller.setup.task, controller.signature.n_x
     box = np.array(task.boxes().tolist())
     error = (r - _picked(graph, x, task.outputs)) / box
     parts = [x / np.array(controller.signature.x_scale), error / task.error_scale]
     parts += [rate / box] if task.observe_rate else []
     seen = [graph.put("Cast", part, to=1) for part in parts]
     if controller.integral is not None:
-        action = IntegralAction(controller.policy, controller.pace, **controller.integral)
+        action = IntegralAction(controller.policy, controller.setup, **controller.integral)
         seen[1] = seen[1] + graph.put("Cast", kept["sum"] / task.error_scale, to=1)
         moving = graph.constant(np.zeros(len(box)))
         if task.rates:

@@ -51,7 +51,7 @@ def add_policy(graph: Graph, controller: Controller, observation: Value) -> Valu
 
 def columns(controller: Controller) -> dict[str, list[str]]:
     """Return what each column of the observation and of the action is."""
-    signature, task = controller.signature, controller.pace.task
+    signature, task = controller.signature, controller.setup.task
     scaled = zip(signature.state_names, signature.x_scale, strict=True)
     observation = [f"{name} / {scale!r}" for name, scale in scaled]
     boxes = dict(zip(controller.outputs, task.boxes().tolist(), strict=True))

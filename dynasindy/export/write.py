@@ -56,11 +56,11 @@ class Exported:
         if alone or (given.is_file() and read_json(given).get("format") != FORMAT):
             return cls(None, SindyModel.load(model))
         controller = load(given)
-        pace, observer = controller.pace, controller.observer
+        setup, observer = controller.setup, controller.observer
         found = SindyModel.load(model) if observer is None and given.is_dir() and model.is_file() else None
         if observer is not None and isinstance(observer.model, SindyModel):
             found = observer.model
-        return cls(controller, found, min(STEP, pace.dt / max(1, pace.substeps)), pace.stops)
+        return cls(controller, found, min(STEP, setup.dt / max(1, setup.substeps)), setup.stops)
 
 
 def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) -> list[str]:

@@ -113,7 +113,7 @@ def flown(controller: Controller, natives: list[Native], seed: int) -> NDArray[n
         seed: Seed of the sensors' noise.
     """
     plant, facts = Tras(), PLANTS["tras"]
-    env = ControlEnv(plant, controller.pace.task, controller.dt, dtype=torch.float64)
+    env = ControlEnv(plant, controller.setup.task, controller.dt, dtype=torch.float64)
     targets = step_references(facts.low, facts.high, TARGETS).targets.double().numpy()
     noise, x = torch.Generator().manual_seed(1000 + seed), torch.zeros(TARGETS, 6, dtype=torch.float64)
     periods, errors = round(SECONDS / controller.dt), []

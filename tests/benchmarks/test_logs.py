@@ -15,7 +15,7 @@ from benchmarks.logs import COLUMNS, TARGETS, flown, rows_of, sizes_of, terms_of
 import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.sensing import Channel
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
@@ -50,7 +50,7 @@ class Given:
     def __init__(self, rule, names, units="rad/s"):
         signature = Signature(names, (units,) * len(names), ("u",), (100.0,) * len(names))
         task = Tracking(signature, RandomStep([0.0], [1.0]), [names[0]], [], TrackingReward((1.0,)))
-        self.inner = Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05))
+        self.inner = Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05))
         self.signature, self.dt, self.rule = self.inner.signature, 0.05, rule
 
     def reset(self):
@@ -117,20 +117,20 @@ def test_a_controller_whose_numbers_leave_all_limits_loses_its_flight_and_no_oth
         return shown.set("action", torch.where(w > 90.0, math.nan, u).reshape(1).float())
 
     signature = Signature(("w",), ("rad/s",), ("u",), (100.0,))
-    pace = Pace(Tracking(signature, RandomStep([40.0], [140.0]), ["w"], [], TrackingReward((1.0,))), 0.05)
+    setup = ControlSetup(Tracking(signature, RandomStep([40.0], [140.0]), ["w"], [], TrackingReward((1.0,))), 0.05)
     rng = torch.Generator().manual_seed(1000)
     targets = 40 + 100 * torch.rand(TARGETS, 1, generator=rng, dtype=torch.float64).numpy()
     assert 0 < (targets > 90).sum() < TARGETS
-    errors = flown(CASES["fan"], Controller(policy, pace), 0)
+    errors = flown(CASES["fan"], Controller(policy, setup), 0)
     np.testing.assert_array_equal(np.isinf(errors), targets > 90)
     np.testing.assert_allclose(errors[targets < 90], 0.0, atol=1e-4)
 
 
 def test_a_controller_of_other_names_is_no_lost_flight():
     signature = Signature(("v",), ("rad/s",), ("u",), (100.0,))
-    pace = Pace(Tracking(signature, RandomStep([40.0], [140.0]), ["v"], [], TrackingReward((1.0,))), 0.05)
+    setup = ControlSetup(Tracking(signature, RandomStep([40.0], [140.0]), ["v"], [], TrackingReward((1.0,))), 0.05)
     given = Given(None, ("w",))
-    given.act = Controller(actor(pace.task.n_o, 1, (4,)), pace).act
+    given.act = Controller(actor(setup.task.n_o, 1, (4,)), setup).act
     with pytest.raises(ValueError, match="measurement has 'w', which does not exist"):
         flown(CASES["fan"], given, 0)
 

@@ -9,7 +9,7 @@ from dynasindy.agents.networks import actor
 from dynasindy.checking.loop import Loop
 from dynasindy.checking.plant import Plant
 from dynasindy.control import Controller
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
@@ -44,30 +44,30 @@ def cart(delay=0.0, friction=0.0, spring=0.0, step=None):
     return model
 
 
-def watching(model, pace, **settings):
+def watching(model, setup, **settings):
     sensors = Sensors({"p": {"noise": 0.01}}, rates={"p": "v"}, **settings)
-    observer = Observer(model, sensors, pace)
+    observer = Observer(model, sensors, setup)
     observer.load_state_dict({"process_noise": [0.01, 0.05] + [0.02] * sensors.disturbance, "nis": 1.0})
     return observer
 
 
 def loop_of(law=None, model=None, observer=None, integral=None, stops=None):
     model = model or cart()
-    pace = Pace(task_of(), DT, 2, stops)
-    seeing = None if observer is None else watching(model, pace, **observer)
-    controller = Controller(law or Law(2.0, 2.5), pace, seeing, integral)
+    setup = ControlSetup(task_of(), DT, 2, stops)
+    seeing = None if observer is None else watching(model, setup, **observer)
+    controller = Controller(law or Law(2.0, 2.5), setup, seeing, integral)
     return Loop(controller, Plant(model, DT, DT / 2, stops))
 
 
 def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
     """A pendulum-like cart with a network, an observer that estimates a push, delays and stops."""
     model = cart(delay, 0.3, 0.8)
-    pace = Pace(task_of(), 0.04, 3, Stops((0,), (1,), (-0.6,), (0.6,)))
+    setup = ControlSetup(task_of(), 0.04, 3, Stops((0,), (1,), (-0.6,), (0.6,)))
     with torch.random.fork_rng():
         torch.manual_seed(4)
-        policy = actor(pace.task.n_o, 1, (8, 5)).requires_grad_(False)
-    seeing = watching(model, pace, delay=late, disturbance=disturbance)
-    return Loop(Controller(policy, pace, seeing, integral), Plant(model, 0.04, 0.04 / 3, pace.stops))
+        policy = actor(setup.task.n_o, 1, (8, 5)).requires_grad_(False)
+    seeing = watching(model, setup, delay=late, disturbance=disturbance)
+    return Loop(Controller(policy, setup, seeing, integral), Plant(model, 0.04, 0.04 / 3, setup.stops))
 
 
 @pytest.fixture(scope="session")

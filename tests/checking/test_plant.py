@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.checking.plant import FINE, Plant, step_for
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 
@@ -37,7 +37,7 @@ def test_stops_hold(carts):
 def test_the_step_is_as_long_as_the_plant_allows(carts, tasks, spring):
     """A spring that takes minutes is passed in one step of 2 s, and ends where its cosine does, as does a fast one."""
     model, dt, finest = carts(spring=spring), 2.0, 0.01
-    step = step_for(model, Pace(tasks(), dt), finest)
+    step = step_for(model, ControlSetup(tasks(), dt), finest)
     assert (step == dt) == (spring == 1e-4) and step >= finest and (step == finest) == (spring > 1.0)
     if spring < 1e6:
         x = Plant(model, dt, step).period(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
@@ -50,11 +50,11 @@ def test_the_step_is_short_where_only_large_movements_or_inputs_make_the_plant_f
     """v' = -3 v^3 has a rate of 9 v^2, up to 324 per second at 6 m/s; v' = -30 u v one of 30 per second."""
     model = SindyModel(carts().signature, ["v", function], known={"p": "v"})
     model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, -3.0 if function == "v^3" else -30.0]], dtype=torch.float64))
-    assert step_for(model, Pace(tasks(), 0.1), 0.001) < 0.1
+    assert step_for(model, ControlSetup(tasks(), 0.1), 0.001) < 0.1
 
 
 def test_the_step_is_never_shorter_than_the_finest(carts, tasks):
-    assert step_for(carts(spring=1.0), Pace(tasks(), 2.0), 0.5) == 0.5
+    assert step_for(carts(spring=1.0), ControlSetup(tasks(), 2.0), 0.5) == 0.5
 
 
 @pytest.mark.parametrize(("delay", "pending"), [(0.0, 0), (0.1, 1), (0.3, 2)])

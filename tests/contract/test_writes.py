@@ -15,7 +15,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.safe_io import append_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
@@ -39,7 +39,7 @@ def controller(hidden: int = 4) -> Controller:
     policy = actor(task.n_o, 1, (hidden,)).requires_grad_(False)
     for weight in policy.parameters():
         weight *= 1e-3
-    return Controller(policy, Pace(task, 0.1))
+    return Controller(policy, ControlSetup(task, 0.1))
 
 
 @pytest.fixture

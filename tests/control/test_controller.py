@@ -9,7 +9,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.planning.integral import IntegralAction
@@ -74,7 +74,7 @@ def test_it_flies_as_the_evaluation_does_where_all_states_are_seen(integral):
     env, policy = setting()
     wrapped = policy if integral is None else IntegralAction(policy, env, **integral)
     expected = evaluate(env, wrapped, Scenario("step", seconds=4.0)).trajectory[0]
-    controller = Controller(policy, Pace(env.task, env.dt), integral=integral)
+    controller = Controller(policy, ControlSetup(env.task, env.dt), integral=integral)
     states, inputs = flown(controller, env, [[0.3]] * 80)
     np.testing.assert_allclose(inputs, expected["action"], rtol=0, atol=1e-6)
     np.testing.assert_allclose(states, expected["state"], rtol=0, atol=1e-6)
@@ -85,15 +85,15 @@ def test_it_is_shown_how_fast_the_reference_moves():
     expected = evaluate(env, policy, Scenario("sine", seconds=4.0)).trajectory[0]
     t = 0.05 * np.arange(80)
     references, rates = 0.3 * np.sin(0.8 * math.pi * t), 0.24 * math.pi * np.cos(0.8 * math.pi * t)
-    _, inputs = flown(Controller(policy, Pace(env.task, env.dt)), env, references[:, None], rates[:, None])
+    _, inputs = flown(Controller(policy, ControlSetup(env.task, env.dt)), env, references[:, None], rates[:, None])
     np.testing.assert_allclose(inputs, expected["action"], rtol=0, atol=1e-6)
-    _, blind = flown(Controller(policy, Pace(env.task, env.dt)), env, references[:, None])
+    _, blind = flown(Controller(policy, ControlSetup(env.task, env.dt)), env, references[:, None])
     assert np.abs(blind - inputs).max() > 1e-3
 
 
 def test_a_reference_without_a_rate_stands_still():
     env, policy = setting(observe_rate=True)
-    controller = Controller(policy, Pace(env.task, env.dt))
+    controller = Controller(policy, ControlSetup(env.task, env.dt))
     silent = [controller.act([0.1 * k, 0.0], [0.3]) for k in range(3)]
     controller.reset()
     np.testing.assert_array_equal(silent, [controller.act([0.1 * k, 0.0], [0.3], [0.0]) for k in range(3)])
@@ -113,9 +113,11 @@ def test_a_lost_sample_is_bridged_with_all_inputs_that_were_given():
     """From 0.3 m, 0.1 s under inputs of 0.5 and -0.25 lead to 0.3 + 0.1 (0.5 - 2.5) m."""
     plant = Driven()
     task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
-    observer = Observer(plant, Sensors({"x": {}}), Pace(task, 0.1))
+    observer = Observer(plant, Sensors({"x": {}}), ControlSetup(task, 0.1))
     observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
-    controller = Controller(lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), Pace(task, 0.1), observer)
+    controller = Controller(
+        lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), ControlSetup(task, 0.1), observer
+    )
     controller.act([0.3], [0.0])
     controller.act([math.nan], [0.0])
     np.testing.assert_allclose(controller.estimate, [0.1], rtol=0, atol=1e-6)
@@ -125,9 +127,11 @@ def test_an_estimate_beyond_all_limits_is_refused_though_the_action_is_a_number(
     """From 1.5e308 m to -1.5e308 m is further than the largest double, 1.8e308; the action is constant."""
     plant = Driven()
     task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
-    observer = Observer(plant, Sensors({"x": {}}), Pace(task, 0.1))
+    observer = Observer(plant, Sensors({"x": {}}), ControlSetup(task, 0.1))
     observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
-    controller = Controller(lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), Pace(task, 0.1), observer)
+    controller = Controller(
+        lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), ControlSetup(task, 0.1), observer
+    )
     controller.act([1.5e308], [0.0])
     with pytest.raises(ValueError, match="no action follows"):
         controller.act([-1.5e308], [0.0])
@@ -142,7 +146,7 @@ def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
     sensing = Sensing(env, observer, torch.Generator().manual_seed(0))
     wrapped = policy if integral is None else IntegralAction(policy, env, **integral)
     expected = evaluate(env, wrapped, Scenario("step", seconds=4.0), sensing).trajectory[0]
-    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), observer, integral)
+    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), observer, integral)
     measured = expected["measurement"].numpy()
     assert np.isnan(measured[:, 1]).all()
     _, inputs = flown(controller, env, [[0.3]] * 80, measured=measured)
@@ -152,7 +156,7 @@ def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
 
 def test_a_reset_forgets_everything():
     env, policy = setting()
-    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env), {"band": 0.5})
+    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env), {"band": 0.5})
     assert controller.estimate is None
     first = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
     again = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
@@ -163,7 +167,7 @@ def test_a_reset_forgets_everything():
 
 def test_a_lost_sample_is_bridged_by_the_model():
     env, policy = setting()
-    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env, disturbance=False))
+    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env, disturbance=False))
     model, x = pendulum_model(), torch.tensor([0.4, 0.0], dtype=torch.float64)
     for _ in range(10):
         u = controller.act({"theta": float(x[0])}, [0.3])
@@ -174,7 +178,7 @@ def test_a_lost_sample_is_bridged_by_the_model():
 
 def test_a_number_for_a_state_without_a_sensor_is_not_read():
     env, policy = setting()
-    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env))
+    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
     expected = [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)]
     controller.reset()
     np.testing.assert_array_equal(expected, [controller.act([0.1 * k, 0.7], [0.3]) for k in range(5)])
@@ -182,7 +186,7 @@ def test_a_number_for_a_state_without_a_sensor_is_not_read():
 
 def test_numbers_may_be_given_by_name():
     env, policy = setting()
-    controller = Controller(policy, Pace(env.task, env.dt))
+    controller = Controller(policy, ControlSetup(env.task, env.dt))
     by_place = controller.act([0.1, -0.2], [0.3])
     controller.reset()
     np.testing.assert_array_equal(by_place, controller.act({"Omega": -0.2, "theta": 0.1}, {"theta": 0.3}))
@@ -213,12 +217,12 @@ def test_numbers_may_be_given_by_name():
 def test_what_is_no_number_of_the_plant_is_refused(measurement, reference, words):
     env, policy = setting()
     with pytest.raises(ValueError, match=words):
-        Controller(policy, Pace(env.task, env.dt)).act(measurement, reference)
+        Controller(policy, ControlSetup(env.task, env.dt)).act(measurement, reference)
 
 
 def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_be_given():
     env, policy = setting()
-    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env))
+    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
     assert "reads theta [rad]; sets" in str(controller)
     words = "has 'speed', which does not exist; allowed are theta; leave out Omega, which the controller estimates$"
     with pytest.raises(ValueError, match=words):
@@ -227,7 +231,7 @@ def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_b
 
 def test_an_infinite_measurement_is_refused_behind_sensors_too():
     env, policy = setting()
-    controller = Controller(policy, Pace(env.task, env.dt, env.substeps), watching(env))
+    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
     with pytest.raises(ValueError, match="measurement of theta is inf"):
         controller.act([math.inf, math.nan], [0.3])
 
@@ -236,15 +240,15 @@ def test_an_observer_that_has_not_learnt_is_refused():
     env, policy = setting()
     observer = Observer(pendulum_model(), Sensors({"theta": {}}, rates={"theta": "Omega"}), env)
     with pytest.raises(ValueError, match="has not learnt from data"):
-        Controller(policy, Pace(env.task, env.dt), observer)
+        Controller(policy, ControlSetup(env.task, env.dt), observer)
 
 
 @pytest.mark.parametrize("observed", [False, True])
 @pytest.mark.parametrize("integral", [None, {"band": 0.5}])
 def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, integral):
     env, policy = setting()
-    pace = Pace(env.task, env.dt, env.substeps)
-    controller = Controller(policy, pace, watching(env) if observed else None, integral)
+    setup = ControlSetup(env.task, env.dt, env.substeps)
+    controller = Controller(policy, setup, watching(env) if observed else None, integral)
 
     def later():
         return [controller.act([0.1 * k, 0.2], [0.3]) for k in range(2, 6)]
@@ -264,11 +268,11 @@ def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, int
 
 def test_it_says_what_it_holds_reads_and_sets():
     env, policy = setting()
-    assert repr(Controller(policy, Pace(env.task, 0.02))) == (
+    assert repr(Controller(policy, ControlSetup(env.task, 0.02))) == (
         "Controller(holds theta [rad]; reads theta [rad], Omega [rad/s]; sets u in [-1, 1] every 0.02 s)"
     )
     gains = {"rate": 0.1}
-    watched = Controller(policy, Pace(env.task, 0.02), watching(env), gains)
+    watched = Controller(policy, ControlSetup(env.task, 0.02), watching(env), gains)
     assert repr(watched).endswith("with observer and integral action)")
 
 

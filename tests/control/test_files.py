@@ -10,7 +10,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
 from dynasindy.safe_io import DamagedFileError
 from dynasindy.sensing import Observer, Sensors
@@ -39,12 +39,12 @@ def tracking(signature):
 def built(observer=True, integral=None, delay=0.07, stops=None):
     """Return a controller with numbers that are no defaults."""
     task = tracking(SIGNATURE)
-    pace = Pace(task, 0.04, 3, stops or Stops((0,), (1,), (-0.6,), (0.6,)))
+    setup = ControlSetup(task, 0.04, 3, stops or Stops((0,), (1,), (-0.6,), (0.6,)))
     with torch.random.fork_rng():
         torch.manual_seed(1)
         policy = actor(task.n_o, 1, (8, 5)).requires_grad_(False)
     if not observer:
-        return Controller(policy, pace, None, integral)
+        return Controller(policy, setup, None, integral)
     model = SindyModel(SIGNATURE, ["u", "Omega", "tanh(~4 theta)"], known={"theta": "Omega"})
     model.library = model.library.with_shapes([3.7])
     model.set_coefficients(torch.tensor([[0.0, 8.0], [1.0, -0.6], [0.0, -9.5]], dtype=torch.float64))
@@ -52,9 +52,9 @@ def built(observer=True, integral=None, delay=0.07, stops=None):
     sensors = Sensors(
         {"theta": {"resolution": 0.01, "noise": 0.002}}, rates={"theta": "Omega"}, delay=1, disturbance=True
     )
-    watching = Observer(model, sensors, pace)
+    watching = Observer(model, sensors, setup)
     watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4], "nis": 1.1})
-    return Controller(policy, pace, watching, integral)
+    return Controller(policy, setup, watching, integral)
 
 
 def acts(controller):
@@ -79,14 +79,14 @@ def test_what_is_loaded_acts_as_what_was_saved(tmp_path, integral):
 
 def test_ends_of_inputs_are_kept_and_a_file_that_has_none_has_the_actuators(tmp_path):
     controller = built()
-    controller.pace = replace(controller.pace, task=controller.pace.task.with_input_limits([[-0.25], [0.5]]))
+    controller.setup = replace(controller.setup, task=controller.setup.task.with_input_limits([[-0.25], [0.5]]))
     save(controller, tmp_path / "c.json")
-    assert load(tmp_path / "c.json").pace.task.input_limits.tolist() == [[-0.25], [0.5]]
+    assert load(tmp_path / "c.json").setup.task.input_limits.tolist() == [[-0.25], [0.5]]
     assert "sets u in [-0.25, 0.5]" in repr(load(tmp_path / "c.json"))
     record = json.loads((tmp_path / "c.json").read_text())
     del record["task"]["input_limits"]
     (tmp_path / "c.json").write_text(json.dumps(record))
-    assert load(tmp_path / "c.json").pace.task.input_limits.tolist() == [[-1.0], [1.0]]
+    assert load(tmp_path / "c.json").setup.task.input_limits.tolist() == [[-1.0], [1.0]]
 
 
 def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middle_that_it_meant(tmp_path):
@@ -96,10 +96,10 @@ def test_a_one_sided_actuator_rests_at_its_zero_and_an_earlier_file_at_the_middl
     network(controller).layers()[-1].bias.sub_(0.17)  # about zero
     free = acts_seeing_all(controller)
     assert free.min() < -1e-3 and free.max() > 1e-3
-    free_task, inputs = controller.pace.task, torch.tensor(heated.input_limits).mT
+    free_task, inputs = controller.setup.task, torch.tensor(heated.input_limits).mT
     task = tracking(heated)
     assert torch.equal(task.input_limits, inputs) and not free_task.limited
-    controller.pace = replace(controller.pace, task=task)
+    controller.setup = replace(controller.setup, task=task)
     save(controller, tmp_path / "c.json")
     assert acts_seeing_all(load(tmp_path / "c.json")) == pytest.approx(free.clip(0.0, 1.0))
     assert load(tmp_path / "c.json").signature.own_inputs() == [
@@ -200,7 +200,7 @@ def test_a_damaged_file_costs_one_line(tmp_path, change, words):
 
 @pytest.mark.parametrize("substeps", [1, 1000])
 def test_the_fewest_and_the_most_steps_of_a_period_are_read(tmp_path, substeps):
-    assert load(damaged(tmp_path, lambda record: record["task"].update(substeps=substeps))).pace.substeps == substeps
+    assert load(damaged(tmp_path, lambda record: record["task"].update(substeps=substeps))).setup.substeps == substeps
 
 
 def test_as_many_weights_are_read_as_are_allowed_and_not_one_more(tmp_path, monkeypatch):
@@ -238,8 +238,8 @@ def test_boxes_of_outputs_of_one_unit_stay_as_they_are(tmp_path):
     # One value each, so that the errors count in the ranges of the states.
     task = Tracking(signature, Step([[0.0, 0.0]]), ("a", "b"), (), low=[0.0, 0.0], high=[0.0, 0.0])
     policy = actor(task.n_o, 1, (3,)).requires_grad_(False)
-    save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
-    found = load(tmp_path).pace.task
+    save(Controller(policy, ControlSetup(task, 0.1)), tmp_path / "controller.json")
+    found = load(tmp_path).setup.task
     assert found.boxes().tolist() == [3.0, 0.5]
     seen = found.observation(torch.zeros(2), torch.tensor([[0.3, 0, 0, 0, 0], [0.3, 0, 0, 0, 0]]), torch.zeros(1))
     assert seen[2:].tolist() == pytest.approx([0.3 / (0.5 * 3.0), 0.3 / (0.5 * 0.5)])
@@ -250,8 +250,8 @@ def test_steps_and_stops_are_kept_without_an_observer_and_with_one_open_end(tmp_
     save(controller, tmp_path / "c.json")
     record = json.loads((tmp_path / "c.json").read_text())
     assert record["task"]["stops"]["low"] == [None]
-    pace = load(tmp_path / "c.json").pace
-    assert (pace.substeps, pace.stops) == (3, Stops((0,), (1,), (-math.inf,), (0.6,)))
+    setup = load(tmp_path / "c.json").setup
+    assert (setup.substeps, setup.stops) == (3, Stops((0,), (1,), (-math.inf,), (0.6,)))
 
 
 def test_no_network_is_built_before_its_weights_are_there(tmp_path, monkeypatch):
@@ -277,12 +277,12 @@ def test_no_network_is_built_before_its_weights_are_there(tmp_path, monkeypatch)
 def test_the_targets_of_the_plan_are_kept_and_a_file_that_has_none_is_read(tmp_path):
     controller, path = built(), tmp_path / "controller.json"
     save(controller, path)
-    assert load(path).pace.task.ends == ((-0.5,), (1.3,))
+    assert load(path).setup.task.ends == ((-0.5,), (1.3,))
     record = json.loads(path.read_text())
     del record["task"]["targets"]
     path.write_text(json.dumps(record))
     old = load(path)
-    assert old.pace.task.ends is None and old.targets_in_words() == []
+    assert old.setup.task.ends is None and old.targets_in_words() == []
     np.testing.assert_array_equal(acts(old), acts(controller))
     record["task"]["targets"] = [[None], [1.3]]
     path.write_text(json.dumps(record))

@@ -318,7 +318,7 @@ def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_
         again.finish({})
         assert (folder / "controller.json").is_file() is wanted
     saved = load(folder)
-    assert (saved.dt, saved.pace.substeps, saved.pace.stops) == (0.05, parts.plant.substeps, Tras().stops)
+    assert (saved.dt, saved.setup.substeps, saved.setup.stops) == (0.05, parts.plant.substeps, Tras().stops)
     rollout = parts.env.rollout(3)
     acted = parts.agent.deployed(rollout[2].select("observation"))["action"]
     found = saved.act(rollout["state"][2].tolist(), rollout["reference"][2].tolist())

@@ -1,4 +1,4 @@
-"""Recordings of simulated plants follow the plant's pace, hold what falls, and have the noise of sensors."""
+"""Recordings of simulated plants follow the plant's setup, hold what falls, and have the noise of sensors."""
 
 from functools import partial
 

@@ -5,7 +5,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
@@ -55,15 +55,15 @@ def pendulum_controller(
     )
     if ends is not None:
         task = task.with_input_limits(ends)
-    pace = Pace(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
+    setup = ControlSetup(task, 0.04, 3, Stops((0,), (1,), (-0.6,), (0.25,)) if stops else None)
     if not observer:
-        return Controller(policy_of(task), pace, None, integral)
+        return Controller(policy_of(task), setup, None, integral)
     sensors = Sensors(
         {angle: {"resolution": 0.01, "noise": 0.002}}, rates={angle: rate}, delay=1, disturbance=disturbance
     )
-    watching = Observer(model_of(signature, delay, step), sensors, pace)
+    watching = Observer(model_of(signature, delay, step), sensors, setup)
     watching.load_state_dict({"process_noise": [0.013, 0.021, 0.4][: 2 + disturbance], "nis": 1.1})
-    return Controller(policy_of(task), pace, watching, integral)
+    return Controller(policy_of(task), setup, watching, integral)
 
 
 def oven_controller(pushed=True):
@@ -74,17 +74,17 @@ def oven_controller(pushed=True):
     table = [[0.16, 0.0], [-0.002, 0.0], [0.12, 0.0], [-0.003, 1 / 360]]
     model.set_coefficients(torch.tensor(table, dtype=torch.float64))
     task = Tracking(signature, Step([[70.0]]), ("T",), (), TrackingReward((1.0,)), low=[50.0], high=[90.0])
-    pace = Pace(task, 5.0, 2)
-    watching = Observer(model, Sensors({"T": {"resolution": 0.1, "noise": 0.05}}, disturbance=pushed), pace)
+    setup = ControlSetup(task, 5.0, 2)
+    watching = Observer(model, Sensors({"T": {"resolution": 0.1, "noise": 0.05}}, disturbance=pushed), setup)
     watching.load_state_dict({"process_noise": [0.002, 0.002, 0.001][: 2 + pushed], "nis": 1.0})
-    return Controller(policy_of(task), pace, watching, {"gain": 0.5})
+    return Controller(policy_of(task), setup, watching, {"gain": 0.5})
 
 
 def rotor_controller(integral=None, delay=0.03, damped=("Omega_a", "Omega_p")):
     """Return a controller of two rotors on a beam, of which angles and rotor speeds are measured."""
     signature = Tras().signature
     task = Tracking(signature, Step([[0.0, 0.0]]), rates=damped, reward=TrackingReward((1.0, 1.0)))
-    pace = Pace(task, 0.05, 2, Tras().stops)
+    setup = ControlSetup(task, 0.05, 2, Tras().stops)
     model = SindyModel(signature, rotor(signature))
     with torch.random.fork_rng():
         torch.manual_seed(5)
@@ -96,9 +96,9 @@ def rotor_controller(integral=None, delay=0.03, damped=("Omega_a", "Omega_p")):
     channels = {"alpha_a": {"resolution": 0.0015}, "alpha_p": {"resolution": 0.0015}}
     channels |= {name: {"noise": 30.0} for name in ("omega_a", "omega_p")}
     rates = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
-    observer = Observer(model, Sensors(channels, rates=rates, disturbance=True), pace)
+    observer = Observer(model, Sensors(channels, rates=rates, disturbance=True), setup)
     observer.load_state_dict({"process_noise": [0.01] * 6 + [0.05] * 2, "nis": 1.0})
-    return Controller(policy_of(task, (24, 16), 2), pace, observer, integral)
+    return Controller(policy_of(task, (24, 16), 2), setup, observer, integral)
 
 
 @pytest.fixture

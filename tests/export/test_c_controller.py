@@ -12,7 +12,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
 from dynasindy.export import controller_sources
 from dynasindy.export.compiler import Native
@@ -107,7 +107,7 @@ def test_an_output_without_a_rate_beside_one_with_a_rate_is_flown_as_in_python(r
     mixed, whole = rotors(integral, damped=["Omega_a", None]), rotors(integral)
     save(mixed, tmp_path / "controller.json")
     read = load(tmp_path / "controller.json")
-    assert read.pace.task.rate_names == ["Omega_a", None]
+    assert read.setup.task.rate_names == ["Omega_a", None]
     assert difference(read, Tras(), 2) < 1e-6
     assert apart(whole, Native(controller_sources(mixed)).act, Tras(), 2) > 1e-4
 
@@ -192,7 +192,7 @@ def test_outputs_of_one_unit_have_each_their_own_box_after_save_and_load(tmp_pat
     for layer, weight in zip(policy.module.layers(), (torch.eye(4), torch.eye(4)[2:]), strict=True):
         layer.weight.copy_(weight)  # u = tanh(error / (0.5 box)) for errors > 0
         layer.bias.zero_()
-    save(Controller(policy, Pace(task, 0.1)), tmp_path / "controller.json")
+    save(Controller(policy, ControlSetup(task, 0.1)), tmp_path / "controller.json")
     found = Native(controller_sources(load(tmp_path))).act([0.0, 0.0], [0.3, 0.2])
     np.testing.assert_allclose(found, [math.tanh(0.3 / 1.5), math.tanh(0.2 / 0.25)], atol=1e-6)
 
@@ -297,7 +297,7 @@ def test_the_header_tells_the_targets_of_the_plan_where_they_are_known():
         ({}, "r: references"),
     ):
         task = Tracking(signature, Step([[9.0]]), ("h",), ("v",), TrackingReward((1.0,)), **ends)
-        controller = Controller(actor(task.n_o, 1, (4,)).requires_grad_(False), Pace(task, 0.1))
+        controller = Controller(actor(task.n_o, 1, (4,)).requires_grad_(False), ControlSetup(task, 0.1))
         assert f" * {line}\n" in controller_sources(controller).header
 
 
@@ -309,7 +309,7 @@ def test_the_header_says_once_between_which_ends_an_input_is(pendulum, limits, n
     signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0), [[-12, 12]], limits, ["V"])
     controller = pendulum(signature=signature)
     if narrower is not None:
-        controller.pace.task.input_limits = torch.tensor(narrower)
+        controller.setup.task.input_limits = torch.tensor(narrower)
     header = controller_sources(controller).header
     assert header.count(f"0  u [-], from {said}\n") == 1 and "[-1, 1]" not in header and "[0, 1]" not in header
     assert header.count("the plant's u is 12 V times the controller's") == 1

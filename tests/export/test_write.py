@@ -70,7 +70,7 @@ def test_without_an_observer_the_plant_keeps_its_stops_and_its_steps(
     pendulum, pendulum_model, tmp_path, dt, substeps, step
 ):
     controller = pendulum(observer=False)
-    controller.pace.dt, controller.pace.substeps = dt, substeps
+    controller.setup.dt, controller.setup.substeps = dt, substeps
     save(controller, tmp_path / "controller.json")
     pendulum_model().save(tmp_path / "model.json")
     what = Exported.read(tmp_path)

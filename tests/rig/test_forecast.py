@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModule
 
 from dynasindy import Controller
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.rig.session import forecast_flight
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
@@ -24,7 +24,7 @@ def flown(decay, targets):
     model.set_coefficients(torch.tensor([[decay], [2.0]]))
     task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
     policy = TensorDictModule(lambda params: params[..., 0, :1].float(), ["task_params"], ["action"])
-    return forecast_flight(Controller(policy, Pace(task, DT)), model, [[target] for target in targets], 2.0)
+    return forecast_flight(Controller(policy, ControlSetup(task, DT)), model, [[target] for target in targets], 2.0)
 
 
 def test_the_error_is_that_of_the_last_half_of_each_step():

@@ -12,7 +12,7 @@ import torch
 
 from dynasindy import Controller, load, workbench
 from dynasindy.agents.networks import actor
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.evaluation.identification import Logged
 from dynasindy.excitation import Multisine
 from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
@@ -74,12 +74,12 @@ def test_a_controller_of_another_plant_is_refused_before_anything_moves(session)
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     policy = actor(task.n_o, 1, (4,))
     with pytest.raises(ValueError, match=r"a period of 0\.02 s, the rig 0\.05 s"):
-        session.fly(Controller(policy, Pace(task, 0.02)), [[0.1]], 1.0)
+        session.fly(Controller(policy, ControlSetup(task, 0.02)), [[0.1]], 1.0)
     with pytest.raises(ValueError, match="reads Omega, which the rig does not measure"):
-        session.fly(Controller(policy, Pace(task, 0.05)), [[0.1]], 1.0)
+        session.fly(Controller(policy, ControlSetup(task, 0.05)), [[0.1]], 1.0)
     session.wiring = replace(session.wiring, signature=replace(signature, input_names=("torque",)))
     with pytest.raises(ValueError, match="the rig has theta, Omega and torque"):
-        session.fly(Controller(policy, Pace(task, 0.05)), [[0.1]], 1.0)
+        session.fly(Controller(policy, ControlSetup(task, 0.05)), [[0.1]], 1.0)
     assert not session.flights
 
 
@@ -90,7 +90,7 @@ def test_units_of_inputs_are_told_before_a_flight(session, ends, lines):
     session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
     signature = replace(session.wiring.signature, input_ends=ends)
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
+    session.fly(Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)), [[0.1]], 0.1)
     begun = told.index("flight 1: 0.1 s")
     assert begun == lines and all("u is 6 + 6 times the controller's" in line for line in told[:begun])
 
@@ -248,9 +248,9 @@ def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_
     )
     whole.tell = told.append
     for _ in range(2):
-        whole.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
+        whole.fly(Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)), [[0.1]], 0.1)
     again = replace(whole, flights={}, shown={})
-    again.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 0.1)
+    again.fly(Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)), [[0.1]], 0.1)
     assert [path.name for path in again.logs("flight")] == ["flight_1.csv", "flight_2.csv", "flight_3.csv"]
 
 
@@ -299,7 +299,7 @@ def test_a_controller_in_other_units_is_refused_before_anything_moves(session, m
         replace(signature, **theirs), RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,))
     )
     with pytest.raises(ValueError, match=message):
-        session.fly(Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)), [[0.1]], 1.0)
+        session.fly(Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)), [[0.1]], 1.0)
     assert not session.flights
 
 
@@ -308,7 +308,7 @@ def test_only_the_controller_that_was_planned_on_the_model_is_forecast(session, 
     session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
     signature = session.wiring.signature
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    mine, given = (Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05)) for _ in range(2))
+    mine, given = (Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)) for _ in range(2))
     asked = []
     monkeypatch.setattr("dynasindy.rig.session.forecast_flight", lambda *given: asked.append(given) or "ahead")
     session.model, session.learnt = SindyModel(signature, "polynomial"), mine
@@ -351,7 +351,7 @@ def failing_forecast(tmp_path, monkeypatch, error):
     rig = InProcessRig(model, clock=FastClock())
     session = Session(rig, Wiring(signature, (True,), 0.05), Guard(), tmp_path, told.append, rig.clock, model=model)
     task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
-    session.learnt = Controller(actor(task.n_o, 1, (4,)), Pace(task, 0.05))
+    session.learnt = Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05))
 
     def failing(*_):
         raise error

@@ -13,7 +13,7 @@ import torch
 
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, save
-from dynasindy.control.controller import Pace
+from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -29,7 +29,7 @@ def run_folder(folder, spring):
     policy = actor(task.n_o, 1, (4,)).requires_grad_(False)
     for weight in policy.parameters():
         weight *= 1e-3
-    save(Controller(policy, Pace(task, 0.1)), folder / "controller.json")
+    save(Controller(policy, ControlSetup(task, 0.1)), folder / "controller.json")
     model = SindyModel(signature, ["force", "v", "p"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -spring]]))
     model.save(folder / "model.json")
