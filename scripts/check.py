@@ -9,7 +9,7 @@ from admitted import read_config
 from command import command
 from omegaconf import DictConfig, OmegaConf
 
-from dynasindy.dyna.stopped import Stopped
+from dynasindy.dyna import Stopped
 from dynasindy.safe_io import output_folder, reading
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from places import as_text, complete, require_writable
 from reader import while_read
 
 import dynasindy
-from dynasindy.dyna.stopped import Stopped
+from dynasindy.dyna import Stopped
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import LinkError, write_text
 

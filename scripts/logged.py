@@ -17,8 +17,8 @@ from loaded import loaded
 from next_steps import following, mending, planning_on
 from omegaconf import DictConfig, OmegaConf
 
+from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
-from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.period import PERIOD, nearest_period, sampled_in_words, suited_period
 from dynasindy.evaluation.quiet import quiet_targets

@@ -11,7 +11,7 @@ from hydra.utils import instantiate
 from next_steps import after_flights
 from omegaconf import DictConfig, OmegaConf
 
-from dynasindy.dyna.stopped import Stopped
+from dynasindy.dyna import Stopped
 
 if TYPE_CHECKING:
     from dynasindy.rig.session import Session

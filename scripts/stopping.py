@@ -28,7 +28,7 @@ def listen(handler: signal.Handlers | object) -> None:
 listen(leave)
 
 
-from dynasindy.dyna.stopped import Stopped  # noqa: E402 - after the line above
+from dynasindy.dyna import Stopped  # noqa: E402 - after the line above
 
 
 def stop(number: int, frame: FrameType | None) -> None:

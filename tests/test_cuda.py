@@ -9,11 +9,11 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.dyna import Stopped
+from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.parts import Settings
 from dynasindy.dyna.run import Evaluating, Provenance, run
-from dynasindy.dyna.stopped import Stopped
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -64,7 +64,7 @@ def recipe(planning, where="cpu", model=SindyModel, system=Xi, **agent):
         replay=partial(DynaReplay, 500, 64, 0.5),
         planning=PLANNERS[planning],
         gate=Gate(),
-        train=Settings(2, 0.5, held_out=0),
+        train=LoopSettings(2, 0.5, held_out=0),
         seed=3,
         device=where,
     )

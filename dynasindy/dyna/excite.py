@@ -6,11 +6,11 @@ where episodes do, with the rest of the signal. From then on the signal lies on 
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-of a linear model, fitted to the tries so far near the start x_0 (`dynasindy.dyna.nearby`). A gain K that the user gives
-(`excitation.gain`) is there from the first period on and stays. Each try that leaves the limits all the same halves the
-strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place that is held
-is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value of it is a
-rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
+of a linear model, fitted to the tries so far near the start x_0 (`dynasindy.dyna.local_model`). A gain K that the user
+gives (`excitation.gain`) is there from the first period on and stays. Each try that leaves the limits all the same
+halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place
+that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value
+of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from dynasindy.data.recording import measured
-from dynasindy.dyna.nearby import Nearby, nearby
-from dynasindy.dyna.parts import Bench, Parts
+from dynasindy.dyna.components import Components, PlantComponents
+from dynasindy.dyna.local_model import LocalModel, fit_local_model
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.planning.linear_model import zero_order_hold
@@ -50,7 +50,7 @@ LOOKED_AT = 100
 """Control periods, at least, that are simulated again in shorter steps."""
 
 
-def excite(parts: Bench, pilot: Loop | None = None) -> TensorDict:
+def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> TensorDict:
     """Return the excitation's control periods on the real system, try after try, `(T,)`.
 
     Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, has one
@@ -61,10 +61,10 @@ def excite(parts: Bench, pilot: Loop | None = None) -> TensorDict:
         pilot: The signal with the regulator under it that an earlier excitation found; the signal alone if omitted.
     """
     report_progress("excitation")
-    pilot, steps = pilot or Loop(parts.excitation), parts.excitation.n_steps
+    pilot, steps = pilot or RegulatedExcitation(parts.excitation), parts.excitation.n_steps
     if not parts.plant.begins_anew:
         return interact(parts.env, pilot, steps)
-    low, high = limits(parts)
+    low, high = excitation_limits(parts)
     tries: list[TensorDict] = []
     while (done := sum(len(rows) for rows in tries)) < steps:
         pilot.begun = done
@@ -80,7 +80,7 @@ def excite(parts: Bench, pilot: Loop | None = None) -> TensorDict:
     return torch.cat(tries)
 
 
-def limits(parts: Bench) -> tuple[Tensor, Tensor]:
+def excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
     """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
     scale, task = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64), parts.plant.task
     if not isinstance(task, Tracking):
@@ -92,7 +92,7 @@ def limits(parts: Bench) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def restarts(parts: Bench, rows: TensorDict) -> str:
+def restarts(parts: PlantComponents, rows: TensorDict) -> str:
     """Say in one line how often the excitation began anew, and where; empty if it never did.
 
     Args:
@@ -102,7 +102,7 @@ def restarts(parts: Bench, rows: TensorDict) -> str:
     ends = (rows["step_count"][1:, 0] == 0).nonzero().flatten()
     if not len(ends):
         return ""
-    (low, high), signature = limits(parts), parts.plant.system.signature
+    (low, high), signature = excitation_limits(parts), parts.plant.system.signature
     last = rows["next", "state"][ends]
     units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), strict=True)
     why = [
@@ -193,12 +193,12 @@ def interact(
         return torch.stack(rows).contiguous()
 
 
-def explore(parts: Parts) -> TensorDict:
+def explore(parts: Components) -> TensorDict:
     """Let the agent explore on the real system for an episode, `(T,)`."""
     return interact(parts.env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
 
 
-class Loop:
+class RegulatedExcitation:
     """The signal, and the regulator under it once there is one.
 
     Attributes:
@@ -243,14 +243,14 @@ class Loop:
         turn = torch.sin(2 * math.pi * turns)
         return torch.minimum(torch.maximum(self.home + far * turn, self.ends[0]), self.ends[1])
 
-    def close(self, rows: TensorDict, parts: Bench) -> None:
+    def close(self, rows: TensorDict, parts: PlantComponents) -> None:
         """Fit a linear model to what was seen and regulate it; the loop stays as it is where nothing holds the model.
 
         Args:
             rows: The tries so far, `(T,)`.
             parts: The plant, its period and the ranges of its states.
         """
-        found = nearby(rows, parts)
+        found = fit_local_model(rows, parts)
         if found is None:
             return
         if self.signal.gain is None and not self._regulates(found, parts):
@@ -261,7 +261,7 @@ class Loop:
             parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])
             self.ends = _free_ends(found, parts)
 
-    def _regulates(self, found: Nearby, parts: Bench) -> bool:
+    def _regulates(self, found: LocalModel, parts: PlantComponents) -> bool:
         """Take the regulator of a linear model, and return whether there is one."""
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
         solved = riccati(*zero_order_hold(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
@@ -273,14 +273,14 @@ class Loop:
         return True
 
 
-def _free_ends(found: Nearby, parts: Bench) -> Tensor:
+def _free_ends(found: LocalModel, parts: PlantComponents) -> Tensor:
     """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
     ends, task = found.home.repeat(2, 1), parts.plant.task
     if not isinstance(task, Tracking):
         return ends
     drawn = task.sample(torch.Size((DRAWN,)), torch.Generator().manual_seed(0))
     targets = task.reference(drawn, torch.zeros(DRAWN, 1)).double()
-    low, high = limits(parts)
+    low, high = excitation_limits(parts)
     for place, values in zip(task.outputs, targets.unbind(-1), strict=True):
         if not bool(found.a[:, place].any()):
             home = found.home[place]

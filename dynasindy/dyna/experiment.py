@@ -9,7 +9,7 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import MEASURED_KEYS, DynaReplay
-from dynasindy.dyna.parts import Parts, Settings, seen
+from dynasindy.dyna.components import Components, LoopSettings, sensed_environment
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import check_memory
@@ -50,12 +50,12 @@ class Recipe:
     replay: Callable[..., DynaReplay]
     planning: Callable[..., Planner]
     gate: Gate
-    train: Settings
+    train: LoopSettings
     sensors: Sensors | None = None
     seed: int = 0
     device: str = "cpu"
 
-    def build(self) -> Parts:
+    def build(self) -> Components:
         """Build the parts; nothing is written and no step is taken.
 
         Raises:
@@ -82,9 +82,9 @@ class Recipe:
                 f"an excitation of {excitation.n_steps * plant.dt:g} s does not fit into an episode of "
                 f"{plant.task.max_steps * plant.dt:g} s; shorten excitation.duration or raise task.max_steps"
             )
-        return Parts(
+        return Components(
             plant=plant,
-            env=seen(plant, model_env, sensing),
+            env=sensed_environment(plant, model_env, sensing),
             model_env=model_env,
             excitation=excitation,
             world_model=world_model,

@@ -15,14 +15,16 @@ from __future__ import annotations
 from tensordict.nn import TensorDictModuleBase
 
 from dynasindy.dyna.callback import Callback, Episode, Place
+from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.excite import excite, explore
-from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.dyna.refit import first_fit, refit
 from dynasindy.planning import replay_error
 from dynasindy.progress import report_progress, track
 
 
-def train(parts: Parts, settings: Settings, callback: Callback, place: Place | None = None) -> TensorDictModuleBase:
+def train(
+    parts: Components, settings: LoopSettings, callback: Callback, place: Place | None = None
+) -> TensorDictModuleBase:
     """Run Algorithm 1.
 
     Args:

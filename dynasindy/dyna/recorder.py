@@ -23,9 +23,9 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode
+from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import coarse, left_out, restarts
-from dynasindy.dyna.parts import Parts
-from dynasindy.dyna.verdict import distrusted, judge
+from dynasindy.dyna.verdict import distrusted, judge_run
 from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.held import WITHIN, Held, held
@@ -85,7 +85,7 @@ class Recorder(Callback):
     def __init__(
         self,
         folder: Path,
-        parts: Parts,
+        parts: Components,
         scenario: Scenario,
         every: int,
         episodes: int,
@@ -203,7 +203,7 @@ class Recorder(Callback):
         if self.parts.sensing is not None:
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
-        metrics["verdict"] = asdict(judge(metrics, self.within))
+        metrics["verdict"] = asdict(judge_run(metrics, self.within))
         self._write_rollout("step_response", final.trajectory[shown.row], last=True)
         self.parts.world_model.save(self.folder / "model.json")
         with replace_file(self.folder / "policy.pt") as file:

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.data.recording import Logged, measured, transitions
-from dynasindy.dyna.parts import Parts, Settings
+from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
 from dynasindy.sindy import WorldModel
@@ -45,7 +45,7 @@ class Refit:
     error: ModelError
 
 
-def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> object:
+def fit(parts: Components, settings: LoopSettings, held_out: Tensor | None = None) -> object:
     """Fit the world model to the recent real transitions and return its report.
 
     Args:
@@ -71,7 +71,7 @@ def fit(parts: Parts, settings: Settings, held_out: Tensor | None = None) -> obj
     return report
 
 
-def _added(parts: Parts, data: Transitions) -> object:
+def _added(parts: Components, data: Transitions) -> object:
     """Fit the world model to its earlier data and to new transitions, and return its report.
 
     Raises:
@@ -83,7 +83,7 @@ def _added(parts: Parts, data: Transitions) -> object:
     return report
 
 
-def _adds(parts: Parts, settings: Settings) -> bool:
+def _adds(parts: Components, settings: LoopSettings) -> bool:
     """Return whether the fit to all real data may be had at the cost of the newest ones."""
     real, learns = parts.replay.real, parts.plant.task.learns  # a reward is told by all data
     kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
@@ -100,7 +100,7 @@ def _require_finite(model: WorldModel, count: int) -> None:
             )
 
 
-def first_fit(parts: Parts, settings: Settings, newest: TensorDictBase) -> object:
+def first_fit(parts: Components, settings: LoopSettings, newest: TensorDictBase) -> object:
     """Fit the world model to all that counts as recent, let the observer rely on it, and return its report.
 
     Args:
@@ -116,7 +116,7 @@ def first_fit(parts: Parts, settings: Settings, newest: TensorDictBase) -> objec
     return report
 
 
-def refit(parts: Parts, settings: Settings, rollout: TensorDictBase) -> Refit:
+def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) -> Refit:
     """Fit the world model anew, and go back to the earlier one if that predicts held-out windows better.
 
     Neither model has seen the windows, which lie in the newest episode; the next refit reads them.
@@ -178,7 +178,7 @@ def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
     return rollout.copy().set("action", torch.lerp(now, before, later - whole))
 
 
-def _observe(parts: Parts, newest: TensorDictBase) -> None:
+def _observe(parts: Components, newest: TensorDictBase) -> None:
     """Adapt the observer, if there is one, to the model as it is on the newest real episode, and estimate that anew.
 
     If the fit found that inputs act late, where states are seen as they are, there is an observer from now on.

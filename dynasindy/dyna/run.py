@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from dynasindy.dyna import Stopped
 from dynasindy.dyna.callback import Callbacks, Place, RunProgress
 from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
-from dynasindy.dyna.stopped import Stopped
 from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
@@ -25,7 +25,7 @@ from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
 
 
-class Kept(Protocol):
+class Stateful(Protocol):
     """What a checkpoint holds a state of."""
 
     def state_dict(self) -> dict[str, Any]:
@@ -133,7 +133,7 @@ def run(
         evaluating.within,
         evaluating.tensorboard,
     )
-    kept: dict[str, Kept] = {"place": place, "parts": parts, "recorder": recorder}
+    kept: dict[str, Stateful] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         refuse_links(folder)
         check_settings(folder, provenance.settings)
@@ -174,7 +174,7 @@ def _begin(folder: Path, provenance: Provenance, recorder: Recorder) -> None:
     recorder.begin()
 
 
-def _restore(kept: Mapping[str, Kept], state: Mapping[str, Any], folder: Path) -> None:
+def _restore(kept: Mapping[str, Stateful], state: Mapping[str, Any], folder: Path) -> None:
     """Bring the parts of a run back to a saved state.
 
     Raises:

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from dynasindy.data.recording import transitions
 from dynasindy.data.simulated import before_leaving, disturb, observed, record
-from dynasindy.dyna.excite import Loop, excite, left_out, restarts
-from dynasindy.dyna.parts import Bench
+from dynasindy.dyna.components import PlantComponents
+from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restarts
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.identification import ExcitationBuilder
 from dynasindy.evaluation.source import Source
@@ -177,7 +177,7 @@ class Simulated:
         self, system: System, signal: Excitation, unseen: Excitation
     ) -> tuple[Transitions, Transitions, list[str]]:
         """Record a plant that may not stay by itself as training does."""
-        pilot, notes, parts = Loop(signal), [], []
+        pilot, notes, parts = RegulatedExcitation(signal), [], []
         for k, moved in enumerate((signal, unseen)):
             bench = self._bench(system, moved, self.seed + k)
             pilot.signal = moved
@@ -187,7 +187,7 @@ class Simulated:
             parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
         return parts[0], parts[1], notes
 
-    def _bench(self, system: System, signal: Excitation, seed: int) -> Bench:
+    def _bench(self, system: System, signal: Excitation, seed: int) -> PlantComponents:
         """Return the plant of which nothing is wanted but that it moves."""
         signature = system.signature
         task = Tracking(
@@ -202,7 +202,7 @@ class Simulated:
         )
         steps = self._samples_in(signal.dt) * self.substeps
         plant = ControlEnv(system, task, signal.dt, steps, dtype=torch.float64, seed=seed)
-        return Bench(plant=plant, env=plant, excitation=signal)
+        return PlantComponents(plant=plant, env=plant, excitation=signal)
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:
         """Return the states in which recordings begin, `(*batch, n_x)`."""

@@ -31,7 +31,7 @@ class Verdict:
     held: str = ""
 
 
-def judge(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
+def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
     """Compare the trained policy with the untrained one, and with what was asked for, in the scenario of both.
 
     Args:

@@ -23,8 +23,8 @@ from benchmarks import gradient
 from benchmarks.gradient import PLANTS
 from benchmarks.stopwatch import Timed
 from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.components import Components
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.parts import Parts
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.evaluation.statistics import interquartile_mean
@@ -93,7 +93,7 @@ def prepare(plant: str, controller: str, oracle: bool, seed: int) -> tuple[Contr
 
 
 @lru_cache(maxsize=1)
-def _parts(plant: str, oracle: bool, seed: int, learned: bool) -> Parts:
+def _parts(plant: str, oracle: bool, seed: int, learned: bool) -> Components:
     """Return a plant with its model identified, unless it is the plant, and with its policy planned if asked for."""
     case = replace(gradient.CASES["moving"], oracle=oracle)
     recipe = gradient.build_recipe(case, plant, seed, {} if learned else {"updates": 0})
@@ -201,7 +201,7 @@ def casadi_field(system: System, smooth: bool) -> Callable[[Any, Any], list[Any]
     return _field
 
 
-CONTROLLERS: dict[str, Callable[[Parts], Policy]] = {
+CONTROLLERS: dict[str, Callable[[Components], Policy]] = {
     LEARNED[0]: lambda parts: parts.agent.deployed,
     LEARNED[1]: lambda parts: IntegralAction(parts.agent.deployed, parts.plant),
     "LQI, python-control": lambda parts: Lqi(parts.world_model, parts.plant.dt),

@@ -23,9 +23,9 @@ from benchmarks.unseen_situations import following, holding
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.metrics import STEADY_SECONDS
@@ -222,7 +222,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
         planning=partial(GradientPlanning, **{**_planning(case), **planning}),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
-        train=Settings(episodes=case.episodes, updates_per_step=0),
+        train=LoopSettings(episodes=case.episodes, updates_per_step=0),
         sensors=case.sensors,
         seed=seed,
     )
@@ -243,7 +243,7 @@ def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:
     )
 
 
-def judge(case: Case, plant: str, parts: Parts, seed: int) -> Iterable[tuple[str, str, Row]]:
+def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tuple[str, str, Row]]:
     """Yield scenario, metric and numbers of the policy on the real plant."""
     facts = PLANTS[plant]
     if case.unseen:

@@ -8,7 +8,16 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.data.recording import transitions
-from dynasindy.dyna.excite import Loop, coarse, excite, interact, left_out, limits, restarts, within
+from dynasindy.dyna.excite import (
+    RegulatedExcitation,
+    coarse,
+    excitation_limits,
+    excite,
+    interact,
+    left_out,
+    restarts,
+    within,
+)
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
 from dynasindy.sensing import Observer, Sensing, Sensors
@@ -120,10 +129,10 @@ def test_a_plant_that_falls_leaves_more_slowly_and_is_moved_less_again_after_eac
 
 @pytest.mark.parametrize(("first", "far"), [(1.0, (10.0, 30.0)), (0.5, (3.0, 9.0))])
 def test_a_plant_that_may_not_stay_is_followed_three_ranges_from_its_start_without_bounds(first, far):
-    low, high = limits(parts(Inverted(), careful={"first": first}))
+    low, high = excitation_limits(parts(Inverted(), careful={"first": first}))
     assert low.tolist() == [-far[0], -far[1]] and high.tolist() == [*far]
     begun = parts(Inverted(), careful={"first": first}, start={"theta": [0.5, 0.7]}, bounds={"Omega": 5.0})
-    low, high = limits(begun)
+    low, high = excitation_limits(begun)
     shift = (0.5, 0.7) if first < 1 else (0.0, 0.0)
     assert low.tolist() == pytest.approx([shift[0] - far[0], -5.0])
     assert high.tolist() == pytest.approx([shift[1] + far[0], 5.0])
@@ -144,8 +153,10 @@ def test_under_a_gain_that_is_given_a_plant_that_falls_stays_from_the_first_peri
 
 def test_a_gain_that_does_not_hold_stays_and_the_signal_becomes_weaker(monkeypatch):
     strengths = []
-    close = Loop.close
-    monkeypatch.setattr(Loop, "close", lambda pilot, *words: (strengths.append(pilot.strength), close(pilot, *words)))
+    close = RegulatedExcitation.close
+    monkeypatch.setattr(
+        RegulatedExcitation, "close", lambda pilot, *words: (strengths.append(pilot.strength), close(pilot, *words))
+    )
     wrong = [[-1.0, 0.0]]
     excite(parts(Inverted(), duration=4.0, bounds={"theta": 0.5}, careful={"gain": wrong}))
     assert len(strengths) > 2 and strengths == [0.5**k for k in range(len(strengths))]
@@ -182,7 +193,7 @@ def test_behind_sensors_an_output_that_nothing_depends_on_is_led_between_its_tar
 
 
 def test_what_is_held_is_led_from_home_and_back_as_far_as_its_ends_and_the_strength_say():
-    pilot = Loop(Multisine(1, 10.0, 0.05, seed=1))  # 200 periods
+    pilot = RegulatedExcitation(Multisine(1, 10.0, 0.05, seed=1))  # 200 periods
     pilot.home, pilot.ends = torch.tensor([0.2, 5.0]), torch.tensor([[-0.8, 5.0], [0.7, 5.0]])
     places = pilot.led(torch.tensor([[0], [25], [50], [150]]))
     wanted = [0.2, 0.2 + 1.0 * 0.5 * math.sqrt(0.5), 0.7, -0.8]
@@ -199,7 +210,7 @@ def test_a_rig_is_excited_open_loop_as_it_stays_where_it_fell():
 
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
     experiment, torque = parts(Inverted()), 8.0
-    pilot, generator = Loop(experiment.excitation), torch.Generator().manual_seed(0)
+    pilot, generator = RegulatedExcitation(experiment.excitation), torch.Generator().manual_seed(0)
 
     def shaken(tensordict):
         return tensordict.set("action", 0.3 * torch.randn(1, generator=generator))
@@ -256,7 +267,7 @@ def test_a_plant_that_blows_up_at_once_leaves_its_one_row():
 
 def test_without_a_loop_the_signal_acts_alone_from_where_earlier_tries_left_it():
     signal = parts(Xi(), 2).excitation
-    pilot, steps = Loop(signal), TensorDict({"step_count": torch.tensor([[3], [17]])}, [2])
+    pilot, steps = RegulatedExcitation(signal), TensorDict({"step_count": torch.tensor([[3], [17]])}, [2])
     wanted = signal(steps.clone())["action"]
     assert torch.equal(pilot(steps.clone())["action"], wanted)
     pilot.begun = 14
@@ -264,7 +275,7 @@ def test_without_a_loop_the_signal_acts_alone_from_where_earlier_tries_left_it()
 
 
 def test_far_from_its_start_no_loop_is_fitted():
-    experiment, pilot = parts(Inverted()), Loop(parts(Inverted()).excitation)
+    experiment, pilot = parts(Inverted()), RegulatedExcitation(parts(Inverted()).excitation)
     far = interact(experiment.env, experiment.excitation, 6, (torch.full((2,), -9.0), torch.full((2,), 9.0)))
     far["state"][1:] += 50.0
     far["next", "state"] += 50.0
@@ -281,7 +292,7 @@ def test_no_loop_is_closed_before_there_are_two_rows_per_number_of_the_linear_mo
 
     ends = (torch.tensor([-1.0, -9.0]), torch.tensor([1.0, 9.0]))
     rows = torch.cat([interact(experiment.env, shaken, 2, ends) for _ in range(4)])  # near the start, all of them
-    few, enough = Loop(experiment.excitation), Loop(experiment.excitation)
+    few, enough = RegulatedExcitation(experiment.excitation), RegulatedExcitation(experiment.excitation)
     # An equation has four numbers: of an angle, a rate, a torque and a constant. A period has five samples.
     few.close(rows[:1], experiment)
     enough.close(rows[:2], experiment)
@@ -297,7 +308,7 @@ def test_a_plant_that_blows_up_within_one_period_is_caught_too():
 
 
 def test_an_episode_that_the_task_ends_closes_no_loop(monkeypatch):
-    monkeypatch.setattr(Loop, "close", lambda *_: pytest.fail("the loop is closed"))
+    monkeypatch.setattr(RegulatedExcitation, "close", lambda *_: pytest.fail("the loop is closed"))
     excited = excite(parts(Xi(), 2, 2.0, max_steps=15))
     assert excited["step_count"].flatten().tolist() == [*range(15), *range(15), *range(10)]
 

@@ -8,7 +8,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna import experiment
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import Settings
+from dynasindy.dyna.loop import LoopSettings
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, NoPlanning
@@ -28,7 +28,7 @@ def recipe(seed=0):
         replay=partial(DynaReplay, 1000, 16),
         planning=NoPlanning,
         gate=Gate(),
-        train=Settings(1),
+        train=LoopSettings(1),
         seed=seed,
     )
 

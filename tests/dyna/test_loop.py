@@ -10,7 +10,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import Settings, train
+from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
@@ -58,7 +58,7 @@ def recipe(planning, gate=None, seed=0, model=None, **settings):
         replay=lambda seed: DynaReplay(1000, 16, seed=seed),
         planning=lambda **parts: planning(log=log, **parts),
         gate=gate or Gate(),
-        train=Settings(**({"episodes": 2, "updates_per_step": 0.5} | settings)),
+        train=LoopSettings(**({"episodes": 2, "updates_per_step": 0.5} | settings)),
         seed=seed,
     )
 

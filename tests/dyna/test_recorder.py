@@ -16,7 +16,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.dyna import recorder as module
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import Settings, train
+from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.dyna.recorder import Recorder, _with_gaps, refitted
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
@@ -51,7 +51,7 @@ def record(folder, tensorboard=False):
         replay=partial(DynaReplay, 1000, 16),
         planning=NoPlanning,
         gate=Gate(),
-        train=Settings(3, 0.1),
+        train=LoopSettings(3, 0.1),
     )
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.data.recording import transitions
+from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.parts import Settings
 from dynasindy.dyna.refit import _acting, first_fit, fit, held_out_windows, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
@@ -51,7 +51,7 @@ def built(*factors, steps=80):
         replay=partial(DynaReplay, 200, 16),
         planning=NoPlanning,
         gate=Gate(),
-        train=Settings(1),
+        train=LoopSettings(1),
     ).build()
 
 
@@ -69,15 +69,15 @@ def setting(*factors):
 
 def test_a_worse_refit_is_rolled_back_and_a_better_one_stays():
     parts, rollout = setting(1.5, 1.2, 1.0)
-    fit(parts, Settings(1))
-    better, best = refit(parts, Settings(1), rollout), refit(parts, Settings(1), rollout)
+    fit(parts, LoopSettings(1))
+    better, best = refit(parts, LoopSettings(1), rollout), refit(parts, LoopSettings(1), rollout)
     assert better.kept and best.kept
     assert best.error.state_error == best.error_after and best.error.reward_error < better.error.reward_error
     assert best.error_after < 1e-4 < best.error_before == better.error_after < better.error_before
 
     parts, rollout = setting(1.0, 1.5)
-    fit(parts, Settings(1))
-    worse = refit(parts, Settings(1), rollout)
+    fit(parts, LoopSettings(1))
+    worse = refit(parts, LoopSettings(1), rollout)
     assert not worse.kept and worse.error_after > worse.error_before
     assert worse.error.state_error == worse.error_before  # the gate judges the model that stays
     assert parts.world_model.factor == 1.0
@@ -99,8 +99,8 @@ class Learning(Tracking):
 def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it(factor, learnt, kept):
     parts, rollout = setting(1.0, factor)
     parts.plant.task.__class__ = Learning
-    fit(parts, Settings(1))
-    result = refit(parts, Settings(1), rollout)
+    fit(parts, LoopSettings(1))
+    result = refit(parts, LoopSettings(1), rollout)
     assert (result.kept, parts.plant.task.learnt, parts.world_model.factor) == (kept, learnt, 1.0)
     starts = held_out_windows(rollout.numel(), 20, 4)
     assert result.error.reward_error == replay_error(parts.model_env, rollout, starts, 20).reward_error
@@ -108,28 +108,28 @@ def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it
 
 def test_a_refit_that_diverges_is_rolled_back():
     parts, rollout = setting(1.2, math.nan)
-    fit(parts, Settings(1))
-    result = refit(parts, Settings(1), rollout)
+    fit(parts, LoopSettings(1))
+    result = refit(parts, LoopSettings(1), rollout)
     assert not result.kept and result.error_after == math.inf
     assert parts.world_model.factor == pytest.approx(1.2)
 
 
 def test_the_held_out_windows_are_in_no_fit_before_the_next():
     parts, rollout = setting(1.0, 1.0)
-    refit(parts, Settings(1), rollout)
+    refit(parts, LoopSettings(1), rollout)
     (seen,) = parts.world_model.seen
     assert len(seen) == 60 * 5  # the last of four seconds is held out
     held = rollout["next", "state"][60:].to(seen.x_next)
     assert not (seen.x_next.unsqueeze(1) == held).all(-1).any()
-    fit(parts, Settings(1))
+    fit(parts, LoopSettings(1))
     assert len(parts.world_model.seen[1]) == 80 * 5
 
 
 def test_without_a_test_every_refit_stays():
     parts, rollout = setting(1.0, 9.0)
-    fit(parts, Settings(1))
+    fit(parts, LoopSettings(1))
     unseen = replay_error(parts.model_env, rollout)
-    result = refit(parts, Settings(1, held_out=0), rollout)
+    result = refit(parts, LoopSettings(1, held_out=0), rollout)
     assert result.error.reward_error == unseen.reward_error  # the whole episode, before the fit has read it
     assert result.kept and math.isnan(result.error_before)
     assert parts.world_model.factor == 9.0 and len(parts.world_model.seen[1]) == 80 * 5
@@ -137,7 +137,7 @@ def test_without_a_test_every_refit_stays():
 
 def test_recent_steps_and_held_out_windows_go_together():
     parts, rollout = setting(1.0)
-    refit(parts, Settings(1, recent_steps=30), rollout)
+    refit(parts, LoopSettings(1, recent_steps=30), rollout)
     assert len(parts.world_model.seen[0]) == 10 * 5
 
 
@@ -150,16 +150,16 @@ def test_every_fourth_window_is_held_out():
 @pytest.mark.parametrize("factor", [math.nan, math.inf])
 def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
     parts, _ = setting(1.0, factor)
-    assert fit(parts, Settings(1)) == "report"
+    assert fit(parts, LoopSettings(1)) == "report"
     with pytest.raises(Diverged, match=r"model learning: the fit to 80 real steps left factor .* in Scaled"):
-        fit(parts, Settings(1))
+        fit(parts, LoopSettings(1))
 
 
 def test_without_a_test_a_refit_that_is_not_finite_ends_the_phase():
     parts, rollout = setting(1.0, math.nan)
-    fit(parts, Settings(1))
+    fit(parts, LoopSettings(1))
     with pytest.raises(Diverged, match="model learning"):
-        refit(parts, Settings(1, held_out=0), rollout)
+        refit(parts, LoopSettings(1, held_out=0), rollout)
 
 
 def samples_of(rollout, steps):
@@ -180,7 +180,7 @@ def samples_of(rollout, steps):
 )
 def test_a_refit_reads_the_recent_periods_but_the_held_out_ones(recent_steps, held_out, used):
     parts, rollout = setting(1.0)
-    refit(parts, Settings(1, recent_steps=recent_steps, held_out=held_out), rollout)
+    refit(parts, LoopSettings(1, recent_steps=recent_steps, held_out=held_out), rollout)
     (seen,) = parts.world_model.seen
     ends, inputs = samples_of(rollout, used)
     assert torch.equal(seen.x_next, ends) and torch.equal(seen.u, inputs)
@@ -191,17 +191,17 @@ def test_earlier_episodes_are_read_whole():
     parts, first = setting(1.0)
     parts.plant.rng.manual_seed(5)  # other references than those of the first episode
     parts.replay.extend_real(second := interact(parts.env, parts.agent.explore, 80))
-    refit(parts, Settings(1, held_out=2), second)
+    refit(parts, LoopSettings(1, held_out=2), second)
     ends = [samples_of(first, [*range(80)])[0], samples_of(second, [*range(20), *range(40, 60)])[0]]
     assert torch.equal(parts.world_model.seen[0].x_next, torch.cat(ends))
 
 
 def test_the_errors_are_those_of_the_held_out_seconds_before_and_after():
     parts, rollout = setting(1.5, 1.2)
-    fit(parts, Settings(1))
+    fit(parts, LoopSettings(1))
     windows = torch.tensor([20, 60])  # every second of four
     before = replay_error(parts.model_env, rollout, windows, 20)
-    result = refit(parts, Settings(1, held_out=2), rollout)
+    result = refit(parts, LoopSettings(1, held_out=2), rollout)
     after = replay_error(parts.model_env, rollout, windows, 20)
     assert (result.error_before, result.error_after) == (before.state_error, after.state_error)
     assert result.error.reward_error == after.reward_error and result.report == "report"
@@ -213,10 +213,10 @@ def test_the_errors_are_those_of_the_held_out_seconds_before_and_after():
 )
 def test_a_refit_may_be_a_tenth_worse_or_off_by_what_no_plan_feels(monkeypatch, before, after, kept):
     parts, rollout = setting(2.0, 3.0)
-    fit(parts, Settings(1))
+    fit(parts, LoopSettings(1))
     errors = iter([ModelError(0.1, before, torch.zeros(0)), ModelError(0.2, after, torch.zeros(0))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *_: next(errors))
-    result = refit(parts, Settings(1), rollout)
+    result = refit(parts, LoopSettings(1), rollout)
     assert result.kept == kept and parts.world_model.factor == (3.0 if kept else 2.0)
     assert result.error.reward_error == (0.2 if kept else 0.1)
 
@@ -257,20 +257,20 @@ def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
             replay=partial(DynaReplay, 2000, 16),
             planning=NoPlanning,
             gate=Gate(),
-            train=Settings(3),
+            train=LoopSettings(3),
         ).build()
         return parts
 
     parts = _model()
     excited = interact(parts.env, parts.excitation, 100)
     parts.replay.extend_real(excited)
-    first_fit(parts, Settings(3), excited)
+    first_fit(parts, LoopSettings(3), excited)
     assert parts.world_model.additive
     rows = [excited]
     for _ in range(3):
         rollout = interact(parts.env, parts.agent.explore, 160)
         parts.replay.extend_real(rollout)
-        found = refit(parts, Settings(3), rollout)
+        found = refit(parts, LoopSettings(3), rollout)
         held_out = torch.zeros(160, dtype=torch.bool)
         for start in held_out_windows(160, 20, 4).tolist():
             held_out[start : start + 20] = True
@@ -288,12 +288,12 @@ def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     parts = replace(parts, world_model=model, model_env=parts.plant.with_model(model, torch.float32))
     excited = interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(excited)
-    first_fit(parts, Settings(1), excited)
+    first_fit(parts, LoopSettings(1), excited)
     kept, before = model.coefficients.clone(), model.sums.count
     errors = iter([ModelError(0.0, 1e-3, torch.zeros(1, 6)), ModelError(0.0, 1.0, torch.zeros(1, 6))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *given: next(errors))
     rollout = interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(rollout)
-    assert not refit(parts, Settings(1), rollout).kept
+    assert not refit(parts, LoopSettings(1), rollout).kept
     assert torch.equal(model.coefficients, kept)
     assert model.sums.count == before + len(transitions(rollout, parts.model_env.log_dt))

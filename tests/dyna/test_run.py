@@ -9,10 +9,10 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
+from dynasindy.dyna import Stopped
+from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.parts import Settings
 from dynasindy.dyna.run import Evaluating, Provenance, Saving, report, run
-from dynasindy.dyna.stopped import Stopped
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -63,7 +63,7 @@ def recipe(planning, episodes=3):
         replay=partial(DynaReplay, 60, 16, 0.5, model_capacity=30),  # both rings turn over
         planning=planning,
         gate=Gate(),
-        train=Settings(episodes, 0.2, held_out=2),
+        train=LoopSettings(episodes, 0.2, held_out=2),
         seed=3,
     )
 

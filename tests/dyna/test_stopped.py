@@ -1,7 +1,7 @@
 import pickle
 import signal
 
-from dynasindy.dyna.stopped import Stopped
+from dynasindy.dyna import Stopped
 
 
 def test_what_a_worker_was_stopped_by_reaches_the_process_that_started_it():

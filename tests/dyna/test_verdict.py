@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import pytest
 
-from dynasindy.dyna.verdict import distrusted, judge
+from dynasindy.dyna.verdict import distrusted, judge_run
 
 HELD = {"share": {"x": 0.004}, "worst": {"x": 0.02}, "away": {}, "idle": {}}
 
@@ -28,7 +28,7 @@ def metrics(untrained, trained, **held):
     ],
 )
 def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, trained, usable, words):
-    verdict = judge(metrics(untrained, trained))
+    verdict = judge_run(metrics(untrained, trained))
     assert verdict.usable is usable
     assert re.search(words, verdict.sentence)
     assert "\n" not in verdict.sentence
@@ -37,7 +37,7 @@ def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, t
 
 
 def test_an_output_within_what_is_asked_for_is_controlled():
-    verdict = judge(metrics(-2.0, -1.0))
+    verdict = judge_run(metrics(-2.0, -1.0))
     assert verdict.controlled and verdict.held.startswith("CONTROLLED: ")
     assert "x 0.4 % of the target range on average, 2 % at worst (1 % is asked for)" in verdict.held
 
@@ -53,13 +53,13 @@ def test_an_output_within_what_is_asked_for_is_controlled():
     ],
 )
 def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_control(held, within, words):
-    verdict = judge(metrics(-2.0, -1.0, **held), within)
+    verdict = judge_run(metrics(-2.0, -1.0, **held), within)
     assert not verdict.controlled and verdict.usable
     assert verdict.held.startswith("NOT CONTROLLED: ") and re.search(words, verdict.held)
 
 
 def test_a_mileage_that_runs_on_is_named_and_no_failure():
-    verdict = judge(metrics(-2.0, -1.0, idle={"way": 1.0}))
+    verdict = judge_run(metrics(-2.0, -1.0, idle={"way": 1.0}))
     assert verdict.controlled and "way runs on in 100 % of the runs" in verdict.held
 
 
@@ -77,15 +77,15 @@ def test_a_mileage_that_runs_on_is_named_and_no_failure():
     ],
 )
 def test_where_nothing_is_tracked_the_return_counts(trained, away, controlled, words):
-    verdict = judge(metrics(-2.0, trained, share={}, worst={}, away=away))
+    verdict = judge_run(metrics(-2.0, trained, share={}, worst={}, away=away))
     assert verdict.controlled is controlled
     assert re.search(words, verdict.held)
     assert "errors" not in verdict.held
 
 
 def test_no_file_is_named_that_a_run_without_episodes_does_not_write():
-    assert "gate.csv" in judge(metrics(-1.0, -1.0) | {"episodes": 2}).sentence
-    assert "gate.csv" not in (told := judge(metrics(-1.0, -1.0) | {"episodes": 0}).sentence)
+    assert "gate.csv" in judge_run(metrics(-1.0, -1.0) | {"episodes": 2}).sentence
+    assert "gate.csv" not in (told := judge_run(metrics(-1.0, -1.0) | {"episodes": 0}).sentence)
     assert told.endswith("train for more episodes.")
 
 

@@ -9,7 +9,7 @@ import torch
 from scipy.integrate import solve_ivp
 from tensordict.nn import TensorDictModule
 
-from dynasindy.dyna.verdict import judge
+from dynasindy.dyna.verdict import judge_run
 from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
@@ -115,7 +115,7 @@ def test_a_mileage_breaks_no_promise():
 def test_it_is_judged_as_a_run_is(share, worst, away):
     flight = seen(share, away, worst, {"mileage": 1.0})
     returns = {"untrained": {"return": 0.0}, "evaluation": {"return": 1.0}}
-    verdict = judge({"scenario": "step", "held": vars(flight), **returns})
+    verdict = judge_run({"scenario": "step", "held": vars(flight), **returns})
     assert Forecast((flight,)).promised == verdict.controlled
 
 

@@ -12,7 +12,7 @@ from torchrl.envs import Transform, TransformedEnv, check_env_specs
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import Settings, train
+from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.excitation import Chirp
@@ -251,7 +251,7 @@ def test_training_on_a_rig_is_training_on_the_plant(sensors, hearing):
             replay=partial(DynaReplay, 1000, 16),
             planning=partial(ImaginedReplay, rollouts=4, horizon=3),
             gate=Gate(),
-            train=Settings(2, 0.2),
+            train=LoopSettings(2, 0.2),
             sensors=sensors,
         )
         parts = recipe.build()

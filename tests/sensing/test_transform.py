@@ -14,9 +14,9 @@ from torchrl.envs.utils import check_env_specs
 from dynasindy.agents import TD3
 from dynasindy.data import MEASURED_KEYS, DynaReplay
 from dynasindy.dyna.callback import Callback, Place
+from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.parts import Settings
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import Detuned, SensorNoise
 from dynasindy.evaluation.scenarios import Scenario, evaluate
@@ -237,7 +237,7 @@ def recipe(seed=0, sensors=None):
         replay=partial(DynaReplay, 1000, 16),
         planning=partial(ImaginedReplay, rollouts=4, horizon=5),
         gate=Gate(math.inf, math.inf),
-        train=Settings(2, 0.2),
+        train=LoopSettings(2, 0.2),
         sensors=sensors or Sensors(BENCH, rates=KNOWN, lost=0.05, actuator_delay=1),
         seed=seed,
     )
@@ -316,7 +316,7 @@ def test_after_the_first_fit_the_observer_relies_on_the_model_and_the_excitation
     before = (excited["next", "state"] - excited["next", "true_state"])[:, 2:4].square().mean()
     made = recipe(sensors=Sensors(BENCH, rates=KNOWN))
     parts = made.build()
-    train(parts, Settings(0), Callback())
+    train(parts, LoopSettings(0), Callback())
     stored = parts.replay.real_in_order()
     after = (stored["next", "state"] - excited["next", "true_state"])[:, 2:4].square().mean()
     assert parts.sensing.observer.learnt and after < 0.01 * before

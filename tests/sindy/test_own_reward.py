@@ -11,7 +11,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.loop import Settings, train
+from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.envs import Foreign, GymnasiumEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay
@@ -144,7 +144,7 @@ def of_pendulum(planning, seed=0):
         replay=partial(DynaReplay, 1000, 16),
         planning=planning,
         gate=Gate(),
-        train=Settings(1, 0.1),
+        train=LoopSettings(1, 0.1),
         seed=seed,
     ).build()
 
@@ -162,7 +162,7 @@ def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing)
     parts = of_pendulum(planning)
     assert parts.model_env.task is parts.plant.task
     heard = hearing()
-    train(parts, Settings(1, 0.1), heard)
+    train(parts, LoopSettings(1, 0.1), heard)
     for rows in heard.rollouts:
         angle = torch.atan2(rows["state"][:, 1], rows["state"][:, 0])
         torque = 2.0 * rows["action"][:, 0].clamp(-1.0, 1.0)

@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from dynasindy.data.recording import transitions
-from dynasindy.dyna.parts import Bench
+from dynasindy.dyna.components import PlantComponents
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.systems import Diverged
@@ -31,7 +31,7 @@ ENOUGH = 2
 
 
 @dataclass(frozen=True)
-class Nearby:
+class LocalModel:
     """A linear model.
 
     Attributes:
@@ -49,7 +49,7 @@ class Nearby:
     model: SindyModel | None = None
 
 
-def nearby(rows: TensorDict, parts: Bench) -> Nearby | None:
+def fit_local_model(rows: TensorDict, parts: PlantComponents) -> LocalModel | None:
     """Return a linear model of what was seen near the start; None where that is too little.
 
     Args:
@@ -59,7 +59,7 @@ def nearby(rows: TensorDict, parts: Bench) -> Nearby | None:
     return _of_states(rows, parts) if parts.sensing is None else _of_measurements(rows, parts)
 
 
-def _of_states(rows: TensorDict, parts: Bench) -> Nearby | None:
+def _of_states(rows: TensorDict, parts: PlantComponents) -> LocalModel | None:
     scale, home = _scale(parts), rows["state"][0].double()
     data = transitions(rows, parts.plant.log_dt)
     middle = (0.5 * (data.x + data.x_next) - home) / scale
@@ -72,10 +72,10 @@ def _of_states(rows: TensorDict, parts: Bench) -> Nearby | None:
     # The smallest solution where the data leave a choice.
     a, b, c = torch.linalg.lstsq(columns, slopes, driver="gelsd").solution.split([n_x, n_u, 1])
     scale = scale.unsqueeze(-1)
-    return Nearby(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
+    return LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
 
 
-def _of_measurements(rows: TensorDict, parts: Bench) -> Nearby | None:
+def _of_measurements(rows: TensorDict, parts: PlantComponents) -> LocalModel | None:
     assert parts.sensing is not None
     signature, sensors = parts.plant.system.signature, parts.sensing.observer.sensors
     scale, home = _scale(parts), rows["state"][0].double()
@@ -97,8 +97,8 @@ def _of_measurements(rows: TensorDict, parts: Bench) -> Nearby | None:
     at[:, :n_x] += home
     c, slopes = model(at[:, :n_x], at[:, n_x:]).split([1, n_x + n_u])
     a, b = (slopes - c).mT.split([n_x, n_u], -1)
-    return Nearby(home, a, b, c[0], model)
+    return LocalModel(home, a, b, c[0], model)
 
 
-def _scale(parts: Bench) -> Tensor:
+def _scale(parts: PlantComponents) -> Tensor:
     return torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)

@@ -11,9 +11,9 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback, Place
+from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.parts import Parts, Settings
 from dynasindy.envs import LateEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, ImaginedReplay
@@ -36,31 +36,31 @@ from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 )
 def test_settings_that_no_loop_can_run_with_are_refused(wrong, said):
     with pytest.raises(ValueError, match=said) as error:
-        Settings(**({"episodes": 1} | wrong))
+        LoopSettings(**({"episodes": 1} | wrong))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("fine", [{"episodes": 0}, {"updates_per_step": 0}, {"recent_steps": 1}, {"held_out": 0}])
 def test_the_smallest_allowed_settings_are_kept(fine):
-    settings = Settings(**({"episodes": 1} | fine))
+    settings = LoopSettings(**({"episodes": 1} | fine))
     assert {name: getattr(settings, name) for name in fine} == fine
 
 
 def test_settings_cannot_change_under_a_running_loop():
     with pytest.raises(FrozenInstanceError):
-        Settings(1).episodes = 2
+        LoopSettings(1).episodes = 2
 
 
 def test_the_parts_are_those_that_algorithm_1_works_on():
-    assert {f.name for f in fields(Parts)} == {
+    assert {f.name for f in fields(Components)} == {
         *("plant", "env", "model_env", "excitation", "world_model", "agent", "replay", "planner", "gate", "sensing"),
     }
     with pytest.raises(TypeError, match="gate"):
-        Parts(**dict.fromkeys([f.name for f in fields(Parts)][:-2]))
+        Components(**dict.fromkeys([f.name for f in fields(Components)][:-2]))
 
 
 def test_every_fourth_second_is_held_out_by_default():
-    assert Settings(7) == Settings(7, 1.0, None, 4) and Settings(1, held_out=2).held_out == 2
+    assert LoopSettings(7) == LoopSettings(7, 1.0, None, 4) and LoopSettings(1, held_out=2).held_out == 2
 
 
 class Goal:
@@ -100,7 +100,13 @@ class Part:
 @pytest.mark.parametrize("behind_sensors", [False, True])
 def test_every_part_goes_on_where_it_was(behind_sensors):
     one, other = (
-        Parts(**{f.name: Part(start + k) for k, f in enumerate(fields(Parts)) if f.name != "sensing" or behind_sensors})
+        Components(
+            **{
+                f.name: Part(start + k)
+                for k, f in enumerate(fields(Components))
+                if f.name != "sensing" or behind_sensors
+            }
+        )
         for start in (0, 100)
     )
     state = one.state_dict()
@@ -122,13 +128,15 @@ def test_weights_that_are_not_finite_are_in_no_state_to_go_on_from():
     agent = TD3(n_obs=2, n_u=1, hidden=(4,))
     with torch.no_grad():
         next(agent.policy.parameters()).fill_(torch.nan)
-    parts = Parts(**dict.fromkeys([f.name for f in fields(Parts)]) | {"agent": agent})
+    parts = Components(**dict.fromkeys([f.name for f in fields(Components)]) | {"agent": agent})
     with pytest.raises(Diverged):
         parts.state_dict()
 
 
 def test_what_a_task_has_learnt_goes_on_with_the_run():
-    one, other = (Parts(**{f.name: Part(k) for k, f in enumerate(fields(Parts)) if f.name != "sensing"}) for _ in "ab")
+    one, other = (
+        Components(**{f.name: Part(k) for k, f in enumerate(fields(Components)) if f.name != "sensing"}) for _ in "ab"
+    )
     for parts in (one, other):
         parts.plant.task = Learner()
     one.plant.task.learnt = 7
@@ -164,7 +172,7 @@ def pendulum(periods, sensors=None):
         replay=partial(DynaReplay, 1000, 16),
         planning=partial(ImaginedReplay, rollouts=4, horizon=5),
         gate=Gate(math.inf, math.inf),
-        train=Settings(2, 0.2),
+        train=LoopSettings(2, 0.2),
         sensors=sensors,
     )
 

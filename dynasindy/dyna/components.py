@@ -24,7 +24,7 @@ from dynasindy.tasks import Tracking
 
 
 @dataclass(kw_only=True)
-class Bench:
+class PlantComponents:
     """What an excitation needs of the parts.
 
     Attributes:
@@ -41,7 +41,7 @@ class Bench:
 
 
 @dataclass(kw_only=True)
-class Parts(Bench):
+class Components(PlantComponents):
     """What Algorithm 1 works on.
 
     Attributes:
@@ -95,7 +95,7 @@ class Parts(Bench):
         """Put sensors without errors, and an observer, between the plant and all else."""
         observer = Observer(self.world_model, Sensors.exact(self.plant.system.signature), self.plant)
         self.sensing = Sensing(self.plant, observer, torch.Generator())
-        self.env = seen(self.plant, self.model_env, self.sensing)
+        self.env = sensed_environment(self.plant, self.model_env, self.sensing)
         self.replay.keep(MEASURED_KEYS)
 
     def state_dict(self) -> dict[str, Any]:
@@ -135,7 +135,7 @@ class Parts(Bench):
     _drawing: ClassVar = ("plant", "model_env")
 
 
-def seen(plant: ControlEnv, model_env: ControlEnv, sensing: Sensing | None) -> EnvBase:
+def sensed_environment(plant: ControlEnv, model_env: ControlEnv, sensing: Sensing | None) -> EnvBase:
     """Return the real environment as it is used: through its sensors, the model's one-step prediction beside each step.
 
     The model predicts from what is seen of the plant, so that it stays outside of the sensors.
@@ -150,7 +150,7 @@ def seen(plant: ControlEnv, model_env: ControlEnv, sensing: Sensing | None) -> E
 
 
 @dataclass(frozen=True)
-class Settings:
+class LoopSettings:
     """Lengths of the loop.
 
     Attributes:
