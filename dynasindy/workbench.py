@@ -56,7 +56,7 @@ from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
-from dynasindy.planning.pace import rests_of, unheld
+from dynasindy.planning.plan_settings import rests_of, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
 from dynasindy.sindy import Refinement, Regression, SindyModel

@@ -31,7 +31,7 @@ from dynasindy.evaluation.equations import late
 from dynasindy.evaluation.held import WITHIN, Held, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
-from dynasindy.planning.rests import states_that_matter
+from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.tasks import Tracking

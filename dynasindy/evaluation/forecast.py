@@ -13,7 +13,7 @@ import torch
 from dynasindy.envs import ControlEnv, LateEnv
 from dynasindy.evaluation.held import LOST, WITHIN, Held, held, of_what
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
-from dynasindy.planning.rests import states_that_matter
+from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
 from dynasindy.text import format_duration

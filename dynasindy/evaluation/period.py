@@ -12,8 +12,8 @@ from torch import Tensor
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
-from dynasindy.planning.oscillation import fastest_doubling, fastest_oscillation
-from dynasindy.planning.pace import LONGEST, TIME_CONSTANTS, settles
+from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
+from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import begins
 from dynasindy.sindy.reconstruction import rates_known, reconstruct

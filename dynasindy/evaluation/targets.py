@@ -11,7 +11,7 @@ from torch.quasirandom import SobolEngine
 
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
-from dynasindy.planning.rests import PERIOD, find_rests
+from dynasindy.planning.equilibria import PERIOD, find_rests
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.angles import turn_of
 from dynasindy.systems.base import Signature

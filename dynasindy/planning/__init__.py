@@ -1,12 +1,10 @@
 """Planning, in Dyna's sense: learning from imagined experience."""
 
-from dynasindy.planning.base import Planned, Planner
-from dynasindy.planning.gradient import GradientPlanning
-from dynasindy.planning.imagine import Imagination
-from dynasindy.planning.prediction import ModelPrediction
-from dynasindy.planning.replayed import ImaginedReplay, NoPlanning
-from dynasindy.planning.trust import Gate, ModelError, replay_error
-from dynasindy.planning.variation import Variation, Varied
+from dynasindy.planning.gate import Gate, ModelError, ModelPrediction, replay_error
+from dynasindy.planning.gradient_planning import GradientPlanning
+from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning
+from dynasindy.planning.planner import Planned, Planner
+from dynasindy.planning.randomization import Variation, Varied
 
 __all__ = [
     "Gate",

@@ -20,8 +20,8 @@ from scipy.linalg import solve_discrete_are
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.equilibria import Rests
 from dynasindy.planning.linear_model import zero_order_hold
-from dynasindy.planning.rests import Rests
 from dynasindy.tasks import Tracking
 
 DEGREE = 3

@@ -8,7 +8,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.pace import rests_of
+from dynasindy.planning.plan_settings import rests_of
 from dynasindy.systems import Signature, System
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward

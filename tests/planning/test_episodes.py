@@ -7,8 +7,8 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.episodes import Episodes, references
-from dynasindy.planning.margin import Margin
+from dynasindy.planning.gradient_planning import Episodes, references
+from dynasindy.planning.randomization import Margin
 
 
 @torch.no_grad()

@@ -6,7 +6,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from dynasindy.data import LEARN_KEYS
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Imagination, imagine
+from dynasindy.planning import Imagination, imagined_replay
 from dynasindy.systems import System, Tras
 from dynasindy.tasks import Step, Tracking, Wave
 
@@ -126,9 +126,9 @@ def test_a_rollout_needs_a_period():
 def test_a_transition_is_finite_where_all_of_its_numbers_are(key, value):
     following = {"state": torch.zeros(3, 4, 6), "observation": torch.zeros(3, 4, 8), "reward": torch.zeros(3, 4, 1)}
     rollout = TensorDict({"next": TensorDict(following, [3, 4])}, [3, 4])
-    assert imagine._finite(rollout).tolist() == 3 * [4 * [True]]
+    assert imagined_replay._finite(rollout).tolist() == 3 * [4 * [True]]
     rollout["next", key][:2] = 3e38  # the sum of all is too large for float32
-    assert imagine._finite(rollout).tolist() == 3 * [4 * [True]]
+    assert imagined_replay._finite(rollout).tolist() == 3 * [4 * [True]]
     rollout["next", key][1, 2, 0] = value
-    found = imagine._finite(rollout)
+    found = imagined_replay._finite(rollout)
     assert found.sum() == 11 and not found[1, 2]

@@ -9,7 +9,7 @@ from torch import nn
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.imitation import arrives, hold, imitate
-from dynasindy.planning.pace import rests_of
+from dynasindy.planning.plan_settings import rests_of
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward

@@ -9,9 +9,9 @@ from torch import nn
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning import improve as module
-from dynasindy.planning.improve import Floor, OnTop, better, improve, rewards, starts
-from dynasindy.planning.window import Rows, imagine
+from dynasindy.planning import imitation as module
+from dynasindy.planning.imitation import Floor, OnTop, better, improve, rewards, starts
+from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import OwnReward
 from dynasindy.systems import Signature, System
 

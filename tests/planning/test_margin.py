@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning.margin import Margin
-from dynasindy.planning.window import Rows, imagine
+from dynasindy.planning.randomization import Margin
+from dynasindy.planning.rollout import Rows, imagine
 
 
 def params(*targets):

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning.oscillation import fastest_doubling, fastest_oscillation
+from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.systems import Pendulum, Signature, System
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.linalg import expm, solve_discrete_are
 
-from dynasindy.planning.pace import rests_of
+from dynasindy.planning.plan_settings import rests_of
 from dynasindy.planning.regulator import Regulator, Weights, regulated, riccati
 
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from dynasindy.planning.strength import Strength
+from dynasindy.planning.randomization import Strength
 
 
 def test_what_acts_is_the_distance_from_rest_times_the_factor():

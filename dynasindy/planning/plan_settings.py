@@ -22,9 +22,9 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.equilibria import Rests, between, find_rests, growth, slopes
 from dynasindy.planning.linear_model import modes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
-from dynasindy.planning.rests import Rests, between, find_rests, growth, slopes
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
 

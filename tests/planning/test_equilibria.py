@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.planning.rests import between, find_rests, growth, slopes
+from dynasindy.planning.equilibria import between, find_rests, growth, slopes
 from dynasindy.systems import Pendulum, Signature, System
 
 

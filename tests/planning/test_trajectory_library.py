@@ -8,10 +8,10 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import paths, search
-from dynasindy.planning.pace import rests_of
-from dynasindy.planning.paths import NEARNESS, WEIGHTS, Paths, _along, caught_ways
+from dynasindy.planning import trajectory_library, trajectory_search
+from dynasindy.planning.plan_settings import rests_of
 from dynasindy.planning.regulator import Regulator
+from dynasindy.planning.trajectory_library import NEARNESS, WEIGHTS, Paths, _along, caught_ways
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -41,9 +41,9 @@ def setting(pull=6.0, start=math.pi):
 def few():
     """Fewer starts and signals than planning takes are enough for one pole."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paths, "STARTS", 6)
-        patch.setattr(search, "POPULATION", 256)
-        patch.setattr(paths, "POPULATION", 256)
+        patch.setattr(trajectory_library, "STARTS", 6)
+        patch.setattr(trajectory_search, "POPULATION", 256)
+        patch.setattr(trajectory_library, "POPULATION", 256)
         yield
 
 

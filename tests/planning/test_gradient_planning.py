@@ -14,10 +14,10 @@ from dynasindy.planning import (
     GradientPlanning,
     Planned,
     Variation,
-    gradient,
+    gradient_planning,
 )
-from dynasindy.planning.gradient import Episodes, _schedule
-from dynasindy.planning.window import imagine
+from dynasindy.planning.gradient_planning import Episodes, _schedule
+from dynasindy.planning.rollout import imagine
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.systems.xi import Xi
 
@@ -298,7 +298,7 @@ def test_by_default_inputs_are_up_to_30_percent_weaker_or_stronger_and_late_in_o
 def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small, monkeypatch):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), held=True, margin=0.3)
-    monkeypatch.setattr(gradient, "hold", lambda *given: gradient.Begun(-1.0, afar=True))
+    monkeypatch.setattr(gradient_planning, "hold", lambda *given: gradient_planning.Begun(-1.0, afar=True))
     seen, update = [], planner._update
     planner._update = lambda episodes, optimizer: (seen.append(episodes.rows), update(episodes, optimizer))[1]
     planner.plan()
@@ -315,9 +315,9 @@ def test_ways_from_afar_are_asked_for_in_time_and_regulators_hold_late_inputs(se
         asked.append((planner.held_out.late is not None, weights(network), torch.rand(1, generator=rng).item()))
         with torch.no_grad():
             next(network.parameters()).add_(1.0)
-        return gradient.Begun(-1.0, afar=afar)
+        return gradient_planning.Begun(-1.0, afar=afar)
 
-    monkeypatch.setattr(gradient, "hold", hold)
+    monkeypatch.setattr(gradient_planning, "hold", hold)
     planner.plan()
     assert [late for late, *_ in asked] == ([False] if afar else [False, True])
     # The second asks the same policy, with the same draws.
@@ -357,7 +357,7 @@ def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned
             for parameter in planner.network.parameters():
                 parameter.grad = torch.full_like(parameter, slope)
 
-        monkeypatch.setattr("dynasindy.planning.gradient.backward", backward)
+        monkeypatch.setattr("dynasindy.planning.gradient_planning.backward", backward)
         stepped.append(planner._update(Episodes(planner), Optimizer()))
     assert norms == [pytest.approx(0.125, rel=1e-3)] and stepped == [True, False]
 
@@ -381,14 +381,14 @@ def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(planne
         window.alive[-1, 3] = False
         return window
 
-    monkeypatch.setattr(gradient, "imagine", lost_at_the_end)
+    monkeypatch.setattr(gradient_planning, "imagine", lost_at_the_end)
     planner._update(episodes, torch.optim.Adam(planner.network.parameters()))
     assert episodes.diverged == 1 and carried == [[k != 3 for k in range(16)]]
 
 
 def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(planned, monkeypatch):
     sizes = []
-    monkeypatch.setattr(gradient, "check_memory", lambda size, what: sizes.append(size))
+    monkeypatch.setattr(gradient_planning, "check_memory", lambda size, what: sizes.append(size))
     planned()
     # 16 rows, 20 periods, eight bytes: a matrix of 6 x 6, one of 6 x 2, and four vectors of 6.
     assert sizes == [16 * 20 * 8 * (36 + 12 + 24)]

@@ -7,8 +7,8 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import ImaginedReplay, NoPlanning, Planned, imagine, replayed
-from dynasindy.planning.replayed import _schedule
+from dynasindy.planning import ImaginedReplay, NoPlanning, Planned, imagined_replay
+from dynasindy.planning.imagined_replay import _schedule
 from dynasindy.systems import Diverged, Tras
 from dynasindy.tasks import RandomStep, Tracking
 
@@ -205,7 +205,7 @@ def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted(monkeypatch):
         believed = (torch.arange(5) < next(kept)).expand(finite.shape)
         return believed, believed & ~torch.cat([believed[:, 1:], torch.zeros_like(believed[:, :1])], -1)
 
-    monkeypatch.setattr(imagine, "_kept", first)
+    monkeypatch.setattr(imagined_replay, "_kept", first)
     found = []
     for _ in range(4):
         found.append((planner.plan().imagined, len(replay.model)))
@@ -246,7 +246,7 @@ def test_no_planning_costs_nothing():
 
 def test_the_memory_of_the_rollouts_is_that_of_what_a_step_writes(monkeypatch):
     sizes = []
-    monkeypatch.setattr(replayed, "check_memory", lambda size, what: sizes.append(size))
+    monkeypatch.setattr(imagined_replay, "check_memory", lambda size, what: sizes.append(size))
     make(rollouts=12, horizon=[2, 5, 3])
     rows = ENV.rollout(60)
     parts = [rows[key] for key in ("observation", "state", ("next", "observation"), ("next", "state"))]

@@ -8,8 +8,8 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.strength import Strength
-from dynasindy.planning.window import Rows, backward, imagine, sensitivities
+from dynasindy.planning.randomization import Strength
+from dynasindy.planning.rollout import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.xi import Xi

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.planning import Variation, Varied
-from dynasindy.planning.variation import Members
+from dynasindy.planning.randomization import Members
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Tras, Xi, integrate
 

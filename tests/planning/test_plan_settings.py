@@ -7,7 +7,7 @@ import torch
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.pace import SUBSTEPS, PlanSettings, pace_of, rests_of, settles
+from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, pace_of, rests_of, settles
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from dynasindy.agents.traced import Layers, Traced, by_hand, trace
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.strength import Strength
+from dynasindy.planning.randomization import Strength
 from dynasindy.systems import System, integrate
 
 Network = Callable[[Tensor], Tensor]

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.equilibria import Rests
 from dynasindy.planning.regulator import Regulator, Weights
-from dynasindy.planning.rests import Rests
-from dynasindy.planning.search import POPULATION, ROUNDS, Way, roll, search
-from dynasindy.planning.window import sensitivities
+from dynasindy.planning.rollout import sensitivities
+from dynasindy.planning.trajectory_search import POPULATION, ROUNDS, Way, roll, search
 
 STARTS = 24
 """Starts from which ways are searched."""

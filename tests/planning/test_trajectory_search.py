@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.search import FAR, OUTSIDE, cross_entropy, objective, roll, search, signal
+from dynasindy.planning.trajectory_search import FAR, OUTSIDE, cross_entropy, objective, roll, search, signal
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
