@@ -43,7 +43,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.equations import found_in_model
-from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.horizons import forecast_errors
@@ -62,7 +62,7 @@ from dynasindy.sensing.offset import acting
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.ensemble import refits
 from dynasindy.sindy.named_libraries import LibraryBuilder
-from dynasindy.sindy.reconstruction import rates_known
+from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems import Diverged, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -174,7 +174,7 @@ def identify(
             warnings.warn(as_warning(line), stacklevel=3)  # past the context manager
         else:
             tell(line)
-    found = fitted(model, source)
+    found = fit_log(model, source)
     if tell is not None:
         for line in found_in_model(found.model, found.report):
             tell(f"found: {line}")
@@ -350,7 +350,7 @@ def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:
 def rates_of(model: SindyModel) -> dict[str, str]:
     """Return the name of each state whose rate is known to be another state, and that state's name."""
     names = model.signature.state_names
-    return {names[state]: names[rate] for rate, state in rates_known(model.library, model.constraints).items()}
+    return {names[state]: names[rate] for rate, state in rate_states(model.library, model.constraints).items()}
 
 
 def sensors_of(log: Source, model: SindyModel) -> Sensors | None:

@@ -11,7 +11,7 @@ from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.equations import found_in_model
-from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
@@ -72,7 +72,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
     if told := before_fit(built, source).lines:
         say(*told)
-    found = fitted(built, source)
+    found = fit_log(built, source)
     seen = found_in_model(found.model, found.report)
     say(found.report.to_text(), *(f"found: {line}" for line in seen), *found.hidden)
     return found.model

@@ -10,7 +10,7 @@ from dynasindy.data.rates import contradicted, mismatched
 from dynasindy.evaluation.source import Source
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import auto, auto_rig
-from dynasindy.sindy.reconstruction import moving_on, rates_known
+from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.sindy.shape_parameters import of_one_angle
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.angles import TURNS
@@ -172,7 +172,7 @@ def rates_lacking(model: SindyModel, source: Source) -> Lacking:
         source: The log.
     """
     signature, known = source.signature, _known(model)
-    missing = moving_on(model.library, source.training)
+    missing = find_missing_rates(model.library, source.training)
     angles = []
     if model.step is None and "rad/s" not in signature.state_units and not _chosen(model, signature):
         angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
@@ -199,7 +199,7 @@ def known_word(known: Mapping[str, str]) -> str:
 
 def _known(model: SindyModel) -> dict[str, str]:
     names = model.signature.state_names
-    return {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+    return {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
 
 
 def _chosen(model: SindyModel, signature: Signature) -> bool:

@@ -7,9 +7,9 @@ import numpy as np
 from dynasindy.evaluation.before_fit import known_word
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.input_nonlinearity import Bend, bends_in
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity, read_nonlinearity
 from dynasindy.sindy.library import Feature
-from dynasindy.sindy.reconstruction import rates_known
+from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
@@ -45,7 +45,7 @@ def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[s
     told = None if report is None else report.told_apart()
     if model.delay and (report is None or _sure(model.delay, report)):
         lines.append(late(model.delay))
-    of_rate = rates_known(model.library, model.constraints)
+    of_rate = rate_states(model.library, model.constraints)
     for i in range(len(names)):
         clear = model.coefficients[:, i] != 0
         used = (clear if told is None else clear & (told[:, i] > TOLD)).nonzero().flatten().tolist()
@@ -54,13 +54,13 @@ def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[s
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             lines.append(f"{names[i]}' has dry friction")
         moved = [*model.signature.input_names, *model.followed]
-        lines += [said for name in moved if (said := bend_in_words(bends_in(model, i, name), model))]
+        lines += [said for name in moved if (said := bend_in_words(read_nonlinearity(model, i, name), model))]
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
     return [*dict.fromkeys(lines)]
 
 
-def bend_in_words(bend: Bend | None, model: SindyModel) -> str:
+def bend_in_words(bend: InputNonlinearity | None, model: SindyModel) -> str:
     """Say what a dead zone or a saturation does, in the unit of its actuator; empty where there is none."""
     if bend is None:
         return ""
@@ -76,7 +76,7 @@ def bend_in_words(bend: Bend | None, model: SindyModel) -> str:
     return f"{bend.input} has no more effect {' and '.join(sides)}"
 
 
-def bend_hint(bend: Bend, model: SindyModel) -> str:
+def bend_hint(bend: InputNonlinearity, model: SindyModel) -> str:
     """Say which dead zone or saturation the equations seem to lack, and the words that fit one.
 
     Args:
@@ -84,7 +84,7 @@ def bend_hint(bend: Bend, model: SindyModel) -> str:
         model: a fitted model.
     """
     names = model.signature.state_names
-    known = {names[i]: names[rate] for rate, i in rates_known(model.library, model.constraints).items()}
+    known = {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
     words = " ".join(["plant.library=dead_zone", *([f"'{known_word(known)}'"] if known else [])])
     return (
         f"hint: what the equations leave over looks like a {bend.kind}, as if {bend_in_words(bend, model)}, about: "
@@ -99,7 +99,7 @@ def hidden_states(model: SindyModel, data: Transitions) -> list[str]:
         model: the model.
         data: the log, NaN where a state was not measured.
     """
-    rates, unseen = rates_known(model.library, model.constraints), data.x.isnan().all(0).tolist()
+    rates, unseen = rate_states(model.library, model.constraints), data.x.isnan().all(0).tolist()
     names = model.signature.state_names
     alone = [i for i, blind in enumerate(unseen) if blind and (i not in rates or unseen[rates[i]])]
     return [names[i] for i in alone if names[i] not in model.followed]

@@ -17,18 +17,18 @@ from dynasindy.evaluation.horizons import LOST, ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.progress import report_progress, reporting_as
-from dynasindy.sindy.delay import arrived
+from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport, Refined
-from dynasindy.sindy.lag_states import Trial, trials
+from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import moving_on
+from dynasindy.sindy.reconstruction import find_missing_rates
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 
 
 @dataclass(frozen=True, kw_only=True)
-class Taken(Refinement):
+class FixedRefinement(Refinement):
     """Return what was found before, at no cost.
 
     Attributes:
@@ -42,7 +42,7 @@ class Taken(Refinement):
         return self.found
 
 
-def aside(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
+def take_alternative(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
     """Return the model that a fit has set aside, and the report of it.
 
     What it is fitted to later, as parts of the log are, it is fitted to as a whole, too: by one simulation.
@@ -53,7 +53,7 @@ def aside(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyMo
         data: the recording that it was fitted to.
     """
     other, settings = copy.deepcopy(model), model.refinement or Refinement()
-    other.refinement = Taken(**vars(settings), found=found)
+    other.refinement = FixedRefinement(**vars(settings), found=found)
     report = other.fit(data)
     other.refinement = replace(settings, error="simulation")
     return other, report
@@ -96,7 +96,7 @@ IN_VAIN = (
 
 
 @dataclass(frozen=True)
-class Fitted:
+class LogFit:
     """Hold a fitted model, and the data with all of its states.
 
     Attributes:
@@ -119,7 +119,7 @@ class Fitted:
         return [f"found: {self.follower}"] if self.follower else [f"note: {self.sought}"] if self.sought else []
 
 
-def fitted(model: SindyModel, source: Source) -> Fitted:
+def fit_log(model: SindyModel, source: Source) -> LogFit:
     """Fit a model; where something lacks in it, fit it with one state more, which follows an input or a measured state.
 
     Such a state is looked for where the model misses the last part of a log by more than the sensors explain, and
@@ -139,9 +139,9 @@ def fitted(model: SindyModel, source: Source) -> Fitted:
     return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
 
 
-def _fitted(model: SindyModel, source: Source) -> Fitted:
+def _fitted(model: SindyModel, source: Source) -> LogFit:
     report_progress("fit")
-    plain = Fitted(model, source, model.fit(source.training))
+    plain = LogFit(model, source, model.fit(source.training))
     before = forecast_errors(model, source.training, source.validation) if source.logged else None
     if before is None:
         return plain
@@ -152,7 +152,11 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
         plain, before = _straighter(plain, before)
     model, lacking = plain.model, bool(unresolved(before, model.signature).any())
     # A state that follows a signal is one of a differential equation.
-    if lacking and model.step is None and not moving_on(model.library, arrived(source.training, model.delay)):
+    if (
+        lacking
+        and model.step is None
+        and not find_missing_rates(model.library, delay_and_trim(source.training, model.delay))
+    ):
         for found in _wider(model, source, settings):
             after = _forecast(found) if found.follower else None
             if after is None:
@@ -165,7 +169,7 @@ def _fitted(model: SindyModel, source: Source) -> Fitted:
     return _straighter(plain, before)[0]
 
 
-def _whole(found: Fitted, before: ForecastErrors) -> tuple[Fitted, ForecastErrors]:
+def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastErrors]:
     """Return the fit by one simulation, if it was set aside and predicts better what no fit has seen; and its errors.
 
     Where a trajectory strays, something pushes the plant, which spoils its fit, or functions are missing. Then pieces
@@ -175,7 +179,7 @@ def _whole(found: Fitted, before: ForecastErrors) -> tuple[Fitted, ForecastError
     if kept is None:
         return found, before
     with suppress(*FAILURES), reporting_as("fit by one simulation"):
-        model, report = aside(found.model, kept, found.source.training)
+        model, report = take_alternative(found.model, kept, found.source.training)
         whole = _renamed(replace(found, model=model, report=report))
         after = _forecast(whole) if bool(whole.follower) == bool(found.follower) else None
         if after is not None:
@@ -186,18 +190,18 @@ def _whole(found: Fitted, before: ForecastErrors) -> tuple[Fitted, ForecastError
     return found, before
 
 
-def _renamed(found: Fitted) -> Fitted:
+def _renamed(found: LogFit) -> LogFit:
     """Return the fit with what its equations now say of the state that follows a signal, if it has one."""
     signal = found.model.followed.get(found.model.signature.state_names[-1], "") if found.follower else ""
-    return replace(found, follower=Trial(found.model, signal, 0.0).words() if signal else "")
+    return replace(found, follower=LagStateCandidate(found.model, signal, 0.0).words() if signal else "")
 
 
-def _noted(found: Fitted, note: str) -> Fitted:
+def _noted(found: LogFit, note: str) -> LogFit:
     """Return the fit with one more note in its report."""
     return replace(found, report=replace(found.report, notes=(*found.report.notes, note)))
 
 
-def _straighter(found: Fitted, before: ForecastErrors) -> tuple[Fitted, ForecastErrors]:
+def _straighter(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastErrors]:
     """Return the fit without functions that bend, where it predicts as well what no fit has seen; and its errors.
 
     Where a model that lacks something is fitted, its errors last, and all the samples of one error are witnesses of the
@@ -237,18 +241,18 @@ def _straight(model: SindyModel) -> SindyModel | None:
     return bare
 
 
-def _forecast(found: Fitted) -> ForecastErrors | None:
+def _forecast(found: LogFit) -> ForecastErrors | None:
     return forecast_errors(found.model, found.source.training, found.source.validation)
 
 
-def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> Iterator[Fitted]:
+def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> Iterator[LogFit]:
     """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out.
 
     Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too. The
     report of such a fit says so: it is taken where the one with them does not predict far better, and it does.
     """
     with suppress(*FAILURES):
-        for trial in trials(model, source.training)[:MOST]:
+        for trial in lag_state_candidates(model, source.training)[:MOST]:
             trial.model.refinement = settings
             if (found := _with(trial, source)) is not None:
                 yield found
@@ -257,12 +261,12 @@ def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> It
                 yield _noted(found, STRAIGHT)
 
 
-def _with(trial: Trial, source: Source) -> Fitted | None:
+def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:
     """Return the fit with one state more; None where it fails."""
     with suppress(*FAILURES), reporting_as(f"fit with a state that follows {trial.signal}"):
         data = source.with_states_of(trial.model)
         report = trial.model.fit(data.training)
-        return Fitted(trial.model, data, report, trial.words())
+        return LogFit(trial.model, data, report, trial.words())
     return None
 
 

@@ -22,8 +22,8 @@ from torch import Tensor
 from dynasindy.evaluation.linear import LinearModel
 from dynasindy.evaluation.symptoms import resolutions, resolutions_by
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.delay import delayed
-from dynasindy.sindy.reconstruction import at_rest, rates_known, reconstruct
+from dynasindy.sindy.delay import delay_inputs
+from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 
@@ -180,7 +180,7 @@ def _starts(back: Tensor, ahead: Tensor, before: int, after: int) -> Tensor:
 
 def _predicted(model: SindyModel, data: Transitions, starts: Tensor, later: Tensor, length: int) -> Tensor:
     """Return what a model predicts for some rows after each start, `(S, T, n_x)`, infinite where it runs away."""
-    late = delayed(data, model.delay)
+    late = delay_inputs(data, model.delay)
     begin = estimate(model, late, starts - length, length)[1]
     return _simulated(model, begin, late.u[later], data.dt).nan_to_num(math.inf, math.inf, -math.inf)
 
@@ -226,7 +226,7 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
     after = rows.unsqueeze(-1) + torch.arange(length)
     measured = torch.cat([data.x[rows].unsqueeze(1), data.x_next[after]], 1)
     mask, inputs = ~measured.isnan(), data.u[after]
-    guess = at_rest(reconstruct(data, rates_known(model.library, model.constraints)), model.followers)
+    guess = settle_lag_states(reconstruct(data, rate_states(model.library, model.constraints)), model.followers)
     x = guess.x[rows].double()
     scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
     n, damping = len(scale), torch.full((len(rows),), 1e-3, dtype=torch.float64)
@@ -265,7 +265,7 @@ def begun(model: SindyModel, data: Transitions) -> Transitions:
         model: a fitted model.
         data: the recording; where a state was not measured, the first one of each segment is estimated.
     """
-    late = delayed(data, model.delay)
+    late = delay_inputs(data, model.delay)
     if not bool(data.x.isnan().any()):
         return late
     x, back = late.x.double().clone(), _beside(data)[0]

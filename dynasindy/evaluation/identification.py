@@ -19,18 +19,18 @@ from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.fitted import FAILURES, fitted
+from dynasindy.evaluation.fitted import FAILURES, fit_log
 from dynasindy.evaluation.horizons import ForecastErrors, begun, forecast_errors
 from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.actuators import Found, find_actuator
-from dynasindy.sindy.delay import arrived, delayed
-from dynasindy.sindy.input_nonlinearity import Bend, missing_bend
+from dynasindy.sindy.actuators import ActuatorFit, find_actuator
+from dynasindy.sindy.delay import delay_and_trim, delay_inputs
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity, find_missing_nonlinearity
 from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop
-from dynasindy.sindy.reconstruction import moving_on, rates_known
+from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 
@@ -210,9 +210,9 @@ class Identified:
     metrics: dict[str, dict[str, float]]
     source: Source
     forecasts: ForecastErrors | None = None
-    found: Found | None = None
+    found: ActuatorFit | None = None
     hidden: Sequence[str] = ()
-    bend: Bend | None = None
+    bend: InputNonlinearity | None = None
     acting: SindyModel | None = None
 
     @property
@@ -230,7 +230,7 @@ class Identified:
         return (told := self.heard()) is not None and not verdict.shortcoming(told, self.model.signature)
 
     def _rates(self) -> set[int]:
-        return set(rates_known(self.model.library, self.model.constraints))
+        return set(rate_states(self.model.library, self.model.constraints))
 
 
 def identify(
@@ -254,7 +254,7 @@ def identify(
             "or another that builds a SindyModel"
         )
     bare, given = copy.deepcopy(model), source
-    fit = fitted(model, source)
+    fit = fit_log(model, source)
     model, source, acting = fit.model, fit.source, None
     found = _actuators(model, source.training) if actuators else None
     if found is not None and found.actuator is None and fit.report.in_pieces and (model.delay or fit.follower):
@@ -266,28 +266,28 @@ def identify(
     seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
     errors = {"open_loop_nrmse": nrmse(predicted, validation)}
     if not bool(validation.x.isnan().any()):
-        errors["one_step_error"] = one_step_error(model, delayed(validation, model.delay))
+        errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
     forecasts = forecast_errors(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     lacking = source.logged and forecasts is not None and bool(verdict.unresolved(forecasts, source.signature).any())
     # A bend would stand for a rate that is missing.
-    lacking = lacking and not moving_on(model.library, arrived(source.training, model.delay))
-    bend = missing_bend(model, source.training) if lacking else None
+    lacking = lacking and not find_missing_rates(model.library, delay_and_trim(source.training, model.delay))
+    bend = find_missing_nonlinearity(model, source.training) if lacking else None
     return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden, bend, acting)
 
 
-def _actuators(model: SindyModel, data: Transitions) -> Found:
+def _actuators(model: SindyModel, data: Transitions) -> ActuatorFit:
     """Look for actuators; where that fails, the model that was fitted stays, and the reason is said."""
     try:
         with reporting_as("actuators"):
             return find_actuator(model, data)
     except (ArithmeticError, ValueError, RuntimeError) as error:  # numbers that run away, or decompositions that fail
-        return Found.none(model, " ".join(str(error).split()) or type(error).__name__)
+        return ActuatorFit.none(model, " ".join(str(error).split()) or type(error).__name__)
 
 
-def _undelayed(bare: SindyModel, data: Transitions, before: Found) -> tuple[Found, SindyModel | None]:
+def _undelayed(bare: SindyModel, data: Transitions, before: ActuatorFit) -> tuple[ActuatorFit, SindyModel | None]:
     """Look for actuators of equations that were fitted without a delay, and without a lag: these may stand for one.
 
     Returns:

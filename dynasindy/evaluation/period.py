@@ -15,8 +15,8 @@ from dynasindy.evaluation.verdict import known_ranges
 from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.lag_states import begins
-from dynasindy.sindy.reconstruction import rates_known, reconstruct
+from dynasindy.sindy.lag_states import lag_state_ranges
+from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
@@ -143,7 +143,7 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
         return task.start.double().mean(0, keepdim=True), torch.zeros(1, model.signature.n_u, dtype=torch.float64)
     data = log.with_states_of(model).training
     middle, usual = typical(data, model).mean(0), data.u.double().median(0).values
-    seen = reconstruct(data, rates_known(model.library, model.constraints)).x
+    seen = reconstruct(data, rate_states(model.library, model.constraints)).x
     rows = torch.linspace(0, len(data) - 1, PLACES + 2).round().long()[1:-1].unique()
     hidden = data.x.isnan().all(0) & (seen == 0).all(0)  # and no rate of what is seen
     x = torch.where(hidden, middle, seen[rows])
@@ -263,6 +263,6 @@ def typical(data: Transitions, model: SindyModel) -> Tensor:
     middle = x.nanmedian(0).values.nan_to_num(nan=0.0)
     middle[((x <= 0).any(0)) & ((x >= 0).any(0))] = 0.0
     ends = middle.expand(2, -1).clone()
-    for place, (low, high) in begins(model, data).items():
+    for place, (low, high) in lag_state_ranges(model, data).items():
         ends[:, place] = torch.tensor([low, high]).double()
     return ends

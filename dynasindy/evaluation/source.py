@@ -14,7 +14,7 @@ from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.arguments import as_arguments
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import completed, widened
-from dynasindy.sindy.reconstruction import ranged, rates_known
+from dynasindy.sindy.reconstruction import rate_states, with_rate_ranges
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -86,7 +86,7 @@ class Source:
             known: the rate of each state, by its name.
         """
         found = self._widened(known)
-        signature = ranged(found.signature, found.whole, known)
+        signature = with_rate_ranges(found.signature, found.whole, known)
         added = found.signature.state_names[self.signature.n_x :]
         notes = (f"{name} is seen by no sensor; it is estimated with the model" for name in added)
         return replace(found, signature=signature, notes=(*found.notes, *notes))
@@ -118,7 +118,7 @@ class Source:
                 "a range for zero"
             )
         names = model.signature.state_names
-        known = rates_known(model.library, model.constraints)
+        known = rate_states(model.library, model.constraints)
         source = self._widened({names[state]: names[rate] for rate, state in known.items()})
         states, parts = source.signature.state_names, (source.training, source.validation)
         training, validation = (completed(part, states, model) for part in parts)

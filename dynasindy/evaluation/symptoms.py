@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.delay import arrived
+from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.noise import sensor_noise
-from dynasindy.sindy.reconstruction import best_length, filled, local_cubic
+from dynasindy.sindy.reconstruction import best_length, interpolate_gaps, local_cubic
 from dynasindy.sindy.regression import least_squares
 from dynasindy.systems.transitions import Transitions
 
@@ -129,7 +129,7 @@ def resolutions_by(model: SindyModel, data: Transitions) -> Tensor:
         model: a fitted model in discrete time.
         data: the recording.
     """
-    return sensor_noise(model.library, model.coefficients, arrived(data, model.delay))[0].sqrt()
+    return sensor_noise(model.library, model.coefficients, delay_and_trim(data, model.delay))[0].sqrt()
 
 
 def step_of(column: Array, noise: float | None = None) -> float:
@@ -163,7 +163,7 @@ def step_seen(column: Array) -> float:
 
 def _noise(column: Array) -> float:
     """Return the standard deviation of what no local cubic follows; NaN where nothing was measured."""
-    known = filled(column)
+    known = interpolate_gaps(column)
     if known is None or len(known) < 8:
         return float("nan")
     return float(np.sqrt(np.mean(np.square(known - local_cubic(known, best_length(known), 1.0, 0)))))
@@ -195,7 +195,7 @@ def closed_loop(data: Transitions) -> list[bool]:
     changed = torch.zeros(len(data), dtype=torch.bool)
     changed[1:] = (data.u[1:] != data.u[:-1]).any(-1) & (data.segment[1:] == data.segment[:-1])
     u, x = data.u[changed].double(), data.x[changed].double()
-    columns = [torch.from_numpy(c) for c in map(filled, x.T.numpy()) if c is not None]
+    columns = [torch.from_numpy(c) for c in map(interpolate_gaps, x.T.numpy()) if c is not None]
     x = torch.stack(columns, -1) if columns else x[:, :0]
     n = len(u) - 1 - LAGS
     if n < 20 * LAGS or not x.shape[1]:

@@ -12,8 +12,8 @@ from dynasindy.evaluation.identification import Identified
 from dynasindy.evaluation.source import Source
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.actuators import behind
-from dynasindy.sindy.equations import to_csv, to_latex, to_text, with_errors
+from dynasindy.sindy.actuators import add_actuator
+from dynasindy.sindy.equations import coefficient_lines, to_csv, to_latex, to_table
 from dynasindy.systems.transitions import Transitions
 
 BEHIND = "model_with_actuator.json"
@@ -68,7 +68,7 @@ def _errors(model: SindyModel) -> list[str]:
         fitted = bool((model.constraints.free & (model.coefficients != 0)).any())
         return ["", f"coefficients have no standard errors (±): {UNKNOWN if fitted else 'none of them was fitted'}"]
     errors = model.covariance.table(model.coefficients.shape)
-    return ["", "coefficients and their standard errors", *with_errors(model.library, model.coefficients, errors)]
+    return ["", "coefficients and their standard errors", *coefficient_lines(model.library, model.coefficients, errors)]
 
 
 def anew(data: Transitions) -> str:
@@ -97,9 +97,9 @@ def write(found: Identified, source: Source, folder: Path, before: Sequence[str]
     library, coefficients = found.model.library, found.model.coefficients
     found.model.save(folder / "model.json")
     if found.found is not None and found.found.actuator:
-        behind(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
+        add_actuator(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
     write_json(folder / "metrics.json", found.metrics, indent=1, finite=False)
     write_text(folder / "report.txt", "\n".join([*before, to_words(found, source)]) + "\n")
-    write_text(folder / "coefficients.txt", to_text(library, coefficients) + "\n")
+    write_text(folder / "coefficients.txt", to_table(library, coefficients) + "\n")
     write_text(folder / "coefficients.tex", to_latex(library, coefficients))
     write_text(folder / "coefficients.csv", to_csv(library, coefficients))

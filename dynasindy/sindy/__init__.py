@@ -2,7 +2,7 @@
 
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import register_function
-from dynasindy.sindy.learned_reward import OwnReward
+from dynasindy.sindy.learned_reward import LearnedReward
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import build_library
@@ -12,9 +12,9 @@ from dynasindy.sindy.world_model import Oracle, WorldModel
 
 __all__ = [
     "FitReport",
+    "LearnedReward",
     "Library",
     "Oracle",
-    "OwnReward",
     "Refinement",
     "Regression",
     "SindyModel",

@@ -21,15 +21,15 @@ from torch import Tensor
 
 from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.delay import delayed, unexplained
+from dynasindy.sindy.delay import delay_inputs, unexplained
 from dynasindy.sindy.library import Feature, Library, of, variable
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.reconstruction import Seen, has_gaps, imagined, rates_known, reconstruct
+from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct, simulate_hidden_states
 from dynasindy.sindy.refinement import STEPS
 from dynasindy.sindy.shooting import Descent, Estimate, RunsAway
 from dynasindy.sindy.trajectory_fit import few_steps
-from dynasindy.sindy.windows import spread
+from dynasindy.sindy.windows import choose_stretches
 from dynasindy.systems.transitions import Transitions
 
 Kind = Literal["rate limit", "play", "dead zone", "lag"]
@@ -126,7 +126,7 @@ FEW = Descent(ALONE, joined=False, max_rounds=STEPS)
 
 
 @dataclass(frozen=True)
-class Found:
+class ActuatorFit:
     """Hold what was found out about the actuators of a recording.
 
     Attributes:
@@ -146,7 +146,7 @@ class Found:
     sought: bool = True
 
     @classmethod
-    def none(cls, model: SindyModel, why_not: str = "") -> Found:
+    def none(cls, model: SindyModel, why_not: str = "") -> ActuatorFit:
         """Say that none was found, or why none was looked for."""
         words = "no rate limit and no play of an input was found"
         if why_not:
@@ -154,7 +154,7 @@ class Found:
         return cls(None, model.coefficients, 0.0, words, model.library, not why_not)
 
 
-def find_actuator(model: SindyModel, data: Transitions) -> Found:
+def find_actuator(model: SindyModel, data: Transitions) -> ActuatorFit:
     """Say whether an input has a rate limit or play; at most one is found.
 
     Args:
@@ -162,17 +162,17 @@ def find_actuator(model: SindyModel, data: Transitions) -> Found:
         data: the recording, NaN where a state was not measured.
     """
     if model.step is not None:
-        return Found.none(model, "they are those of differential equations")
+        return ActuatorFit.none(model, "they are those of differential equations")
     if (n := int((model.coefficients != 0).any(1).sum())) > LARGEST:
-        return Found.none(model, f"the model has {n} functions, and the limit is {LARGEST}")
+        return ActuatorFit.none(model, f"the model has {n} functions, and the limit is {LARGEST}")
     bench = _Bench.of(model, data)
     if bench is None:
-        return Found.none(model, "the recording is too short")
+        return ActuatorFit.none(model, "the recording is too short")
     library, support = model.library, (model.coefficients != 0) & model.constraints.free
     names = model.signature.input_names
     plain = bench.judged(library, support, None)
     if plain is None:  # there is nothing to be better than
-        return Found.none(model, f"the equations alone run away in windows of {ALONE} samples")
+        return ActuatorFit.none(model, f"the equations alone run away in windows of {ALONE} samples")
     best: tuple[Tensor, Actuator, Estimate] | None = None
     for place, name in enumerate(names):
         for kind in WANTED:
@@ -182,18 +182,18 @@ def find_actuator(model: SindyModel, data: Transitions) -> Found:
             if actuator and judged and (best is None or float(judged[0].sum()) < float(best[0].sum())):
                 best = judged[0], actuator, judged[1]
     if best is None:
-        return Found.none(model)
+        return ActuatorFit.none(model)
     gain = math.inf
     for rival in chain([plain[0]], bench.rivals(library, support, best[1].place)):
         gain = min(gain, _gain(rival, best[0]))
         if gain < MARGIN:
-            return Found.none(model)
+            return ActuatorFit.none(model)
     said = f"{best[1].kind} of {best[1].size:.3g}" + (" per second" if best[1].kind == "rate limit" else "")
     words = f"{names[best[1].place]} has a {said}: samples that were not fitted are met {100 * gain:.0f} % more closely"
-    return Found(best[1], best[2].xi, gain, words, best[2].library)
+    return ActuatorFit(best[1], best[2].xi, gain, words, best[2].library)
 
 
-def behind(model: SindyModel, found: Found, dt: float) -> SindyModel:
+def add_actuator(model: SindyModel, found: ActuatorFit, dt: float) -> SindyModel:
     """Return a model whose actuator is one state more, which no sensor sees and which its equations read.
 
     With `slack(u, a; p)`, which is what u - a has beyond p on either side, play is `a' = k slack(u, a; p)`, and a rate
@@ -245,10 +245,10 @@ class _Bench:
     @classmethod
     def of(cls, model: SindyModel, data: Transitions) -> _Bench | None:
         """Guess what was not measured; None where too little is left to judge."""
-        whole, rows = delayed(data.to(torch.float64), model.delay), spread(len(data), MOST)
+        whole, rows = delay_inputs(data.to(torch.float64), model.delay), choose_stretches(len(data), MOST)
         data = whole.select(rows)
-        rates = rates_known(model.library, model.constraints)
-        guess = imagined(model.library, model.coefficients, data, reconstruct(data, rates), rates)
+        rates = rate_states(model.library, model.constraints)
+        guess = simulate_hidden_states(model.library, model.coefficients, data, reconstruct(data, rates), rates)
         noisy = not bool(has_gaps(data)) and looks_noisy(model.library, model.coefficients, guess)
         guess = reconstruct(data, rates, True) if noisy else guess
         first = torch.arange(len(data)) < FITTED * len(data)
@@ -353,7 +353,9 @@ class _Bench:
         rows = known & self.fitted
         if 2 * int(rows.sum()) < int(self.fitted.sum()):
             return math.inf
-        seen = Seen.of(guess.select(rows), data.select(rows), rates_known(model.library, model.constraints), self.noisy)
+        seen = RegressionData.of(
+            guess.select(rows), data.select(rows), rate_states(model.library, model.constraints), self.noisy
+        )
         theta, dx = seen.rows(model.library, generate(model.library, model.coefficients))
         fixed = torch.where(model.constraints.free, 0.0, model.coefficients)
         n, states = len(dx), int(support.any(0).sum())

@@ -25,7 +25,7 @@ Cost = Callable[[float], float]
 """Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
 
 
-def delayed(data: Transitions, delay: float) -> Transitions:
+def delay_inputs(data: Transitions, delay: float) -> Transitions:
     """Return a recording whose inputs act `delay` seconds later; before its first sample the first input held.
 
     A delay that is no whole number of samples changes the input within an interval; its mean is taken.
@@ -47,17 +47,17 @@ def delayed(data: Transitions, delay: float) -> Transitions:
     return replace(data, u=(1 - part) * late + part * later)
 
 
-def known_inputs(data: Transitions, longest: float) -> Tensor:
+def rows_after_delay(data: Transitions, longest: float) -> Tensor:
     """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
     return torch.arange(len(data)) - _begin(data) >= math.ceil(longest / data.dt - 1e-9)
 
 
-def arrived(data: Transitions, delay: float) -> Transitions:
+def delay_and_trim(data: Transitions, delay: float) -> Transitions:
     """Return a recording whose inputs act `delay` seconds later, without the rows whose inputs are not known then."""
-    return delayed(data, delay).select(known_inputs(data, delay))
+    return delay_inputs(data, delay).select(rows_after_delay(data, delay))
 
 
-def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
+def estimate_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
     """Return the delay of whole samples with which all functions explain the rates of change best [s].
 
     Args:
@@ -71,7 +71,7 @@ def rough_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest:
     return min(range(most + 1), key=costs.__getitem__) * dt
 
 
-def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
+def search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
     """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
 
     Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
@@ -101,7 +101,7 @@ def reach(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[i
     return found
 
 
-def fine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False) -> float:
+def refine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False) -> float:
     """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
 
     Args:

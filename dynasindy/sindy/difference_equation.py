@@ -7,7 +7,7 @@ from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 
-def stepwise(library: Library, data: Transitions) -> tuple[Library, Transitions]:
+def step_rows(library: Library, data: Transitions) -> tuple[Library, Transitions]:
     """Return the library with the step of a recording, and its control periods in which all states were measured.
 
     Args:
@@ -52,7 +52,7 @@ def _by_period(data: Transitions) -> Transitions:
     return Transitions(data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n])
 
 
-def timed(library: Library, time: str | None) -> Library:
+def with_time(library: Library, time: str | None) -> Library:
     """Return the library as one of the kind of equation that is wanted.
 
     Args:

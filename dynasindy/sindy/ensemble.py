@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 
 from dynasindy.progress import reporting_as
-from dynasindy.sindy.delay import delayed
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.transitions import Transitions
 
@@ -28,7 +28,7 @@ def refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> l
         ValueError: a stretch has fewer transitions than the library has functions.
         Diverged: a coefficient is not finite.
     """
-    late, places = delayed(data, model.delay), torch.arange(len(data))
+    late, places = delay_inputs(data, model.delay), torch.arange(len(data))
     length, found = len(data) // stretches, []
     for k in range(stretches):
         member = copy.deepcopy(model)

@@ -39,28 +39,28 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
                 quotient = " ".join(f.text() for f in feature.factors if f.function in QUOTIENTS)
                 above = " ".join(f.text() for f in feature.factors if f.function not in QUOTIENTS) or "1"
                 groups.setdefault(quotient, []).append((above if quotient else name, value))
-        written = written_sum(groups.pop("", []), digits)
+        written = format_sum(groups.pop("", []), digits)
         for quotient, terms in groups.items():
             # What is divided by the same is written over it once.
-            above, sign = written_sum(terms, digits), ""
+            above, sign = format_sum(terms, digits), ""
             if len(terms) > 1:
                 above = f"({above})"
             elif above.startswith("-"):
                 above, sign = above[1:], "-"
             joint = (" - " if sign else " + ") if written else sign
             written += f"{joint}{above} {quotient}"
-        lines.append(f"{moved_on(library, state)} = {written or '0'}")
+        lines.append(f"{left_side(library, state)} = {written or '0'}")
     return lines
 
 
-def moved_on(library: Library, state: str) -> str:
+def left_side(library: Library, state: str) -> str:
     """Return the left side of a state's equation: its rate, or its next value."""
     return f"{state}'" if library.step is None else f"{state}[k+1]"
 
 
 def change_of(library: Library, state: str) -> str:
     """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
-    return moved_on(library, state) if library.step is None else f"the change of {state}"
+    return left_side(library, state) if library.step is None else f"the change of {state}"
 
 
 def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
@@ -90,7 +90,7 @@ def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
     return whole, table
 
 
-def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
+def coefficient_lines(library: Library, coefficients: Tensor, errors: Tensor) -> list[str]:
     """Write a line for each coefficient that has a standard error, such as `v'  -9.81 ± 0.03  sin(p)`.
 
     What a coefficient stands before comes last, as in an equation, so that a long function leaves the others in line.
@@ -106,7 +106,7 @@ def with_errors(library: Library, coefficients: Tensor, errors: Tensor) -> list[
     place = {feature.key: k for k, feature in enumerate(whole.features)}
     spread = torch.zeros_like(table)
     spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
-    left = [moved_on(library, state) for state in library.signature.state_names]
+    left = [left_side(library, state) for state in library.signature.state_names]
     found = [
         (left[i], plus_minus(float(xi), float(error)), whole.names[k])
         for i in range(len(left))
@@ -128,7 +128,7 @@ def plus_minus(value: float, error: float) -> str:
     return f"({written})e{scale:+03d}" if scale else written
 
 
-def written_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
+def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
     """Write coefficients and functions as a sum."""
     written = ""
     for name, value in terms:
@@ -156,7 +156,7 @@ def _number(value: float, digits: int, latex: bool) -> str:
     return f"${written}$" if latex and value < 0 else written
 
 
-def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
+def to_table(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
     """Write the Xi table with aligned columns.
 
     Args:
@@ -166,7 +166,7 @@ def to_text(library: Library, coefficients: Tensor, digits: int = 5, active_only
         active_only: whether functions without any coefficient are left out.
     """
     library, coefficients = mapping(library, coefficients)
-    header = ["function", *(moved_on(library, s) for s in library.signature.state_names)]
+    header = ["function", *(left_side(library, s) for s in library.signature.state_names)]
     rows = [header, *_rows(library, coefficients, digits, False, active_only)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
     return "\n".join(
@@ -231,14 +231,14 @@ def to_csv(library: Library, coefficients: Tensor) -> str:
     writer = csv.writer(out, lineterminator="\n")
     library, coefficients = mapping(library, coefficients)
     units = zip(library.signature.state_names, library.signature.state_units, strict=True)
-    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{moved_on(library, s)} [{u}]" for s, u in units)
+    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{left_side(library, s)} [{u}]" for s, u in units)
     writer.writerow(["function", *heads])
     for name, values in zip(library.names, coefficients.tolist(), strict=True):
         writer.writerow([name, *(repr(v) for v in values)])
     return out.getvalue()
 
 
-def require_finite(coefficients: Tensor, library: Library, source: str, samples: int) -> Tensor:
+def require_finite_coefficients(coefficients: Tensor, library: Library, source: str, samples: int) -> Tensor:
     """Return coefficients as they are.
 
     Args:

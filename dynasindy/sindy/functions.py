@@ -257,10 +257,10 @@ def register_function(
             f"register_function got a formula with {other[0]!r}; allowed are {{0}}, {{1}}, operators, numbers and "
             f"{', '.join(FORMULA_FUNCTIONS)}: write it with these, or leave it out"
         )
-    return keep(Function(name, compute, name + "({0})", latex or default, formula=formula, given=formula))
+    return register(Function(name, compute, name + "({0})", latex or default, formula=formula, given=formula))
 
 
-def keep(made: Function) -> Function:
+def register(made: Function) -> Function:
     """Register a function, in the place of another one of its name, and return it."""
     _REGISTRY[made.name] = made
     return made
@@ -300,7 +300,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Tensor]] = {
     ast.Div: operator.truediv,
     ast.USub: operator.neg,
 }
-_OPERATORS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _CALLS: dict[str, Callable[..., Tensor]] = {
     "sin": torch.sin,
     "cos": torch.cos,
@@ -340,10 +340,10 @@ def register_formula(name: str, formula: str) -> Function:
         raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
     tree = _read(name, formula)
     # What was given is not kept for other languages: its tree is written anew, from numbers and known names alone.
-    return keep(replace(register_function(name, lambda *z: _value(tree, z), formula=_written(tree)), given=formula))
+    return register(replace(register_function(name, lambda *z: _value(tree, z), formula=_written(tree)), given=formula))
 
 
-def texts(names: Iterable[str]) -> dict[str, str]:
+def formula_texts(names: Iterable[str]) -> dict[str, str]:
     """Return the formulas that functions were registered with, by name.
 
     Other functions are left out, and so are those whose formula cannot be read again.
@@ -352,7 +352,7 @@ def texts(names: Iterable[str]) -> dict[str, str]:
     return {name: formula for name, formula in found.items() if formula and _is_readable(name, formula)}
 
 
-def forget(names: Iterable[str]) -> None:
+def unregister_formulas(names: Iterable[str]) -> None:
     """Take back the registration of functions, of a file that turned out to be damaged."""
     for name in names:
         unregister_function(name)
@@ -414,7 +414,7 @@ def _written(node: ast.expr) -> str:
     """Return a node in brackets, floats and known names, which every language reads alike."""
     match node:
         case ast.BinOp(left=left, op=op, right=right):
-            return f"({_written(left)} {_OPERATORS[type(op)]} {_written(right)})"
+            return f"({_written(left)} {_SIGNS[type(op)]} {_written(right)})"
         case ast.UnaryOp(operand=operand):
             return f"(0.0 - {_written(operand)})"
         case ast.Call(func=ast.Name(id=name), args=args):

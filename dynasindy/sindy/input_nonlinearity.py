@@ -14,7 +14,7 @@ from torch import Tensor
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import Recording, Seen, at_rest, rates_known, reconstruct
+from dynasindy.sindy.reconstruction import DelayedRecording, RegressionData, rate_states, reconstruct, settle_lag_states
 from dynasindy.sindy.regression import least_squares
 from dynasindy.systems.transitions import Transitions
 
@@ -33,7 +33,7 @@ LEVELS = 10
 
 
 @dataclass(frozen=True)
-class Bend:
+class InputNonlinearity:
     """Hold where an input does nothing.
 
     Attributes:
@@ -49,7 +49,9 @@ class Bend:
     high: float
 
 
-def bend_of(name: str, edges: Sequence[float], slopes: Sequence[float], flat: float = FLAT) -> Bend | None:
+def classify_nonlinearity(
+    name: str, edges: Sequence[float], slopes: Sequence[float], flat: float = FLAT
+) -> InputNonlinearity | None:
     """Return what a piecewise linear function of an input is, None where it is neither.
 
     Args:
@@ -63,14 +65,14 @@ def bend_of(name: str, edges: Sequence[float], slopes: Sequence[float], flat: fl
         return None
     if still[0] or still[-1]:
         ends = (edges[0] if still[0] else -math.inf), (edges[-1] if still[-1] else math.inf)
-        return Bend(name, "saturation", *ends)
+        return InputNonlinearity(name, "saturation", *ends)
     if True in still:
         k = still.index(True)
-        return Bend(name, "dead zone", edges[k - 1], edges[k])
+        return InputNonlinearity(name, "dead zone", edges[k - 1], edges[k])
     return None
 
 
-def bends_in(model: SindyModel, state: int, name: str) -> Bend | None:
+def read_nonlinearity(model: SindyModel, state: int, name: str) -> InputNonlinearity | None:
     """Return the dead zone or the saturation of an input in an equation, None where it has neither.
 
     Args:
@@ -94,10 +96,10 @@ def bends_in(model: SindyModel, state: int, name: str) -> Bend | None:
     slopes, rising = [slope], sorted(edges)
     for edge in rising:
         slopes.append(slopes[-1] + edges[edge])
-    return bend_of(name, rising, slopes) if any(slopes) else None
+    return classify_nonlinearity(name, rising, slopes) if any(slopes) else None
 
 
-def missing_bend(model: SindyModel, data: Transitions) -> Bend | None:
+def find_missing_nonlinearity(model: SindyModel, data: Transitions) -> InputNonlinearity | None:
     """Return the dead zone or the saturation that what the equations leave over looks like most, None if neither.
 
     Two bends of each input are tried beside the functions of each equation that reads it, by regressions of the rates
@@ -108,10 +110,10 @@ def missing_bend(model: SindyModel, data: Transitions) -> Bend | None:
         data: the log that it was fitted to, NaN where a state was not measured.
     """
     data = data.to(torch.float64)
-    rates = rates_known(model.library, model.constraints)
-    guess = at_rest(reconstruct(data, rates), model.followers)
-    seen = Recording.of(data, guess, rates, model.delay).brief(model.delay).seen(model.delay)
-    found: Bend | None = None
+    rates = rate_states(model.library, model.constraints)
+    guess = settle_lag_states(reconstruct(data, rates), model.followers)
+    seen = DelayedRecording.of(data, guess, rates, model.delay).brief(model.delay).seen(model.delay)
+    found: InputNonlinearity | None = None
     least = HALF
     for place, name in enumerate(model.signature.input_names):
         u = seen.guess.u[:, place]
@@ -119,14 +121,14 @@ def missing_bend(model: SindyModel, data: Transitions) -> Bend | None:
         if len(u.unique()) < LEVELS or len(edges) < 2 or name in model.followed.values():
             continue
         for part, ends, slopes in _bent(model, seen, name, edges):
-            bend = bend_of(name, ends, slopes, ROUGHLY)
+            bend = classify_nonlinearity(name, ends, slopes, ROUGHLY)
             if part < least and bend is not None and ends[-1] - ends[0] >= NARROW * float(u.max() - u.min()):
                 found, least = bend, part
     return found
 
 
 def _bent(
-    model: SindyModel, seen: Seen, name: str, edges: Sequence[float]
+    model: SindyModel, seen: RegressionData, name: str, edges: Sequence[float]
 ) -> Iterator[tuple[float, Sequence[float], list[float]]]:
     """Yield, of each equation that reads an input, what its two best bends leave over, where they are, and slopes.
 

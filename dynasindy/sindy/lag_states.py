@@ -21,10 +21,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.delay import delayed, known_inputs, unexplained
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import Seen, has_gaps, rates_known, reconstruct
+from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct
 from dynasindy.sindy.regression import Rows, RunningSums, least_squares
 from dynasindy.systems.transitions import Transitions
 
@@ -41,7 +41,7 @@ FORGOTTEN = math.log(1000.0)
 
 
 @dataclass(frozen=True)
-class Trial:
+class LagStateCandidate:
     """Hold a model with one state more, which follows a signal, not fitted yet but for a first guess.
 
     Attributes:
@@ -63,11 +63,11 @@ class Trial:
             return f"{self.signal} acts through a lag of {1 / rate:.3g} s, a state that no sensor sees"
         return (
             f"a part of the plant that no sensor sees follows {self.signal} with a time constant of {1 / rate:.3g} s: "
-            f"it is the state {lagging(self.signal)}"
+            f"it is the state {lag_state_name(self.signal)}"
         )
 
 
-def trials(model: SindyModel, data: Transitions) -> list[Trial]:
+def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateCandidate]:
     """Return models with a state that follows an input or a measured state, those first that regressions prefer.
 
     Those are left out by which a regression explains no more, and all where equations are known beyond rates. What
@@ -78,12 +78,12 @@ def trials(model: SindyModel, data: Transitions) -> list[Trial]:
         model: what was fitted to the recording.
         data: the recording, NaN where a state was not measured.
     """
-    known = set(rates_known(model.library, model.constraints).values())
+    known = set(rate_states(model.library, model.constraints).values())
     others = [i for i in range(model.signature.n_x) if i not in known]
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return []
-    data, keep = data.to(torch.float64), known_inputs(data, model.delay)
-    late = {delay: delayed(data, delay).select(keep) for delay in _delays(model.delay, data.dt)}
+    data, keep = data.to(torch.float64), rows_after_delay(data, model.delay)
+    late = {delay: delay_inputs(data, delay).select(keep) for delay in _delays(model.delay, data.dt)}
     found = []
     for signal in _signals(model, data):
         plain = _Search(model, late[model.delay], signal)
@@ -106,7 +106,7 @@ def _signals(model: SindyModel, data: Transitions) -> list[str]:
 
 def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
     """Return the state whose equation a store beside state i acts on, or its known rate, and if that is sought."""
-    rate = {of: rate for rate, of in rates_known(model.library, model.constraints).items()}.get(i, i)
+    rate = {of: rate for rate, of in rate_states(model.library, model.constraints).items()}.get(i, i)
     return rate, bool(model.constraints.free[:, rate].any())
 
 
@@ -115,14 +115,14 @@ class _Search:
 
     def __init__(self, model: SindyModel, data: Transitions, signal: str, delay: float = 0.0) -> None:
         self.model, self.data, self.signal, self.delay = model, data, signal, delay
-        self.rates, self.noisy = rates_known(model.library, model.constraints), not bool(has_gaps(data))
+        self.rates, self.noisy = rate_states(model.library, model.constraints), not bool(has_gaps(data))
         self.guess = reconstruct(data, self.rates, self.noisy)
         self.input = signal in model.signature.input_names
         place = (model.signature.input_names if self.input else model.signature.state_names).index(signal)
         held = self.guess.u if self.input else 0.5 * (self.guess.x + self.guess.x_next)
         self.follows, self.moved = held[:, place], place if self.input else _moved(model, place)[0]
 
-    def best(self, plain: _Search) -> Trial | None:
+    def best(self, plain: _Search) -> LagStateCandidate | None:
         """Return the model of the time with which all functions together explain most; None where none does.
 
         Args:
@@ -142,11 +142,11 @@ class _Search:
         if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
             return None
         wide.initial, wide.initial_delay = self._solved(wide, rows, time), self.delay
-        return Trial(wide, self.signal, gain / len(rows[0]))
+        return LagStateCandidate(wide, self.signal, gain / len(rows[0]))
 
     def left(self, keep: Tensor) -> float:
         """Return N/2 log of what is left over without the state, of rows bool `(N,)`."""
-        seen = Seen.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
+        seen = RegressionData.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
         free = self.model.constraints.free
         fixed = torch.where(free, 0.0, self.model.coefficients)
         theta, dx = seen.rows(self.model.library, generate(self.model.library, self.model.coefficients))
@@ -164,7 +164,7 @@ class _Search:
             every, stretches = torch.ones(len(data), dtype=torch.bool), len(data.segment.unique())
             return [n * data.dt for n in LONGER if n <= longest and len(data) >= enough + stretches], every
         for n in reversed(TIMES):
-            keep = known_inputs(data, FORGOTTEN * n * data.dt)
+            keep = rows_after_delay(data, FORGOTTEN * n * data.dt)
             if int(keep.sum()) >= enough:
                 return [m * data.dt for m in TIMES if m <= n], keep
         return [], keep
@@ -197,7 +197,7 @@ class _Search:
         Where a state that follows a measured one began is not known: behind the functions stands what decays from
         there, a column for each stretch.
         """
-        starts, ends = following(self.follows, self.data, time)
+        starts, ends = lag_dynamics(self.follows, self.data, time)
         own, n_x = [starts.unsqueeze(-1)], wide.signature.n_x
         own_next = [ends.unsqueeze(-1)]
         if not self.input:
@@ -213,7 +213,7 @@ class _Search:
         def _theta(x: Tensor, u: Tensor) -> Tensor:
             return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
 
-        seen = Seen.of(guess.select(keep), measured.select(keep), self.rates, self.noisy)
+        seen = RegressionData.of(guess.select(keep), measured.select(keep), self.rates, self.noisy)
         theta, dx = seen.rows(_theta, _theta)  # where a state was not measured no field is asked for
         return theta, dx[:, :n_x]
 
@@ -238,7 +238,7 @@ class _Search:
 
     def _wide(self, time: float) -> SindyModel:
         """Return the model with one state more, without coefficients but those that are known."""
-        old, model, name = self.model.signature, self.model, lagging(self.signal)
+        old, model, name = self.model.signature, self.model, lag_state_name(self.signal)
         own = of("ahead", self.signal, name)
         read = list(model.library.features)
         if self.input:
@@ -265,7 +265,7 @@ class _Search:
         )
 
 
-def following(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
+def lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
     """Return a state that follows a signal, at the begin and at the end of each interval, `(N,)` both.
 
     It begins each segment at rest, equal to the signal.
@@ -284,12 +284,12 @@ def following(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, T
     return torch.tensor(starts, dtype=signal.dtype), torch.tensor(ends, dtype=signal.dtype)
 
 
-def lagging(name: str) -> str:
+def lag_state_name(name: str) -> str:
     """Return the name of the state that follows a signal."""
     return f"{name}_lagging"
 
 
-def begins(model: SindyModel, data: Transitions) -> dict[int, tuple[float, float]]:
+def lag_state_ranges(model: SindyModel, data: Transitions) -> dict[int, tuple[float, float]]:
     """Return the ends between which states that follow were in a log, by place; of a measured state the difference.
 
     Args:
@@ -297,7 +297,7 @@ def begins(model: SindyModel, data: Transitions) -> dict[int, tuple[float, float
         data: the log, with all states of the model; before it inputs were zero.
     """
     found, names = {}, model.signature
-    guess = reconstruct(data, rates_known(model.library, model.constraints))
+    guess = reconstruct(data, rate_states(model.library, model.constraints))
     for name, signal in model.followed.items():
         place = names.state_index(name)
         if signal in names.input_names:
@@ -305,7 +305,7 @@ def begins(model: SindyModel, data: Transitions) -> dict[int, tuple[float, float
             found[place] = min(float(ends.min()), 0.0), max(float(ends.max()), 0.0)
             continue
         level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
-        behind = following(level, data, 1 / float(model.coefficients[:, place].sum()))[1] - level
+        behind = lag_dynamics(level, data, 1 / float(model.coefficients[:, place].sum()))[1] - level
         found[place] = float(behind.min()), float(behind.max())
     return found
 

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.equations import written_sum
+from dynasindy.sindy.equations import format_sum
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.regression import Regression, RunningSums
@@ -35,7 +35,7 @@ REGRESSION = Regression(method="bic", tolerance=1e-3)
 """How it is identified; the tolerance lets functions go that explain less than a thousandth."""
 
 
-class OwnReward(Task):
+class LearnedReward(Task):
     """Earn as much as possible of what the plant itself pays.
 
     Episodes begin where the plant begins them, and the observation is the states in their ranges.
@@ -153,7 +153,7 @@ class OwnReward(Task):
             return f"the function that was given, {left}"
         terms = zip(self.library.names, self.learnt["coefficients"].tolist(), strict=True)
         when = "at the end of a period" if self.learnt["later"] else "at its start"
-        return f"{written_sum([term for term in terms if term[1]], 4)}, of the state {when}, {left}"
+        return f"{format_sum([term for term in terms if term[1]], 4)}, of the state {when}, {left}"
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was learnt."""

@@ -27,21 +27,30 @@ from torch import Tensor
 from dynasindy.sindy.codegen import Field, generate, machine, refuse_not_finite
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
-from dynasindy.sindy.delay import delayed, known_inputs
-from dynasindy.sindy.difference_equation import stepwise, timed
-from dynasindy.sindy.equations import equations, require_finite
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay
+from dynasindy.sindy.difference_equation import step_rows, with_time
+from dynasindy.sindy.equations import equations, require_finite_coefficients
 from dynasindy.sindy.fit_report import FitReport, unmeasured
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.model_file import Model as Read
-from dynasindy.sindy.model_file import load, record, save, understand
+from dynasindy.sindy.model_file import load_model, model_record, parse_record, save_model
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
-from dynasindy.sindy.reconstruction import Recording, Seen, at_rest, begun, followed, imagined, rates_known, reconstruct
+from dynasindy.sindy.reconstruction import (
+    DelayedRecording,
+    RegressionData,
+    lag_signals,
+    rate_states,
+    reconstruct,
+    settle_lag_states,
+    simulate_hidden_states,
+    start_lag_states,
+)
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
-from dynasindy.sindy.shape_parameters import one_quotient, stayed
-from dynasindy.sindy.shooting import RunsAway, unscaled
+from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
+from dynasindy.sindy.shooting import RunsAway, states_without_scale
 from dynasindy.sindy.windows import ENOUGH, STRETCHES
-from dynasindy.sindy.world_model import WorldModel, whole
+from dynasindy.sindy.world_model import WorldModel, all_or_nothing
 from dynasindy.systems.base import PRECISIONS, Signature
 from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import moved
@@ -170,7 +179,7 @@ class SindyModel(SparseModel):
         machine_code: bool = True,
         time: Literal["continuous", "discrete"] | None = None,
     ) -> None:
-        super().__init__(signature, timed(build_library(library, signature), time), machine_code)
+        super().__init__(signature, with_time(build_library(library, signature), time), machine_code)
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
@@ -194,7 +203,7 @@ class SindyModel(SparseModel):
     @property
     def followed(self) -> dict[str, str]:
         """States that only follow, as a' = k (s - a), each with the state or input s that it follows."""
-        return followed(self.library, self.constraints)
+        return lag_signals(self.library, self.constraints)
 
     @property
     def followers(self) -> dict[int, int]:
@@ -265,7 +274,7 @@ class SindyModel(SparseModel):
         """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
         return self.refinement is None and self.initial is None and not self.library.shapes
 
-    @whole("library")
+    @all_or_nothing("library")
     def absorb(self, transitions: Transitions) -> None:
         """Add transitions to the sums that the next `update` solves; the equations stay as they are.
 
@@ -274,23 +283,23 @@ class SindyModel(SparseModel):
         """
         if not len(transitions):
             return
-        data, rates = self._checked(transitions), rates_known(self.library, self.constraints)
-        guess = at_rest(reconstruct(data, rates), self.followers)
-        self.sums.add(self._rows(Recording.of(data, guess, rates, self.delay).seen(self.delay)))
+        data, rates = self._checked(transitions), rate_states(self.library, self.constraints)
+        guess = settle_lag_states(reconstruct(data, rates), self.followers)
+        self.sums.add(self._rows(DelayedRecording.of(data, guess, rates, self.delay).seen(self.delay)))
 
-    @whole("library", "sums", "delay", "coefficients", "_covariance")
+    @all_or_nothing("library", "sums", "delay", "coefficients", "_covariance")
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
         data = self._checked(transitions)
-        rates, first = rates_known(self.library, self.constraints), None
-        guess = at_rest(reconstruct(data, rates), self.followers)
+        rates, first = rate_states(self.library, self.constraints), None
+        guess = settle_lag_states(reconstruct(data, rates), self.followers)
         if self.initial is not None:
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
-            late = delayed(guess, self.initial_delay)
-            late = imagined(self.library, first, data, late, rates)
-            guess = replace(begun(self.library, first, late, self.followers), u=data.u)
-        recording = Recording.of(data, guess, rates, delay)
+            late = delay_inputs(guess, self.initial_delay)
+            late = simulate_hidden_states(self.library, first, data, late, rates)
+            guess = replace(start_lag_states(self.library, first, late, self.followers), u=data.u)
+        recording = DelayedRecording.of(data, guess, rates, delay)
         seen = recording.seen(delay)
         rows = self._rows(seen)
         self.sums.add(rows)
@@ -306,12 +315,12 @@ class SindyModel(SparseModel):
         self.delay = delay
         notes, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
-            notes += stayed(self.library, self.coefficients)
+            notes += unmoved_shapes(self.library, self.coefficients)
         of, seconds = (self.library, self.coefficients), time.perf_counter() - start
         report = FitReport.of(*of, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
-        samples = int(known_inputs(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        fields |= {"unmeasured": unmeasured(*of, data), "unscaled": unscaled(*of, constraints.free, data)}
+        samples = int(rows_after_delay(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
+        fields |= {"unmeasured": unmeasured(*of, data), "unscaled": states_without_scale(*of, constraints.free, data)}
         return replace(report, samples=samples, told=self._covariance, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
@@ -347,13 +356,13 @@ class SindyModel(SparseModel):
 
     def save(self, path: str | Path) -> None:
         """Write the model as readable JSON, with what was known of its equations before the data."""
-        save(self.library, self.coefficients, path, self.constraints, self.delay, self.covariance)
+        save_model(self.library, self.coefficients, path, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def load(
         cls, path: str | Path, regression: Regression | None = None, refinement: Refinement | None = None
     ) -> SindyModel:
-        """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
+        """Read a model that `save_model` wrote; it predicts as the saved one did, to the last digit.
 
         Args:
             path: the file.
@@ -363,15 +372,15 @@ class SindyModel(SparseModel):
         Raises:
             ValueError: the file is not such a model, or needs a function that is not registered.
         """
-        return cls._of(load(path), regression, refinement)
+        return cls._of(load_model(path), regression, refinement)
 
     def record(self) -> dict[str, Any]:
-        """Return what `save` writes, as keys and values."""
-        return record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
+        """Return what `save_model` writes, as keys and values."""
+        return model_record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
 
     @classmethod
     def of_record(cls, given: object, source: str | Path) -> SindyModel:
-        """Return the model whose `record` is given.
+        """Return the model whose `model_record` is given.
 
         Args:
             given: the record.
@@ -380,7 +389,7 @@ class SindyModel(SparseModel):
         Raises:
             ValueError: it is none, or needs a function that is not registered.
         """
-        return cls._of(understand(given, source))
+        return cls._of(parse_record(given, source))
 
     @classmethod
     def _of(cls, found: Read, regression: Regression | None = None, refinement: Refinement | None = None) -> SindyModel:
@@ -399,7 +408,7 @@ class SindyModel(SparseModel):
                 f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
                 f"{self.signature.n_u}, as in the signature: check the columns"
             )
-        library, data = (self.library, data) if self.step is None else stepwise(self.library, data)
+        library, data = (self.library, data) if self.step is None else step_rows(self.library, data)
         if len(data) + self.sums.count < len(self.library):
             kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
@@ -419,7 +428,7 @@ class SindyModel(SparseModel):
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
-        refined = require_finite(found.coefficients, self.library, "refinement", self.sums.count)
+        refined = require_finite_coefficients(found.coefficients, self.library, "refinement", self.sums.count)
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
         self.set_coefficients(refined)
@@ -430,14 +439,14 @@ class SindyModel(SparseModel):
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
             self.sums = RunningSums(len(self.library), self.signature.n_x)
-            recording = Recording.of(data, guess, rates_known(self.library, self.constraints), self.delay)
+            recording = DelayedRecording.of(data, guess, rate_states(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording.seen(self.delay)))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
             return list(found.notes), fields
         chosen = f"{ENOUGH} of {len(data)} rows, in {STRETCHES} stretches spread evenly over them"
         return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
 
-    def _rows(self, seen: Seen, library: Library | None = None) -> Rows:
+    def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change of what regressions read."""
         library = library or self.library
         return seen.rows(library, self) if seen.half else integral_form(library, seen.guess)
@@ -445,4 +454,4 @@ class SindyModel(SparseModel):
     def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(sums, constraints.free, constraints.offset)
-        self.set_coefficients(require_finite(found, self.library, "regression", self.sums.count))
+        self.set_coefficients(require_finite_coefficients(found, self.library, "regression", self.sums.count))

@@ -14,7 +14,7 @@ from torch import Tensor
 from dynasindy.safe_io import write_json
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.equations import equations
-from dynasindy.sindy.functions import FunctionError, forget, is_registered, register_formula, texts
+from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_formulas
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.systems.base import Signature
 
@@ -30,7 +30,7 @@ Known = tuple[Tensor, Tensor, Tensor]
 Model = tuple[Library, Tensor, Constraints, float, Known | None]
 
 
-def save(
+def save_model(
     library: Library,
     coefficients: Tensor,
     path: str | Path,
@@ -50,18 +50,18 @@ def save(
         delay: time between an input and its effect [s].
         covariance: which coefficients' covariance is known, and its factor.
     """
-    data = record(library, coefficients, constraints, delay, covariance)
+    data = model_record(library, coefficients, constraints, delay, covariance)
     write_json(path, data, indent=1, finite=False)
 
 
-def record(
+def model_record(
     library: Library,
     coefficients: Tensor,
     constraints: Constraints | None = None,
     delay: float = 0.0,
     covariance: Known | None = None,
 ) -> dict[str, Any]:
-    """Return what `save` writes, as keys and values."""
+    """Return what `save_model` writes, as keys and values."""
     signature, table = library.signature, coefficients.tolist()
     states = signature.state_names
     data: dict[str, Any] = {
@@ -73,7 +73,7 @@ def record(
         },
         "library": {f.name(): f.to_list() for f in library.features},
     }
-    if own := texts(factor.function for feature in library.features for factor in feature.factors):
+    if own := formula_texts(factor.function for feature in library.features for factor in feature.factors):
         data["functions"] = own
     if delay:
         data["delay"] = delay
@@ -86,11 +86,11 @@ def record(
     return data
 
 
-def load(path: str | Path) -> Model:
+def load_model(path: str | Path) -> Model:
     """Read a library, its coefficients and its constraints, exact to the last digit.
 
     Args:
-        path: file that `save` wrote.
+        path: file that `save_model` wrote.
 
     Returns:
         The library, Xi, `(n_features, n_x)` float64, what is known of the equations, the delay of the inputs [s], and
@@ -110,14 +110,14 @@ def load(path: str | Path) -> Model:
         raise
     except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
-    return understand(data, path)
+    return parse_record(data, path)
 
 
-def understand(data: object, path: str | Path) -> Model:
-    """Return what `load` does, from keys and values.
+def parse_record(data: object, path: str | Path) -> Model:
+    """Return what `load_model` does, from keys and values.
 
     Args:
-        data: what `record` returned.
+        data: what `model_record` returned.
         path: where it is from, for the message.
 
     Raises:
@@ -205,7 +205,7 @@ def _model(data: dict[str, Any]) -> Model:
             register_formula(name, formula)
         return _parts(data)
     except Exception:  # any: a file that is damaged leaves nothing behind
-        forget(new)
+        unregister_formulas(new)
         raise
 
 

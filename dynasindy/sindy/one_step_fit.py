@@ -13,8 +13,8 @@ from dynasindy.sindy.covariance import Covariance, jackknife
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import least_squares, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.sindy.shooting import MOST_STEPS, turn_of
-from dynasindy.sindy.windows import ENOUGH, spread
+from dynasindy.sindy.shooting import MOST_STEPS, relative_step
+from dynasindy.sindy.windows import ENOUGH, choose_stretches
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
@@ -35,7 +35,7 @@ def steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
     wanted = max(1, math.ceil(data.dt / LONGEST_STEP - 1e-9))
     if wanted <= MOST_STEPS:
         return wanted
-    turn = turn_of(library, xi, data.x, data.u, data.dt)
+    turn = relative_step(library, xi, data.x, data.u, data.dt)
     return min(wanted, MOST, max(MOST_STEPS, math.ceil(turn / MOST_TURNED)))
 
 
@@ -60,7 +60,7 @@ def refine_one_step(
         The library with its shapes, and coefficients, `(n_features, n_x)`.
     """
     whole = data.to(torch.float64)
-    data = whole.select(spread(len(whole), ENOUGH))
+    data = whole.select(choose_stretches(len(whole), ENOUGH))
     floor = tolerance * (whole.x_next - whole.x).square().mean(0).sqrt()
     limit = math.log(len(data))
     support, held = (xi != 0) & free, torch.where(free, 0.0, xi)
@@ -110,7 +110,9 @@ def _descend(
     return library, xi, support
 
 
-def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float) -> Covariance | None:
+def one_step_covariance(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, tolerance: float
+) -> Covariance | None:
     """Return the covariance of the coefficients of least one-step error, numbers inside functions unknown as well.
 
     It is None where nothing was estimated, or a number in it is not finite.
@@ -131,7 +133,7 @@ def certainty(library: Library, xi: Tensor, free: Tensor, data: Transitions, tol
     return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
 
 
-def missed(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
+def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
     """Return the part of each state's change from sample to sample that a prediction of it misses (RMS).
 
     Args:

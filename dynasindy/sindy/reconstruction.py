@@ -14,14 +14,14 @@ from torch import Tensor
 
 from dynasindy.sindy.codegen import Field, generate
 from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.delay import delayed, known_inputs
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.prior import shares
 from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, simpson_form
-from dynasindy.sindy.shooting import substeps_for, turn_of
+from dynasindy.sindy.shooting import relative_step, substeps_for
 from dynasindy.sindy.weak_form import weak_form
-from dynasindy.sindy.windows import ENOUGH, spread
+from dynasindy.sindy.windows import ENOUGH, choose_stretches
 from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.steps import Rates
@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Seen:
+class RegressionData:
     """Hold a recording as its regressions read it.
 
     Attributes:
@@ -61,11 +61,13 @@ class Seen:
     half: int
 
     @classmethod
-    def of(cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False) -> Seen:
+    def of(
+        cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False
+    ) -> RegressionData:
         """Choose the bump by the noise of what was measured; none where all was measured and it is not said noisy."""
         half = 0
         if noisy or bool(has_gaps(measured)):
-            columns = (filled(column.numpy()) for column in measured.x_next.double().unbind(-1))
+            columns = (interpolate_gaps(column.numpy()) for column in measured.x_next.double().unbind(-1))
             half = max(best_length(column) for column in columns if column is not None) // 2
             half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
         return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
@@ -91,7 +93,7 @@ class Seen:
         return weak_form(theta, self.measured, self.guess, self.rates, self.half)
 
 
-def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
+def rate_states(library: Library, constraints: Constraints) -> dict[int, int]:
     """Return which state is known to be the rate of which other one, by their positions: `{rate: state}`.
 
     Args:
@@ -110,7 +112,7 @@ def rates_known(library: Library, constraints: Constraints) -> dict[int, int]:
     return found
 
 
-def followed(library: Library, constraints: Constraints) -> dict[str, str]:
+def lag_signals(library: Library, constraints: Constraints) -> dict[str, str]:
     """Return the states that only follow, as a' = k (s - a), each with the state or input s that it follows.
 
     Args:
@@ -126,7 +128,7 @@ def followed(library: Library, constraints: Constraints) -> dict[str, str]:
     return found
 
 
-def at_rest(data: Transitions, followers: Mapping[int, int]) -> Transitions:
+def settle_lag_states(data: Transitions, followers: Mapping[int, int]) -> Transitions:
     """Return a recording in which states that follow another one are equal to it, as they are at rest.
 
     Args:
@@ -162,7 +164,7 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
         guessed = torch.zeros_like(samples)
         for i in range(samples.shape[1]):
             rate_of = rates.get(i) if bool(samples[:, i].isnan().all()) else None
-            column = filled(samples[:, i if rate_of is None else rate_of].numpy())
+            column = interpolate_gaps(samples[:, i if rate_of is None else rate_of].numpy())
             if column is None:
                 continue
             source = i if rate_of is None else rate_of
@@ -172,7 +174,7 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
     return replace(data, x=x, x_next=x_next)
 
 
-def ranged(signature: Signature, data: Transitions, known: Mapping[str, str]) -> Signature:
+def with_rate_ranges(signature: Signature, data: Transitions, known: Mapping[str, str]) -> Signature:
     """Return a signature in which rates that no sensor sees have the range in which their states moved.
 
     Args:
@@ -190,7 +192,7 @@ def ranged(signature: Signature, data: Transitions, known: Mapping[str, str]) ->
     return replace(signature, x_scale=tuple(ranges))
 
 
-def imagined(
+def simulate_hidden_states(
     library: Library, xi: Tensor, data: Transitions, guess: Transitions, rates: Mapping[int, int]
 ) -> Transitions:
     """Guess the states that no sensor sees in any form by a first model, which the measured states lead.
@@ -213,7 +215,7 @@ def imagined(
         return guess
     own = torch.where(hidden, xi, 0.0)
     field, x, x_next = generate(library, own), guess.x.clone(), guess.x_next.clone()
-    substeps = substeps_for(turn_of(library, own, guess.x, guess.u, guess.dt))
+    substeps = substeps_for(relative_step(library, own, guess.x, guess.u, guess.dt))
     # What was seen is known at both ends of an interval, and needs no equations that may be fast.
     leads = torch.where(hidden, 0.0, (guess.x_next - guess.x) / guess.dt)
     for k in range(len(guess)):
@@ -229,7 +231,7 @@ def _led(field: Field, lead: Tensor, x: Tensor, u: Tensor) -> Tensor:
     return field(x, u) + lead
 
 
-def begun(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
+def start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
     """Return a recording in which states that follow another one begin each stretch where a first model needs them.
 
     From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
@@ -262,7 +264,7 @@ def begun(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[i
     return replace(guess, x=ends[0], x_next=ends[1])
 
 
-def filled(column: Array) -> Array | None:
+def interpolate_gaps(column: Array) -> Array | None:
     """Return samples with the lost ones interpolated, `(n,)`; None if none was measured."""
     seen = np.flatnonzero(~np.isnan(column))
     return np.interp(np.arange(len(column)), seen, column[seen]) if len(seen) else None
@@ -320,7 +322,7 @@ CUBIC = 8
 """States and inputs up to which cubic functions of them are looked at; of more, quadratic ones."""
 
 
-def moving_on(library: Library, data: Transitions) -> list[str]:
+def find_missing_rates(library: Library, data: Transitions) -> list[str]:
     """Return the states that go on as they went before, whatever states and inputs say: a rate of theirs is missing.
 
     Where all states are there, what happens next follows from them and from the inputs. A state that is the rate of
@@ -362,7 +364,7 @@ def _bridged(data: Transitions) -> Transitions:
     for segment in data.segment.unique_consecutive().tolist():
         rows = (data.segment == segment).nonzero().flatten()
         for i, column in enumerate(torch.cat([data.x[rows[:1]], data.x_next[rows]]).unbind(-1)):
-            if (whole := filled(column.numpy())) is not None:
+            if (whole := interpolate_gaps(column.numpy())) is not None:
                 x[rows, i], x_next[rows, i] = torch.from_numpy(whole[:-1]), torch.from_numpy(whole[1:])
     return replace(data, x=x, x_next=x_next)
 
@@ -396,7 +398,7 @@ def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
     """
     labels, counts = data.segment.unique_consecutive(return_counts=True)
     samples = data.x[data.segment == labels[int(counts.argmax())], i].numpy()
-    longest, there = filled(samples), np.flatnonzero(~np.isnan(samples))
+    longest, there = interpolate_gaps(samples), np.flatnonzero(~np.isnan(samples))
     if longest is None or len(there) < 8:
         return None
     complete, seen = ~data.x.isnan().any(-1), ~data.x[:, i].isnan()
@@ -426,7 +428,7 @@ BRIEF = 2 * ENOUGH
 
 
 @dataclass(frozen=True)
-class Recording:
+class DelayedRecording:
     """Hold a recording, to be read under inputs that act later than they were given.
 
     Attributes:
@@ -444,23 +446,23 @@ class Recording:
     noisy: bool = False
 
     @classmethod
-    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> Recording:
+    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> DelayedRecording:
         """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
-        return cls(data, guess, rates, known_inputs(data, longest))
+        return cls(data, guess, rates, rows_after_delay(data, longest))
 
-    def brief(self, longest: float) -> Recording:
+    def brief(self, longest: float) -> DelayedRecording:
         """Return stretches of a long recording, enough for a regression; all of a short one.
 
         Args:
             longest: time before a row at which its inputs are to be known [s].
         """
-        rows = spread(len(self.data), BRIEF)
+        rows = choose_stretches(len(self.data), BRIEF)
         if bool(rows.all()):
             return self
-        part = Recording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
+        part = DelayedRecording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
         return replace(part, noisy=self.noisy)
 
-    def smoothed(self, step: float | None = None) -> Recording:
+    def smoothed(self, step: float | None = None) -> DelayedRecording:
         """Return the recording as one whose samples are noisy, wherever it is read from now on.
 
         Args:
@@ -473,12 +475,12 @@ class Recording:
 
     def measured(self, delay: float) -> Transitions:
         """Return what was measured, under inputs that act `delay` seconds later."""
-        return delayed(self.data, delay).select(self.known)
+        return delay_inputs(self.data, delay).select(self.known)
 
     def guessed(self, delay: float) -> Transitions:
         """Return the same with a guess of every state."""
-        return delayed(self.guess, delay).select(self.known)
+        return delay_inputs(self.guess, delay).select(self.known)
 
-    def seen(self, delay: float) -> Seen:
+    def seen(self, delay: float) -> RegressionData:
         """Return what regressions read, under inputs that act `delay` seconds later."""
-        return Seen.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)
+        return RegressionData.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)

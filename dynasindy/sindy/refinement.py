@@ -15,16 +15,23 @@ from dynasindy.sindy import one_step_fit as one_step
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.covariance import Covariance, of_rates
-from dynasindy.sindy.delay import arrived, fine_delay, known_inputs, reach, rough_delay, unexplained
+from dynasindy.sindy.delay import (
+    delay_and_trim,
+    estimate_delay,
+    refine_delay,
+    rows_after_delay,
+    search_range,
+    unexplained,
+)
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.noise import looks_noisy
 from dynasindy.sindy.one_step_fit import refine_one_step
-from dynasindy.sindy.reconstruction import Recording, Seen, has_gaps, moving_on, rates_known
+from dynasindy.sindy.reconstruction import DelayedRecording, RegressionData, find_missing_rates, has_gaps, rate_states
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means
 from dynasindy.sindy.shape_parameters import fit_shapes
-from dynasindy.sindy.shooting import Descent, RunsAway, certainty
-from dynasindy.sindy.trajectory_fit import WORSE, Fitted, few_steps, refine_trajectory, strain
+from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
+from dynasindy.sindy.trajectory_fit import WORSE, TrajectoryFit, few_steps, refine_trajectory, trajectory_error_ratio
 from dynasindy.systems.transitions import Transitions
 
 AGAIN = 3
@@ -138,7 +145,7 @@ class Refinement:
             longest, rough = max(longest, FARTHER * late), rough or late
         settings = replace(self, longest_delay=longest)
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
-        lacking = moving_on(library, arrived(data, rough)) if longest else []
+        lacking = find_missing_rates(library, delay_and_trim(data, rough)) if longest else []
         if not lacking:
             return settings._run(first, constraints, data, guess, rough)
         # A delay would stand for the rate that is missing.
@@ -154,7 +161,7 @@ class Refinement:
     ) -> Refined:
         """Return what was found; the search for a delay begins at `late` [s], by a regression where that is 0."""
         library, coefficients = first
-        recording = Recording.of(data, guess, rates_known(library, constraints), self._longest)
+        recording = DelayedRecording.of(data, guess, rate_states(library, constraints), self._longest)
         brief = recording.brief(self._longest)
         delay = late or self._rough(library, coefficients, constraints, brief)
         if delay and self.method in ("integral", "one_step"):
@@ -170,7 +177,7 @@ class Refinement:
         left = None
         if method == "one_step":
             found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
-            left = one_step.missed(*found, recording.guessed(delay))
+            left = one_step.one_step_errors(*found, recording.guessed(delay))
         known = self._certainty(method, found, constraints, recording, delay)
         refined = Refined(*found, delay, covariance=known, missed=left)
         if method == "trajectory":
@@ -180,64 +187,72 @@ class Refinement:
         return refined.with_notes(notes, self._longest, data.dt)
 
     def _smoothed(
-        self, found: Model, constraints: Constraints, recording: Recording, delay: float
-    ) -> tuple[Recording, Model]:
+        self, found: Model, constraints: Constraints, recording: DelayedRecording, delay: float
+    ) -> tuple[DelayedRecording, Model]:
         """Return a recording as one whose samples are noisy, and what regressions find in it."""
         smooth = recording.smoothed(found[0].step)
         return smooth, self._regressed(*found, constraints, smooth.brief(self._longest).seen(delay))
 
     def _certainty(
-        self, method: str, found: Model, constraints: Constraints, recording: Recording, delay: float
+        self, method: str, found: Model, constraints: Constraints, recording: DelayedRecording, delay: float
     ) -> Covariance | None:
         """Return how well coefficients are known that regressions or single steps have found, if there are any."""
         if method == "trajectory" or not bool(found[1].any()):
             return None
         if method == "one_step":
-            return one_step.certainty(*found, constraints.free, recording.guessed(delay), self.tolerance)
+            return one_step.one_step_covariance(*found, constraints.free, recording.guessed(delay), self.tolerance)
         rows = recording.brief(self._longest).seen(delay).rows(found[0], generate(*found))
         return of_rates(found[1], constraints.free, *rows)
 
-    def _rough(self, library: Library, coefficients: Tensor, constraints: Constraints, recording: Recording) -> float:
+    def _rough(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, recording: DelayedRecording
+    ) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
         if not self._longest:
             return 0.0
         field, dt = generate(library, coefficients), recording.data.dt
-        return rough_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self._longest)
+        return estimate_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self._longest)
 
-    def _regressed_delay(self, rough: float, found: Model, constraints: Constraints, recording: Recording) -> float:
+    def _regressed_delay(
+        self, rough: float, found: Model, constraints: Constraints, recording: DelayedRecording
+    ) -> float:
         """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
         field, data = generate(*found), recording.data
 
         def _cost(trial: float) -> float:
             return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
 
-        fine = fine_delay(rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost, found[0].step is not None)
+        fine = refine_delay(
+            rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost, found[0].step is not None
+        )
         return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _reach(
         self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
     ) -> tuple[float, float]:
         """Return how long a delay of the inputs may be, and how long it seems to be, as a regression tells [s]."""
-        field, rates = generate(*found), rates_known(found[0], constraints)
+        field, rates = generate(*found), rate_states(found[0], constraints)
         noisy = self.method == "trajectory" or bool(data.x.isnan().any())
         if not noisy and self.method == "auto":
             noisy = looks_noisy(*found, guess)
 
-        def _rows(late: int, farthest: int, read: Recording, several: int = 1) -> Rows:
-            recording = replace(read, known=known_inputs(data, farthest * data.dt)).brief(farthest * data.dt)
+        def _rows(late: int, farthest: int, read: DelayedRecording, several: int = 1) -> Rows:
+            recording = replace(read, known=rows_after_delay(data, farthest * data.dt)).brief(farthest * data.dt)
             return means(recording.seen(late * data.dt).rows(found[0], field), several)
 
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
-        recording = Recording.of(data, guess, rates, 0.0)
-        farthest, best = reach(constraints.free, partial(_rows, read=recording), least)
+        recording = DelayedRecording.of(data, guess, rates, 0.0)
+        farthest, best = search_range(constraints.free, partial(_rows, read=recording), least)
         step = found[0].step
         if (noisy or step is not None) and not best and not bool(has_gaps(data)):
             # Most of single steps may be noise, which no delay explains: averages tell it, or means over jumps.
             read, several = recording.smoothed(step), 1 if step is None else SEVERAL
-            farthest, best = reach(constraints.free, partial(_rows, read=read, several=several), least)
+            farthest, best = search_range(constraints.free, partial(_rows, read=read, several=several), least)
         return farthest * data.dt, best * data.dt
 
-    def _by_trajectories(self, first: Model, rough: float, constraints: Constraints, recording: Recording) -> Refined:
+    def _by_trajectories(
+        self, first: Model, rough: float, constraints: Constraints, recording: DelayedRecording
+    ) -> Refined:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
         descent = Descent(min(self.window, int(recording.known.sum())), correlated=bool(self.correlated))
         kinds = {
@@ -287,7 +302,7 @@ class Refinement:
         found: Model,
         delay: float,
         constraints: Constraints,
-        recording: Recording,
+        recording: DelayedRecording,
         descent: Descent,
         hopeless: float = math.inf,
     ) -> Refined:
@@ -297,7 +312,7 @@ class Refinement:
         """
         free = constraints.free
 
-        def _fitted(found: Model, delay: float) -> Fitted:
+        def _fitted(found: Model, delay: float) -> TrajectoryFit:
             return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
         if self._longest:
@@ -314,9 +329,9 @@ class Refinement:
                 break
             fitted = _fitted(fitted[:2], delay)
         notes = _shortened(fitted.window, descent.window)
-        return Refined(*fitted[:2], delay, notes, covariance=certainty(fitted.flow))
+        return Refined(*fitted[:2], delay, notes, covariance=shooting_covariance(fitted.flow))
 
-    def _fine(self, delay: float, found: Model, free: Tensor, recording: Recording, descent: Descent) -> float:
+    def _fine(self, delay: float, found: Model, free: Tensor, recording: DelayedRecording, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s].
 
         Equations without functions tell none.
@@ -330,7 +345,7 @@ class Refinement:
             return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
 
         worth, whole = math.log(max(len(data), 2)), found[0].step is not None
-        return fine_delay(delay, data.dt, self._longest, worth, _cost, whole)
+        return refine_delay(delay, data.dt, self._longest, worth, _cost, whole)
 
     def _chosen(
         self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
@@ -347,7 +362,9 @@ class Refinement:
             return "trajectory", True, (COMPARED.format("the errors of single steps look like noise of the sensors"),)
         return "one_step", False, (STEPWISE,)
 
-    def _regressed(self, library: Library, coefficients: Tensor, constraints: Constraints, seen: Seen) -> Model:
+    def _regressed(
+        self, library: Library, coefficients: Tensor, constraints: Constraints, seen: RegressionData
+    ) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
         regression = Regression(method="bic", tolerance=self.tolerance, dependent=seen.dependent)
         for _ in range(self.rounds):
@@ -358,8 +375,8 @@ class Refinement:
         return library, coefficients
 
 
-def _strain(found: Model, delay: float, free: Tensor, recording: Recording, descent: Descent) -> Tensor:
-    return strain(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
+def _strain(found: Model, delay: float, free: Tensor, recording: DelayedRecording, descent: Descent) -> Tensor:
+    return trajectory_error_ratio(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
 
 def _shortened(window: int, wanted: int) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ def fit_shapes(
     return library, xi
 
 
-def stayed(library: Library, xi: Tensor) -> list[str]:
+def unmoved_shapes(library: Library, xi: Tensor) -> list[str]:
     """Say which numbers inside functions that are used did not move from their first guesses, a sentence each.
 
     Args:

@@ -140,7 +140,7 @@ def white(rows: Tensor, windows: Windows) -> Tensor:
     return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
 
-def growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
+def error_growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
     """Follow an error of a start state along the windows that join, relative to the spreads of the states.
 
     Args:
@@ -162,7 +162,7 @@ def growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
     return largest, joined
 
 
-def turn_of(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
+def relative_step(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
     """Return the length of an interval by the time of the fastest motion of a model: its rate times `dt`.
 
     A difference equation does not move within its steps, so that it is 0, however fast the equation is.
@@ -185,7 +185,7 @@ def substeps_for(turn: float, turned: float = FINE) -> int:
     """Return into how many Runge-Kutta steps an interval is divided.
 
     Args:
-        turn: what `turn_of` returned.
+        turn: what `relative_step` returned.
         turned: the same of a step that is wanted.
     """
     return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
@@ -226,7 +226,7 @@ def free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> t
     return scales, torch.einsum("di,ifx->dfx", scales, exponents)
 
 
-def unscaled(library: Library, xi: Tensor, free: Tensor, data: Transitions) -> tuple[str, ...]:
+def states_without_scale(library: Library, xi: Tensor, free: Tensor, data: Transitions) -> tuple[str, ...]:
     """Return the names of the hidden states whose unit nothing tells.
 
     Args:
@@ -250,7 +250,7 @@ def _degree(feature: Feature, name: str) -> float:
     )
 
 
-def holding(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
+def scale_constraints(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
     """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`.
 
     Nothing measured depends on such a change, so the fit of everything else is the same with them.
@@ -303,7 +303,7 @@ class Linearised:
     unlikely: float = 0.0
 
 
-def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
+def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     """Take all windows with their sensitivities and eliminate the nodes that continue a window.
 
     Args:
@@ -325,7 +325,7 @@ def linearise(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     return Linearised(triangle, scale, cost, moves, sigma, errors, _unlikely(flow))
 
 
-def certainty(flow: Flow) -> Covariance | None:
+def shooting_covariance(flow: Flow) -> Covariance | None:
     """Return the covariance of the coefficients of trajectories that fit best, starts and shapes unknown as well.
 
     It is None where nothing is estimated, or the model runs away.
@@ -357,7 +357,7 @@ def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     if bool(unseen.any()):
         may = parameters.support(estimate.xi.shape)
         exponents = free_scales(estimate.library, estimate.xi, may, unseen)[1]
-        held = holding(exponents, estimate.xi, rows, (parameters.features, parameters.states))
+        held = scale_constraints(exponents, estimate.xi, rows, (parameters.features, parameters.states))
         rows = torch.cat([rows, held])
     return rows, moves, errors, cost
 
@@ -401,7 +401,7 @@ def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
 
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
-    """Return the cost of a trial, as `linearise` has it. No slopes are computed: only a better trial needs them.
+    """Return the cost of a trial, as in `linearise_windows`. No slopes are computed: only a better trial needs them.
 
     Args:
         flow: trajectories of the trial.

@@ -27,19 +27,19 @@ from dynasindy.sindy.shooting import (
     Linearised,
     RunsAway,
     cost_of,
-    growth,
+    error_growth,
     lasting_of,
     left_over,
-    linearise,
+    linearise_windows,
     move,
+    relative_step,
     substeps_for,
-    turn_of,
 )
-from dynasindy.sindy.windows import ENOUGH, Windows, spread
+from dynasindy.sindy.windows import ENOUGH, Windows, choose_stretches
 from dynasindy.systems.transitions import Transitions
 
 
-def plainer(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
+def drop_quotient(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
     """Return coefficients in which a quotient is left out, its terms standing without it; None where that cannot be.
 
     It cannot be where the number is one of another function, where it is not in use, or where a term has no free
@@ -106,7 +106,7 @@ def price(n: int, free: Tensor) -> float:
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
-def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+def search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
     What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
@@ -140,7 +140,7 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
             break
         report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
         wider = replace(flow, parameters=active + others)
-        model = linearise(wider)
+        model = linearise_windows(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
         better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
         if better is None:
@@ -152,7 +152,7 @@ def search(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -
         flow, came = changed, changed.parameters.support(free.shape)
     found = flow.estimate if best is None else best[0].estimate
     for place in range(len(found.library.shapes)):
-        simple = plainer(found.library, found.xi, free, place)
+        simple = drop_quotient(found.library, found.xi, free, place)
         if simple is not None:
             found = _cheaper(found, replace(found, xi=simple), free, windows, limits)
     return found
@@ -163,7 +163,7 @@ def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Window
     with suppress(RunsAway):
         simple, support = descend(simple, (simple.xi != 0) & free, windows, limits)
         flows = (Flow.of(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
-        (before, full), (after, _) = ((left_over(model, windows), model) for model in map(linearise, flows))
+        (before, full), (after, _) = ((left_over(model, windows), model) for model in map(linearise_windows, flows))
         if bool(support.any()) and 2 * (after - before) <= limits.at(full.errors, windows):
             return simple
     return estimate
@@ -182,14 +182,14 @@ def _descended(flow: Flow, limits: Limits) -> tuple[Flow, Linearised | None]:
     left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
     while len(flow.parameters):
         try:
-            flow, model = settled(flow, limits.max_rounds, enough, model)
+            flow, model = settle(flow, limits.max_rounds, enough, model)
         except RunsAway:
             if before is None:
                 raise
             return before
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
-            return settled(before[0], limits.max_rounds, MOVES_LITTLE, before[1])
+            return settle(before[0], limits.max_rounds, MOVES_LITTLE, before[1])
         limit, n_fixed = limits.at(model.errors, windows), len(model.scale) - len(flow.parameters)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
@@ -224,10 +224,10 @@ def converge(
     estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = MOVES_LITTLE
 ) -> Estimate:
     """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
-    return settled(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
+    return settle(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
 
 
-def settled(
+def settle(
     flow: Flow, max_rounds: int, enough: float = MOVES_LITTLE, model: Linearised | None = None
 ) -> tuple[Flow, Linearised]:
     """Return the trajectories after the steps of `converge`, and the linear model there.
@@ -239,7 +239,7 @@ def settled(
         model: the linear model of `flow`, if it is known.
     """
     damping, parameters, windows = 0.0, flow.parameters, flow.windows
-    model = model or linearise(flow)
+    model = model or linearise_windows(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
     for k in range(max_rounds):
         report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
@@ -247,7 +247,7 @@ def settled(
         trial = Flow.of(candidate, parameters, windows)
         cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf
         lost = not cost < math.inf or (cost < model.cost and bool(trial.lost().any()))
-        after = linearise(trial) if cost < model.cost and not lost else None
+        after = linearise_windows(trial) if cost < model.cost and not lost else None
         if after is None or not bool(after.triangle.isfinite().all()):
             if damping > 1e6 or (not lost and abs(cost - model.cost) < 1e-6 * model.cost):
                 break
@@ -278,7 +278,7 @@ NEGLIGIBLE = 1e-6
 """Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
 
-class Fitted(NamedTuple):
+class TrajectoryFit(NamedTuple):
     """Hold the library with its shapes, coefficients `(n_features, n_x)`, the length of the windows, and their flow."""
 
     library: Library
@@ -287,7 +287,7 @@ class Fitted(NamedTuple):
     flow: Flow
 
     @classmethod
-    def of(cls, found: Estimate, free: Tensor, windows: Windows) -> Fitted:
+    def of(cls, found: Estimate, free: Tensor, windows: Windows) -> TrajectoryFit:
         """Return what was found in windows, with their trajectories."""
         flow = Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
         return cls(found.library, found.xi, windows.length, flow)
@@ -300,7 +300,7 @@ def refine_trajectory(
     data: Transitions,
     descent: Descent,
     start: Tensor | None = None,
-) -> Fitted:
+) -> TrajectoryFit:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
     Args:
@@ -317,7 +317,7 @@ def refine_trajectory(
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
     joined = descent.joined
-    some = spread(len(data), ENOUGH)
+    some = choose_stretches(len(data), ENOUGH)
     part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
     first = Estimate(library, xi, guess[some])
     found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
@@ -330,13 +330,13 @@ def refine_trajectory(
         windows = replace(windows, joined=_grows(found, windows)[1])
     if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = search(found, free, alone, limits)
+        own = search_functions(found, free, alone, limits)
         windows = replace(windows, joined=_grows(own, windows)[1])
-        found = search(own, free, windows, limits)
+        found = search_functions(own, free, windows, limits)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined, may_begin_anew = own, False, False
     else:
-        found = search(found, free, windows, limits)
+        found = search_functions(found, free, windows, limits)
     if bool(some.all()):
         found, windows = _finely(found, free, windows, limits)
     else:
@@ -345,7 +345,7 @@ def refine_trajectory(
         if may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
-    return Fitted.of(found, free, windows)
+    return TrajectoryFit.of(found, free, windows)
 
 
 def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Windows]:
@@ -353,7 +353,7 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> 
     support = (found.xi != 0) & free
     if not bool(support.any()):
         return found, windows
-    wanted = substeps_for(turn_of(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt))
+    wanted = substeps_for(relative_step(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt))
     if wanted <= windows.substeps:
         return found, windows
     windows = replace(windows, substeps=wanted)
@@ -362,13 +362,13 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> 
 
 def _refine_coloured(
     found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
-) -> Fitted:
+) -> TrajectoryFit:
     """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
     data, guess = whole
-    found = search(found, free, windows, limits)  # errors of a first guess last whatever the plant does
+    found = search_functions(found, free, windows, limits)  # errors of a first guess last whatever the plant does
     for _ in range(TURNS):
         windows = replace(windows, lasting=lasting_of(found, windows))
-        last, found = found, search(found, free, windows, limits)
+        last, found = found, search_functions(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
         ):
@@ -378,12 +378,12 @@ def _refine_coloured(
         found, windows = _grown(replace(found, nodes=guess), support, data, descent)
         windows = replace(windows, lasting=lasting_of(found, windows))
         found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
-    return Fitted.of(found, free, windows)
+    return TrajectoryFit.of(found, free, windows)
 
 
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
     """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
-    return growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), FARTHEST)
+    return error_growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), FARTHEST)
 
 
 def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
@@ -408,15 +408,17 @@ def few_steps(
         descent: how many steps, over which windows.
         start: guess of the states before each transition, `(N, n_x)`.
     """
-    some = spread(len(data), ENOUGH)
+    some = choose_stretches(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
-    flow, model = settled(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
+    flow, model = settle(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
     errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
     return left_over(model, windows), flow.estimate, errors
 
 
-def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> Tensor:
+def trajectory_error_ratio(
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
+) -> Tensor:
     """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 of unmeasured states.
 
     With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
@@ -431,7 +433,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
         descent: how many steps, over which windows.
         start: guess of the states before each transition, `(N, n_x)`.
     """
-    some = spread(len(data), ENOUGH)
+    some = choose_stretches(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     if not bool(support.any()):
         return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
@@ -439,7 +441,7 @@ def strain(library: Library, xi: Tensor, free: Tensor, data: Transitions, descen
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
-    ends = (settled(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
+    ends = (settle(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
     error, own = (end.sigma() for end in ends)
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
@@ -459,7 +461,7 @@ def _grown(
         descent: wanted length, whether the windows join, and the limit on the steps of each length.
         turned: Runge-Kutta step times the fastest rate of the model.
     """
-    turn = turn_of(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
+    turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
     guess, length = estimate.nodes, descent.window
     prior = likely(estimate.library, estimate.xi, guess, data, length)

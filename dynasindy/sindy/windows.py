@@ -86,7 +86,7 @@ class Windows:
         return self.mask.shape[1]
 
 
-def spread(n: int, wanted: int, stretches: int = STRETCHES) -> Tensor:
+def choose_stretches(n: int, wanted: int, stretches: int = STRETCHES) -> Tensor:
     """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one.
 
     Args:

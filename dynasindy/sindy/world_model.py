@@ -19,7 +19,7 @@ Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
 
 
-def whole(*names: str) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
+def all_or_nothing(*names: str) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
     """Return a decorator of methods that succeed as a whole: where one raises, named attributes are as before it.
 
     Args:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import Estimate, Flow, linearise
+from dynasindy.sindy.shooting import Estimate, Flow, linearise_windows
 from dynasindy.sindy.windows import Windows
 from dynasindy.systems.transitions import Transitions
 
@@ -22,7 +22,7 @@ def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tenso
         sigma: standard deviation of the white noise of each state, `(n_x,)`.
     """
     windows, parameters = Windows.of(clean, 50), Parameters.where(truth != 0)
-    model = linearise(Flow.of(Estimate(library, truth, windows.first.clone()), parameters, windows), sigma)
+    model = linearise_windows(Flow.of(Estimate(library, truth, windows.first.clone()), parameters, windows), sigma)
     n = len(model.scale)
     inverse = torch.linalg.inv(model.triangle[:n, :n])
     return (inverse.square().sum(-1).sqrt() / model.scale)[n - len(parameters) :]

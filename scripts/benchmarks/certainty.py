@@ -19,7 +19,7 @@ from dynasindy.data.simulated import disturb, record_all
 from dynasindy.excitation import HeldRandom
 from dynasindy.safe_io import Row
 from dynasindy.sindy.library import Library, variable
-from dynasindy.sindy.shooting import Descent, Flow, certainty, linearise
+from dynasindy.sindy.shooting import Descent, Flow, linearise_windows, shooting_covariance
 from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -124,7 +124,7 @@ def ratios(library: Library, guess: Tensor, logs: list[Transitions], joined: boo
     fits, told, textbook = [], [], []
     for data in logs:
         flow = refine_trajectory(library, guess, free, data, Descent(20, joined)).flow
-        known = certainty(flow)
+        known = shooting_covariance(flow)
         assert known is not None, "a model runs away"
         fits.append(flow.estimate.xi[known.features, known.states])
         told.append(known.errors)
@@ -136,6 +136,6 @@ def ratios(library: Library, guess: Tensor, logs: list[Transitions], joined: boo
 
 def _textbook(flow: Flow) -> Tensor:
     """Return the standard errors that follow where every error is a witness of its own, `(P,)`."""
-    model = linearise(flow)
+    model = linearise_windows(flow)
     inverse = torch.linalg.pinv(model.triangle[: len(model.scale), : len(model.scale)])
     return (inverse.square().sum(-1).sqrt() / model.scale)[len(model.scale) - len(flow.parameters) :]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.delay import delayed
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.systems.base import System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
@@ -20,7 +20,7 @@ def simulated(model: System, x0: Tensor, data: Transitions, substeps: int) -> Te
         data: Recording whose inputs and sampling time are read.
         substeps: Runge-Kutta steps in a sample.
     """
-    late = delayed(data, float(getattr(model, "delay", 0.0)))
+    late = delay_inputs(data, float(getattr(model, "delay", 0.0)))
     states = [x0]
     with torch.no_grad():
         for u in late.u:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sensing import Observer, Sensors
-from dynasindy.sindy.delay import delayed
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
@@ -73,7 +73,7 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor,
         model = copy.copy(model)
         cast(Any, model).delay = 0.0  # the filter reads inputs as they take effect
     observer = Observer(model, sensors, env)
-    known, late = delayed(train, delay), delayed(test, delay)
+    known, late = delay_inputs(train, delay), delay_inputs(test, delay)
     observer.learn(torch.cat([known.x, known.x_next[-1:]]), known.u)
     y = torch.cat([late.x, late.x_next[-1:]])
     with torch.no_grad():

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import Seen, rates_known, reconstruct
+from dynasindy.sindy.reconstruction import RegressionData, rate_states, reconstruct
 from dynasindy.sindy.regression import Rows, integral_form, simpson_form
 from dynasindy.systems.transitions import Transitions
 
@@ -43,7 +43,7 @@ def pysindy_of(model: SindyModel, data: Transitions, score: Callable[[SindyModel
     """
     import pysindy
 
-    guess = reconstruct(data, rates_known(model.library, model.constraints), True)
+    guess = reconstruct(data, rate_states(model.library, model.constraints), True)
     theta, dx = model.library(guess.x, guess.u), (guess.x_next - guess.x) / data.dt
     found: list[tuple[float, SindyModel]] = []
     for threshold in (*THRESHOLDS, 0.01, 0.001):
@@ -94,7 +94,7 @@ def smoothed_rows(library: Library, data: Transitions, length: int) -> Rows:
 
 def weak_rows(library: Library, data: Transitions) -> Rows:
     """Return our weak form of noisy states."""
-    return Seen.of(reconstruct(data, {}, True), data, {}, True).rows(library, library)
+    return RegressionData.of(reconstruct(data, {}, True), data, {}, True).rows(library, library)
 
 
 def best_threshold(

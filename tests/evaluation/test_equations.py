@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.evaluation.equations import bend_hint, found_in_model, hidden_states, idle
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.input_nonlinearity import Bend
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity
 from dynasindy.sindy.regression import RunningSums
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
@@ -76,7 +76,7 @@ def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
     assert said(0.0, -20.0, 20.0) == ["u has no more effect below -3 V and above 6 V"]
     assert said(20.0, -20.0, 0.0) == ["u has no more effect above 6 V"]
     assert said(20.0, 5.0, -5.0) == []
-    hint = bend_hint(Bend("u", "dead zone", -0.25, 0.5), model)
+    hint = bend_hint(InputNonlinearity("u", "dead zone", -0.25, 0.5), model)
     assert "as if u does nothing from -3 V to 6 V" in hint and "plant.library=dead_zone 'plant.known={q: v}'" in hint
 
 

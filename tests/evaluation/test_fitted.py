@@ -9,15 +9,15 @@ import pytest
 import torch
 
 from dynasindy.data.simulated import record
-from dynasindy.evaluation import fitted as module
-from dynasindy.evaluation.fitted import Fitted, fitted
+from dynasindy.evaluation import fit_log as module
+from dynasindy.evaluation.fitted import LogFit, fit_log
 from dynasindy.evaluation.horizons import ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.fit_report import Refined
-from dynasindy.sindy.lag_states import Trial
+from dynasindy.sindy.lag_states import LagStateCandidate
 from dynasindy.systems import Diverged, Pendulum, Signature, System
 from dynasindy.systems.transitions import Transitions
 
@@ -43,7 +43,7 @@ def lag(source):
     own = {"Omega": words[:-1], "u_lagging": words[-1:]}
     start = {"u_lagging": {words[-1]: 10.0}, "Omega": {"u_lagging": 1.0}}
     made = SindyModel(wide, words, Regression("bic"), known={"theta": "Omega"}, allowed=own, initial=start)
-    return Trial(made, "u", 1.0)
+    return LagStateCandidate(made, "u", 1.0)
 
 
 def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_where_it_helps(source, model, monkeypatch):
@@ -54,15 +54,15 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
         return [lag(source)]
 
     monkeypatch.setattr(module, "trials", _trials)
-    assert fitted(model, source).hidden == [] and not asked
+    assert fit_log(model, source).hidden == [] and not asked
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
-    plain = fitted(model, source)  # with a lag that is not there nothing is better
+    plain = fit_log(model, source)  # with a lag that is not there nothing is better
     assert plain.model is model and plain.source is source and plain.follower == "" and len(asked) == 1
     assert "looked for" in plain.sought and plain.hidden == [f"note: {plain.sought}"]
     simulated = Source(source.signature, source.training, source.validation)
-    assert fitted(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
+    assert fit_log(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
     monkeypatch.setattr(module, "_better", lambda *given: True)
-    found = fitted(model, source)
+    found = fit_log(model, source)
     assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
     assert found.source.signature == found.model.signature and found.report is not plain.report
     assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
@@ -73,7 +73,7 @@ def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     monkeypatch.setattr(module, "trials", lambda *given: pytest.fail("a lag was looked for"))
     monkeypatch.setattr(module, "moving_on", lambda *given: ["theta"])
-    assert fitted(model, source).model is model
+    assert fit_log(model, source).model is model
 
 
 def test_no_lag_is_looked_for_in_a_difference_equation_that_misses_its_log():
@@ -86,7 +86,7 @@ def test_no_lag_is_looked_for_in_a_difference_equation_that_misses_its_log():
     signature = Signature(("a",), ("-",), ("u",), (1.0,))
     source = Source(signature, data.select(place < 300), data.select(place >= 300), logged=True)
     model = SindyModel(signature, ["a", "u"], Regression("bic"), time="discrete")
-    found = fitted(model, source)
+    found = fit_log(model, source)
     missed = forecast_errors(model, source.training, source.validation)
     assert bool(unresolved(missed, signature).any())  # so it would be looked for
     assert found.hidden == [] and found.model is model
@@ -95,7 +95,7 @@ def test_no_lag_is_looked_for_in_a_difference_equation_that_misses_its_log():
 def test_the_time_of_a_fit_holds_that_of_the_lag(source, model, monkeypatch):
     clock = iter((10.0, 17.5))
     monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    assert fitted(model, source).report.seconds == 7.5
+    assert fit_log(model, source).report.seconds == 7.5
 
 
 def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
@@ -105,10 +105,10 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
 
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     wide = Failing(source.signature, ["u"])
-    monkeypatch.setattr(module, "trials", lambda *given: [Trial(wide, "u", 1.0)])
-    assert fitted(model, source).model is model
+    monkeypatch.setattr(module, "trials", lambda *given: [LagStateCandidate(wide, "u", 1.0)])
+    assert fit_log(model, source).model is model
     monkeypatch.setattr(module, "trials", lambda *given: [])
-    assert fitted(model, source).model is model
+    assert fit_log(model, source).model is model
 
 
 def test_a_trial_that_fails_does_not_keep_the_next_one_from_being_tried(source, model, monkeypatch):
@@ -118,10 +118,10 @@ def test_a_trial_that_fails_does_not_keep_the_next_one_from_being_tried(source, 
 
     wide = Failing(source.signature, ["u"])
     second = lag(source)
-    monkeypatch.setattr(module, "trials", lambda *given: [Trial(wide, "theta", 2.0), second])
+    monkeypatch.setattr(module, "trials", lambda *given: [LagStateCandidate(wide, "theta", 2.0), second])
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     monkeypatch.setattr(module, "_better", lambda *given: True)
-    assert fitted(model, source).model is second.model
+    assert fit_log(model, source).model is second.model
 
 
 def forecasts(*errors):
@@ -166,7 +166,7 @@ def tank(bend):
     report = replace(model.fit(log.training), in_pieces=True)
     if not bend:  # what errors that last would let in
         model.set_coefficients(model.coefficients.index_fill(0, torch.tensor(model.library.index("y^2")), -0.03))
-    return Fitted(model, log, report)
+    return LogFit(model, log, report)
 
 
 @pytest.mark.parametrize(("bend", "straight"), [(0.0, True), (0.3, False)])
@@ -228,7 +228,7 @@ def bowl(words=("1", "y", "u", "y^2")):
     model = SindyModel(signature, list(words), Regression("bic"))
     report = replace(model.fit(log.training), in_pieces=True)
     model.set_coefficients(model.coefficients.index_fill(0, torch.tensor(model.library.index("y^2")), -0.03))
-    return Fitted(model, log, report)
+    return LogFit(model, log, report)
 
 
 def of_one(error):
@@ -311,7 +311,7 @@ def test_the_better_one_of_two_fits_is_the_better_one_on_other_logs_too():
     model = SindyModel(signature, ["1", "upper", "lower", "u"], Regression("bic"), Refinement("auto"), initial=initial)
     report = model.fit(source.training)
     assert report.in_pieces
-    taken = module._whole(Fitted(model, source, report), forecast_errors(model, source.training, source.validation))[0]
+    taken = module._whole(LogFit(model, source, report), forecast_errors(model, source.training, source.validation))[0]
     assert taken.model is not model and "(error=simulation)" in taken.report.notes[-1]
     others = [two_tanks(seed) for seed in (11, 12, 13)]
     ours, theirs = (

@@ -11,14 +11,14 @@ import torch
 from dynasindy.data.simulated import record
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
-from dynasindy.evaluation.fitted import fitted
+from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.identification import Logged, identify
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.written import to_words
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
-from dynasindy.sindy.actuators import Actuator, Found
+from dynasindy.sindy.actuators import Actuator, ActuatorFit
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
@@ -293,13 +293,13 @@ def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in
     model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
 
     def late(given, data):
-        found = fitted(given, data)
+        found = fit_log(given, data)
         given.delay = 0.05
         return replace(found, report=replace(found.report, in_pieces=in_pieces))
 
     def sought(given, data):
         actuator = None if given.delay else Actuator(0, "rate limit", 1.5)
-        return Found(actuator, given.coefficients, 0.5, "u has a rate limit", given.library)
+        return ActuatorFit(actuator, given.coefficients, 0.5, "u has a rate limit", given.library)
 
     monkeypatch.setattr(identification, "fitted", late)
     monkeypatch.setattr(identification, "find_actuator", sought)

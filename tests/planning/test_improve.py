@@ -12,7 +12,7 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.planning import imitation as module
 from dynasindy.planning.imitation import Floor, OnTop, better, improve, rewards, starts
 from dynasindy.planning.rollout import Rows, imagine
-from dynasindy.sindy import OwnReward
+from dynasindy.sindy import LearnedReward
 from dynasindy.systems import Signature, System
 
 HERE, THERE, PERIODS = -0.3, 1.0, 40
@@ -35,7 +35,7 @@ def two_hills(x, u, x_next):
 
 
 def setting():
-    env = ControlEnv(Sledge(), OwnReward(Sledge().signature, two_hills, max_steps=PERIODS), 0.1, 1)
+    env = ControlEnv(Sledge(), LearnedReward(Sledge().signature, two_hills, max_steps=PERIODS), 0.1, 1)
     env.task = env.task.with_starts(torch.tensor([[HERE]], dtype=torch.float64))
     rows = Rows(torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
     return env, rows

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import actuators
-from dynasindy.sindy.actuators import Actuator, Found, behind, find_actuator
+from dynasindy.sindy.actuators import Actuator, ActuatorFit, add_actuator, find_actuator
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
@@ -88,7 +88,7 @@ def test_none_is_found_where_there_is_none(plant, kind, size, seed):
     assert found.actuator is None and found.words == "no rate limit and no play of an input was found"
     assert found.coefficients is plain.coefficients
     with pytest.raises(ValueError, match="behind got no actuator; allowed is what find_actuator found"):
-        behind(plain, found, DT)
+        add_actuator(plain, found, DT)
 
 
 def test_a_recording_that_is_too_short_to_judge_is_not_looked_at():
@@ -150,7 +150,7 @@ def test_a_number_inside_a_function_is_the_one_that_was_fitted_behind_the_actuat
     found = find_actuator(plain, data)
     before, after = (library.shapes[0].frequency for library in (plain.library, found.library))
     assert found.actuator is not None and after == pytest.approx(1.0, abs=0.03) and abs(after - before) > 1e-3
-    model = behind(plain, found, DT)
+    model = add_actuator(plain, found, DT)
     path = model.simulate(torch.tensor([0.0, 0.0, float(data.u[0, 0])]).double(), data.u, DT, 5)
     assert float((path[1:, 0] - data.x_next[:, 0]).square().mean().sqrt()) < 5 * NOISE
     # The fitted equation, written down by hand: w' reads what play leaves of the command.
@@ -166,7 +166,7 @@ def test_behind_a_rate_limit_a_step_is_a_ramp_and_behind_play_it_falls_short():
     xi = torch.tensor([[-2.0], [5.0]], dtype=torch.float64)
     x, u = torch.zeros(2, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
     limited, loose = (
-        behind(plain, Found(Actuator(0, kind, size), xi, 0.5, "", plain.library), 0.025)
+        add_actuator(plain, ActuatorFit(Actuator(0, kind, size), xi, 0.5, "", plain.library), 0.025)
         for kind, size in (("rate limit", 1.5), ("play", 0.2))
     )
     assert limited.signature.state_names == ("w", "applied_u")
@@ -180,7 +180,7 @@ def test_a_model_with_its_actuator_meets_the_plant_and_is_saved(tmp_path):
     data = _log(MOTOR, "rate limit", 1.5)
     plain = _model(MOTOR, data)
     found = find_actuator(plain, data)
-    model = behind(plain, found, DT)
+    model = add_actuator(plain, found, DT)
     model.save(tmp_path / "model.json")
     again = SindyModel.load(tmp_path / "model.json")
     errors = {}

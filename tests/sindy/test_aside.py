@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.fitted import aside
+from dynasindy.evaluation.fitted import take_alternative
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -36,7 +36,7 @@ def test_what_was_set_aside_is_what_one_simulation_finds():
     before = pieces.coefficients.clone()
     expected = whole.fit(data)
     assert report.in_pieces and report.aside is not None
-    other, told = aside(pieces, report.aside, data)
+    other, told = take_alternative(pieces, report.aside, data)
     assert torch.equal(other.coefficients, whole.coefficients) and not torch.equal(other.coefficients, before)
     assert torch.equal(pieces.coefficients, before), "the model itself stays"
     assert torch.equal(other.covariance.matrix, whole.covariance.matrix)

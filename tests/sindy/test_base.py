@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import Oracle, SindyModel, WorldModel
-from dynasindy.sindy.world_model import whole
+from dynasindy.sindy.world_model import all_or_nothing
 from dynasindy.systems import Tras
 
 
@@ -26,7 +26,7 @@ def test_a_method_that_raises_leaves_what_is_named_as_it_was():
     class Sum:
         total, calls = 0, 0
 
-        @whole("total")
+        @all_or_nothing("total")
         def add(self, *numbers):
             self.calls += 1
             for number in numbers:

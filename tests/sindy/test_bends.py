@@ -7,7 +7,12 @@ import pytest
 import torch
 
 from dynasindy.sindy import Regression, SindyModel
-from dynasindy.sindy.input_nonlinearity import Bend, bend_of, bends_in, missing_bend
+from dynasindy.sindy.input_nonlinearity import (
+    InputNonlinearity,
+    classify_nonlinearity,
+    find_missing_nonlinearity,
+    read_nonlinearity,
+)
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -17,16 +22,16 @@ SIGNATURE = Signature(("v",), ("m/s",), ("u",), (1.0,))
 @pytest.mark.parametrize(
     ("edges", "slopes", "expected"),
     [
-        ([-0.25, 0.3], [20.0, 0.1, 20.0], Bend("u", "dead zone", -0.25, 0.3)),
-        ([-0.5, 0.5], [0.0, 20.0, 0.0], Bend("u", "saturation", -0.5, 0.5)),
-        ([0.5], [20.0, 1.0], Bend("u", "saturation", -math.inf, 0.5)),
+        ([-0.25, 0.3], [20.0, 0.1, 20.0], InputNonlinearity("u", "dead zone", -0.25, 0.3)),
+        ([-0.5, 0.5], [0.0, 20.0, 0.0], InputNonlinearity("u", "saturation", -0.5, 0.5)),
+        ([0.5], [20.0, 1.0], InputNonlinearity("u", "saturation", -math.inf, 0.5)),
         ([-0.5, 0.5], [20.0, 10.0, 20.0], None),  # softer, but moving
         ([], [20.0], None),
         ([0.1, 0.2], [0.0, 0.0, 0.0], None),
     ],
 )
 def test_what_is_flat_between_its_edges_is_a_dead_zone_and_what_is_flat_outside_a_saturation(edges, slopes, expected):
-    assert bend_of("u", edges, slopes) == expected
+    assert classify_nonlinearity("u", edges, slopes) == expected
 
 
 @pytest.mark.parametrize("product", [False, True])
@@ -35,7 +40,7 @@ def test_a_dead_zone_is_read_off_its_two_bends_unless_the_input_acts_in_products
     model = SindyModel(SIGNATURE, ["1", "v", "u", "max(0, u - 0.2)", "max(0, u - -0.3)", "u v"])
     xi = torch.tensor([[0.6], [-1.0], [2.0], [2.0], [-2.0], [float(product)]], dtype=torch.float64)
     model.set_coefficients(xi)
-    assert bends_in(model, 0, "u") == (None if product else Bend("u", "dead zone", -0.3, 0.2))
+    assert read_nonlinearity(model, 0, "u") == (None if product else InputNonlinearity("u", "dead zone", -0.3, 0.2))
 
 
 def in_what_is_left_over(acts, noise=0.0):
@@ -48,7 +53,7 @@ def in_what_is_left_over(acts, noise=0.0):
     data = Transitions.from_trajectory(torch.from_numpy(seen)[:, None], torch.from_numpy(u)[:, None], 0.02)
     model = SindyModel(SIGNATURE, ["1", "v", "u"], Regression("bic"))
     model.fit(data)
-    return missing_bend(model, data)
+    return find_missing_nonlinearity(model, data)
 
 
 @pytest.mark.parametrize(

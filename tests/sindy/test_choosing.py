@@ -10,7 +10,7 @@ from dynasindy.sindy import trajectory_fit as choosing
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import Descent, Estimate
-from dynasindy.sindy.trajectory_fit import Limits, converge, price, refine_trajectory, search
+from dynasindy.sindy.trajectory_fit import Limits, converge, price, refine_trajectory, search_functions
 from dynasindy.sindy.windows import Windows
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -63,14 +63,14 @@ def test_what_promises_much_and_turns_out_worse_goes_again_and_is_not_tried_twic
 
     monkeypatch.setattr(choosing, "reconsider", promise)
     estimate, windows = begun(A, B, 0.0, 0.0)
-    found = search(estimate, ALL, windows, Limits(price(200, ALL), 30))
+    found = search_functions(estimate, ALL, windows, Limits(price(200, ALL), 30))
     assert found.xi[:2, 0].tolist() == pytest.approx([A, B], rel=0.1) and not found.xi[2:].any()
     assert offered == [[2, 3], [2]]
 
 
 def test_functions_that_mean_nothing_are_dropped_and_steps_end_at_the_least_error():
     estimate, windows = begun(-1.5, 2.5, 0.05, 0.05)
-    found = search(estimate, ALL, windows, Limits(price(200, ALL), 30))
+    found = search_functions(estimate, ALL, windows, Limits(price(200, ALL), 30))
     assert found.xi[:2, 0].tolist() == pytest.approx([A, B], rel=0.1) and not found.xi[2:].any()
     exact = Windows.of(recording(noise=0.0), 200)
     estimate = Estimate(LIBRARY, estimate.xi, exact.first)

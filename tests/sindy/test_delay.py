@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.delay import delayed, fine_delay, known_inputs, reach, rough_delay
+from dynasindy.sindy.delay import delay_inputs, estimate_delay, refine_delay, rows_after_delay, search_range
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.regression import integral_form
 from dynasindy.systems.base import Signature
@@ -47,46 +47,46 @@ def test_inputs_come_later_by_whole_samples_and_fractions_of_them():
     u = torch.tensor([[1.0, 10.0], [2.0, 20.0], [4.0, 40.0], [8.0, 80.0], [16.0, 160.0]])
     one = Transitions.from_trajectory(torch.arange(6.0)[:, None], u, 0.5)
     data = Transitions.cat([one, one.last(2)])
-    later = delayed(data, 1.0)
+    later = delay_inputs(data, 1.0)
     # Two samples later; before the first sample of a segment its first input held.
     assert later.u[:, 0].tolist() == [1, 1, 1, 2, 4, 8, 8]
     assert later.u[:, 1].tolist() == [10, 10, 10, 20, 40, 80, 80]
     # A quarter of a sample: in each interval the input before for a quarter of the time.
-    assert delayed(data, 0.125).u[:, 0].tolist() == [1, 1.75, 3.5, 7, 14, 8, 14]
-    assert delayed(data, 0.625).u[:, 0].tolist() == [1, 1, 1.75, 3.5, 7, 8, 8]
+    assert delay_inputs(data, 0.125).u[:, 0].tolist() == [1, 1.75, 3.5, 7, 14, 8, 14]
+    assert delay_inputs(data, 0.625).u[:, 0].tolist() == [1, 1, 1.75, 3.5, 7, 8, 8]
     assert torch.equal(later.x, data.x) and torch.equal(later.x_next, data.x_next)
-    assert delayed(data, 0.0) is data
+    assert delay_inputs(data, 0.0) is data
     with pytest.raises(ValueError, match=r"-0.1 s; allowed is 0 or more"):
-        delayed(data, -0.1)
+        delay_inputs(data, -0.1)
 
 
 def test_rows_whose_inputs_are_older_than_their_segment_are_not_known():
     one = Transitions.from_trajectory(torch.arange(6.0)[:, None], torch.zeros(5, 1), 0.1)
     data = Transitions.cat([one, one.last(2), one.last(3)])
-    assert known_inputs(data, 0.2).tolist() == [*[False] * 2, *[True] * 3, *[False] * 2, *[False] * 2, True]
-    assert known_inputs(data, 0.21).tolist() == [*[False] * 3, *[True] * 2, *[False] * 2, *[False] * 3]
+    assert rows_after_delay(data, 0.2).tolist() == [*[False] * 2, *[True] * 3, *[False] * 2, *[False] * 2, True]
+    assert rows_after_delay(data, 0.21).tolist() == [*[False] * 3, *[True] * 2, *[False] * 2, *[False] * 3]
     # Three tenths in floating point are three samples, not four.
-    assert known_inputs(data, 0.1 + 0.2)[:5].tolist() == [False] * 3 + [True] * 2
-    assert bool(known_inputs(data, 0.0).all())
+    assert rows_after_delay(data, 0.1 + 0.2)[:5].tolist() == [False] * 3 + [True] * 2
+    assert bool(rows_after_delay(data, 0.0).all())
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.4 * DT, 2 * DT, 2.7 * DT])
 def test_under_the_true_delay_the_recording_is_that_of_the_plant(delay):
     data = recording(delay)
-    assert coefficients(delayed(data, delay)) == pytest.approx([A, B], rel=0.01)
-    assert abs(coefficients(delayed(data, delay + 0.3 * DT))[1] / B - 1) > 0.03
+    assert coefficients(delay_inputs(data, delay)) == pytest.approx([A, B], rel=0.01)
+    assert abs(coefficients(delay_inputs(data, delay + 0.3 * DT))[1] / B - 1) > 0.03
 
 
 def test_whole_samples_are_found_by_regression():
     data, free = recording(3 * DT, before=0.0), torch.ones(2, 1, dtype=torch.bool)
 
     def rows(delay: float):
-        return integral_form(LIBRARY, delayed(data, delay).select(known_inputs(data, 6 * DT)))
+        return integral_form(LIBRARY, delay_inputs(data, delay).select(rows_after_delay(data, 6 * DT)))
 
-    assert rough_delay(free, rows, DT, 6 * DT) == pytest.approx(3 * DT)
-    assert rough_delay(free, rows, DT, 2 * DT) == pytest.approx(2 * DT)
+    assert estimate_delay(free, rows, DT, 6 * DT) == pytest.approx(3 * DT)
+    assert estimate_delay(free, rows, DT, 2 * DT) == pytest.approx(2 * DT)
     # A state whose equation is given has no word in it.
-    assert rough_delay(torch.zeros_like(free), rows, DT, 6 * DT) == 0.0
+    assert estimate_delay(torch.zeros_like(free), rows, DT, 6 * DT) == 0.0
 
 
 @pytest.mark.parametrize("true", [0.013, 0.05, 0.0678])
@@ -97,7 +97,7 @@ def test_the_lowest_point_of_a_parabola_is_found_exactly(true):
         asked.append(delay)
         return 1e5 * (delay - true) ** 2
 
-    assert fine_delay(0.06, DT, 0.1, 1.0, cost) == pytest.approx(true, abs=1e-12)
+    assert refine_delay(0.06, DT, 0.1, 1.0, cost) == pytest.approx(true, abs=1e-12)
     assert len(asked) == len(set(asked)) and min(asked) >= 0 and max(asked) <= 0.1 * (1 + 1e-9)
 
 
@@ -109,7 +109,7 @@ def test_the_delay_of_a_difference_equation_is_the_whole_step_nearest_to_the_low
         asked.append(delay / DT)
         return 1e5 * (delay - true) ** 2
 
-    assert fine_delay(0.04, DT, 0.1, 1.0, cost, whole=True) == pytest.approx(found, abs=1e-12)
+    assert refine_delay(0.04, DT, 0.1, 1.0, cost, whole=True) == pytest.approx(found, abs=1e-12)
     assert asked == pytest.approx([round(steps) for steps in asked], abs=1e-9)
 
 
@@ -117,10 +117,10 @@ def test_a_delay_that_is_worth_little_is_none_and_none_is_longer_than_allowed():
     def cost(delay: float) -> float:
         return 1e4 * (delay - 0.03) ** 2
 
-    assert fine_delay(0.02, DT, 0.1, 8.9, cost) == pytest.approx(0.03)
-    assert fine_delay(0.02, DT, 0.1, 9.1, cost) == 0.0
-    assert fine_delay(0.0, DT, 0.1, 1.0, lambda delay: 100 * delay) == 0.0
-    assert fine_delay(0.04, DT, 0.1, 1.0, lambda delay: -100 * delay) == pytest.approx(0.1)
+    assert refine_delay(0.02, DT, 0.1, 8.9, cost) == pytest.approx(0.03)
+    assert refine_delay(0.02, DT, 0.1, 9.1, cost) == 0.0
+    assert refine_delay(0.0, DT, 0.1, 1.0, lambda delay: 100 * delay) == 0.0
+    assert refine_delay(0.04, DT, 0.1, 1.0, lambda delay: -100 * delay) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.4 * DT])
@@ -194,7 +194,7 @@ def test_noise_leaves_a_delay_to_be_looked_for_within_few_samples(left, found):
         rates[0] = math.sqrt(left) if late == 3 else 1.0
         return torch.ones_like(rates) * (rates == 0), rates  # the function is zero where the rate is not
 
-    assert reach(torch.ones(1, 1, dtype=torch.bool), rows, 4) == found
+    assert search_range(torch.ones(1, 1, dtype=torch.bool), rows, 4) == found
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.5])

@@ -9,7 +9,7 @@ import torch
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
-from dynasindy.sindy.model_file import FORMAT, load, save
+from dynasindy.sindy.model_file import FORMAT, load_model, save_model
 from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, Xi
 
@@ -23,7 +23,7 @@ def coefficients(library: Library) -> torch.Tensor:
 @pytest.fixture
 def written(tmp_path):
     library = build_library("paper_table", Xi().signature)
-    save(library, coefficients(library), tmp_path / "model.json")
+    save_model(library, coefficients(library), tmp_path / "model.json")
     return tmp_path / "model.json"
 
 
@@ -31,8 +31,8 @@ def written(tmp_path):
 def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     library = build_library(name, Tras().signature)
     xi = coefficients(library)
-    save(library, xi, tmp_path / "model.json")
-    again, back, *_ = load(tmp_path / "model.json")
+    save_model(library, xi, tmp_path / "model.json")
+    again, back, *_ = load_model(tmp_path / "model.json")
     assert again.names == library.names and again.signature == library.signature
     assert torch.equal(back, xi) and back.dtype == torch.float64
 
@@ -40,13 +40,13 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, name):
 def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
     features = [CONSTANT, of("sin", "alpha_a", frequency=np.pi, power=2) * variable("u_a", -1), of("exp", "Omega_a")]
     library = Library(Xi().signature, features)
-    save(library, torch.ones(3, 6, dtype=torch.float64), tmp_path / "model.json")
-    assert load(tmp_path / "model.json")[0].features == tuple(features)
+    save_model(library, torch.ones(3, 6, dtype=torch.float64), tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json")[0].features == tuple(features)
 
 
 def test_a_file_can_be_read_by_a_person(written):
     data = json.loads(written.read_text())
-    library, xi, *_ = load(written)
+    library, xi, *_ = load_model(written)
     assert data["format"] == FORMAT
     assert [line.partition("'")[0] for line in data["equations"]] == list(library.signature.state_names)
     assert data["signature"]["input_names"] == ["u_a", "u_p"]
@@ -69,14 +69,14 @@ def test_a_file_can_be_read_by_a_person(written):
 def test_other_files_are_refused(tmp_path, text, said):
     (tmp_path / "model.json").write_text(text)
     with pytest.raises(ValueError, match=said) as error:
-        load(tmp_path / "model.json")
+        load_model(tmp_path / "model.json")
     assert "\n" not in str(error.value) and "model.json" in str(error.value)
 
 
 def test_a_file_cut_short_is_refused(written):
     written.write_text(written.read_text()[:-200])
     with pytest.raises(ValueError, match="is not JSON"):
-        load(written)
+        load_model(written)
 
 
 def remove_row(data):
@@ -101,7 +101,7 @@ def test_a_file_damaged_inside_is_refused(written, damage):
     damage(data)
     written.write_text(json.dumps(data))
     with pytest.raises(ValueError, match="is damaged") as error:
-        load(written)
+        load_model(written)
     assert "\n" not in str(error.value)
 
 
@@ -186,7 +186,7 @@ def test_a_model_of_a_stranger_is_numbers_and_registered_names_or_is_refused(wri
     HOSTILE[name](data)
     written.write_text(json.dumps(data))
     with pytest.raises(ValueError) as error:  # noqa: PT011  the words differ from case to case
-        load(written)
+        load_model(written)
     assert "\n" not in str(error.value) and len(str(error.value)) < 2000
     assert not (tmp_path / "canary").exists()
 
@@ -200,26 +200,28 @@ def test_what_is_no_number_inside_a_function_is_said(written, place, value):
     data["library"]["u_p"] = [factor]
     written.write_text(json.dumps(data))
     with pytest.raises(ValueError, match=r"model.json is damaged \(TypeError: .* stands where a finite number belongs"):
-        load(written)
+        load_model(written)
 
 
 def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
     words = ["tanh(~7 Omega_a)", "Omega_p^2 per_cos2(~3 alpha_p)", "root(~0.1 alpha_a)", "tanh(7 Omega_a)"]
     library = Library(Xi().signature, map(parse, words)).with_shapes([5 + 1 / 3, 10 / 3, np.pi / 30])
-    save(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
-    again, _, _, delay, _ = load(tmp_path / "model.json")
+    save_model(library, coefficients(library), tmp_path / "model.json", delay=0.1 / 3)
+    again, _, _, delay, _ = load_model(tmp_path / "model.json")
     assert again.features == library.features and delay == 0.1 / 3
     numbers = [(shape.frequency, shape.fitted) for shape in again.shapes]
     assert numbers == [(5 + 1 / 3, 7.0), (10 / 3, 3.0), (np.pi / 30, 0.1)]
-    save(library, coefficients(library), tmp_path / "model.json")
-    assert load(tmp_path / "model.json")[3] == 0.0 and "delay" not in json.loads((tmp_path / "model.json").read_text())
+    save_model(library, coefficients(library), tmp_path / "model.json")
+    assert load_model(tmp_path / "model.json")[3] == 0.0 and "delay" not in json.loads(
+        (tmp_path / "model.json").read_text()
+    )
 
 
 @pytest.mark.parametrize("delay", [-0.01, float("nan"), "0.1", [0.1]])
 def test_a_delay_is_no_less_than_nothing(written, delay):
     written.write_text(json.dumps({**json.loads(written.read_text()), "delay": delay}))
     with pytest.raises(ValueError, match="is damaged"):
-        load(written)
+        load_model(written)
 
 
 def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):
@@ -231,10 +233,10 @@ def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):
         file.truncate(1_000_000_000)
     for path in tmp_path.iterdir():
         with pytest.raises(ValueError, match="is not JSON") as error:
-            load(path)
+            load_model(path)
         assert "\n" not in str(error.value)
     with pytest.raises(FileNotFoundError):
-        load(tmp_path / "nothing")
+        load_model(tmp_path / "nothing")
 
 
 def test_a_coefficient_of_no_function_is_refused(written):
@@ -242,7 +244,7 @@ def test_a_coefficient_of_no_function_is_refused(written):
     data["coefficients"]["omega_p"]["u_p^3"] = 1.0
     written.write_text(json.dumps(data))
     with pytest.raises(ValueError, match=r"'u_p\^3' is not among the \d+ candidate functions"):
-        load(written)
+        load_model(written)
 
 
 def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypatch):
@@ -251,24 +253,24 @@ def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypat
     monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
     register_function("cube_of_file_test", lambda z: z**3)
     library = Library(Xi().signature, [of("cube_of_file_test", "Omega_a")])
-    save(library, torch.ones(1, 6), tmp_path / "model.json")
+    save_model(library, torch.ones(1, 6), tmp_path / "model.json")
     x, u = torch.full((1, 6), 2.0), torch.zeros(1, 2)
-    assert load(tmp_path / "model.json")[0](x, u).item() == 8.0
+    assert load_model(tmp_path / "model.json")[0](x, u).item() == 8.0
     del functions._REGISTRY["cube_of_file_test"]
     with pytest.raises(ValueError, match=r"'cube_of_file_test', .* is not known here.*register_function"):
-        load(tmp_path / "model.json")
+        load_model(tmp_path / "model.json")
 
 
 def test_what_is_known_of_the_equations_comes_back(tmp_path):
     library = build_library("rotor", Tras().signature)
     constraints = Constraints.build(library, {"alpha_a": "Omega_a"}, {"omega_p": ["u_p"]}, {"Omega_p": {"u_a": -0.3}})
-    save(library, coefficients(library), tmp_path / "model.json", constraints)
-    back = load(tmp_path / "model.json")[2]
+    save_model(library, coefficients(library), tmp_path / "model.json", constraints)
+    back = load_model(tmp_path / "model.json")[2]
     assert torch.equal(back.free, constraints.free) and torch.equal(back.offset, constraints.offset)
 
 
 def test_a_file_without_a_word_of_constraints_has_none(written):
-    back = load(written)[2]
+    back = load_model(written)[2]
     assert bool(back.free.all()) and not bool(back.offset.any())
 
 
@@ -281,8 +283,8 @@ def known_coefficients(columns: int) -> tuple[torch.Tensor, torch.Tensor, torch.
 @pytest.mark.parametrize("columns", [15, 4, 2])
 def test_the_covariance_of_coefficients_survives_its_file(tmp_path, columns):
     library, known = build_library("paper_table", Xi().signature), known_coefficients(columns)
-    save(library, torch.ones(27, 6, dtype=torch.float64), tmp_path / "model.json", covariance=known)
-    features, states, factor = load(tmp_path / "model.json")[4]
+    save_model(library, torch.ones(27, 6, dtype=torch.float64), tmp_path / "model.json", covariance=known)
+    features, states, factor = load_model(tmp_path / "model.json")[4]
     assert torch.equal(features, known[0]) and torch.equal(states, known[1])
     size = known[2].norm(dim=-1)
     wanted = known[2] @ known[2].mT / size / size.unsqueeze(-1)
@@ -292,7 +294,7 @@ def test_the_covariance_of_coefficients_survives_its_file(tmp_path, columns):
 
 
 def test_a_file_of_before_tells_no_covariance(written):
-    assert "uncertainty" not in json.loads(written.read_text()) and load(written)[4] is None
+    assert "uncertainty" not in json.loads(written.read_text()) and load_model(written)[4] is None
 
 
 @pytest.mark.parametrize(
@@ -312,4 +314,4 @@ def test_a_covariance_that_is_damaged_is_refused(written, spoilt):
         spoilt = {what: {s: {} for s in data["coefficients"]} | words for what, words in spoilt.items()}
     written.write_text(json.dumps({**data, "uncertainty": spoilt}))
     with pytest.raises(ValueError, match="damaged"):
-        load(written)
+        load_model(written)

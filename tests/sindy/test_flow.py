@@ -10,7 +10,7 @@ from first_order import DT, LIBRARY, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import EXACT, Estimate, Flow, substeps_for, turn_of
+from dynasindy.sindy.shooting import EXACT, Estimate, Flow, relative_step, substeps_for
 from dynasindy.sindy.windows import Windows
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -63,22 +63,22 @@ def test_coefficients_that_are_no_numbers_are_lost_in_all_windows():
 )
 def test_steps_follow_the_fastest_rate(a, dt, steps):
     x, u = torch.linspace(-1, 1, 9, dtype=torch.float64)[:, None], torch.zeros(9, 1).double()
-    assert substeps_for(turn_of(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt)) == steps
+    assert substeps_for(relative_step(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt)) == steps
 
 
 def test_a_difference_equation_has_no_motion_within_its_steps_however_fast_it_is():
     u = torch.zeros(1, 1).double()
-    assert substeps_for(turn_of(LIBRARY, column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1)) == 10
-    assert turn_of(LIBRARY.with_step(0.1), column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1) == 0.0
+    assert substeps_for(relative_step(LIBRARY, column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1)) == 10
+    assert relative_step(LIBRARY.with_step(0.1), column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1) == 0.0
 
 
 def test_steps_follow_the_rates_where_the_states_are():
     # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
     u = torch.zeros(1, 1).double()
     falls = column(0, 0, 0, -1.0)
-    assert [substeps_for(turn_of(LIBRARY, falls, column(y), u, 0.1)) for y in (0.1, 2.0)] == [1, 4]
+    assert [substeps_for(relative_step(LIBRARY, falls, column(y), u, 0.1)) for y in (0.1, 2.0)] == [1, 4]
     two = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
     library = Library(two, [variable("y"), variable("v")])
     xi = torch.tensor([[0.0, -1600.0], [1.0, 0.0]]).double()
-    assert substeps_for(turn_of(library, xi, torch.ones(1, 2).double(), u, 0.01)) == 4
-    assert substeps_for(turn_of(LIBRARY, falls, column(math.nan), u, 0.1)) == 1
+    assert substeps_for(relative_step(library, xi, torch.ones(1, 2).double(), u, 0.01)) == 4
+    assert substeps_for(relative_step(LIBRARY, falls, column(math.nan), u, 0.1)) == 1

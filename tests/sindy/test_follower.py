@@ -11,11 +11,11 @@ from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.lag_states import (
     LONGER,
     TIMES,
-    begins,
     completed,
-    following,
-    lagging,
-    trials,
+    lag_dynamics,
+    lag_state_candidates,
+    lag_state_name,
+    lag_state_ranges,
     widened,
 )
 from dynasindy.systems.base import Signature
@@ -93,7 +93,7 @@ def terms(model, state):
 def test_the_time_of_a_lag_is_found_and_one_that_is_not_there_is_not():
     data, model = arm(lag=0.15), made()
     model.fit(data)
-    best = trials(model, data)[0]
+    best = lag_state_candidates(model, data)[0]
     near = min(TIMES, key=lambda n: abs(n * DT - 0.15)) * DT
     wide = best.model
     assert best.signal == "u" and 1 / float(wide.initial[-1, -1]) == pytest.approx(near)
@@ -115,14 +115,14 @@ def test_the_time_of_a_lag_is_found_and_one_that_is_not_there_is_not():
 def test_a_plant_without_a_lag_has_none():
     data, model = arm(), made()
     model.fit(data)
-    assert trials(model, data) == []
+    assert lag_state_candidates(model, data) == []
 
 
 def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
     """w' has -5 (q - q_lagging), and q_lagging' = (q - q_lagging) / 0.4."""
     data, model = arm(creep=5.0), made()
     model.fit(data)
-    best = trials(model, data)[0]
+    best = lag_state_candidates(model, data)[0]
     assert best.signal == "q" and best.model.followers == {2: 0}
     best.model.fit(widened(data))
     assert terms(best.model, "w")["(q - q_lagging)"] == pytest.approx(-5, rel=0.05)
@@ -134,7 +134,7 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first(start):
     """With a = (W - 8) / 0.6 the wall's W' = (T - W) / 600 + (20 - W) / 900 is a' = (T - a) / 360, and T' as below."""
     data = oven(start=start)
     model = of_oven(data)
-    best = trials(model, data)[0]
+    best = lag_state_candidates(model, data)[0]
     assert best.signal == "T" and best.model.followers == {1: 0}
     assert best.model.signature.state_units == ("degC", "degC") and best.model.signature.x_scale == (120.0, 120.0)
     best.model.fit(widened(data))
@@ -146,7 +146,7 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first(start):
 
 def test_a_second_heat_store_is_found_behind_noise():
     data = oven(noise=0.05)
-    best = trials(of_oven(data), data)[0]
+    best = lag_state_candidates(of_oven(data), data)[0]
     best.model.fit(widened(data))
     assert terms(best.model, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=0.03)}
     found = {"1": 0.16, "T": -0.002, "u": 0.12, "(T - T_lagging)": -0.003}
@@ -166,7 +166,7 @@ def test_a_second_heat_store_is_found_though_inputs_act_late():
     model.refinement = replace(model.refinement, longest_delay=80.0)
     model.fit(data)
     assert model.delay == pytest.approx(30.0, abs=0.5)
-    best = trials(model, data)[0]
+    best = lag_state_candidates(model, data)[0]
     assert best.signal == "T"
     best.model.fit(widened(data))
     assert best.model.delay == pytest.approx(30.0, abs=0.1)
@@ -181,7 +181,7 @@ def test_what_a_delay_stood_for_is_told_from_it():
     model.refinement = replace(model.refinement, longest_delay=8 * DT)
     model.fit(data)
     assert model.delay > 6 * DT
-    best = trials(model, data)[0]
+    best = lag_state_candidates(model, data)[0]
     assert best.signal == "q" and best.model.initial is not None
     initial = best.model.initial[:, 1]
     assert float(initial[best.model.library.index("(q - q_lagging)")]) == pytest.approx(-20, rel=0.25)
@@ -192,13 +192,13 @@ def test_a_delay_alone_is_no_lag():
     data, model = commanded(arm(), 3), made()
     model.refinement = replace(model.refinement, longest_delay=8 * DT)
     model.fit(data)
-    assert model.delay == pytest.approx(3 * DT, abs=0.02 * DT) and trials(model, data) == []
+    assert model.delay == pytest.approx(3 * DT, abs=0.02 * DT) and lag_state_candidates(model, data) == []
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1])
 def test_an_oven_of_one_store_has_no_second_one(noise):
     data = oven(noise=noise, wall=0.0)
-    assert trials(of_oven(data), data) == []
+    assert lag_state_candidates(of_oven(data), data) == []
 
 
 def test_equations_that_are_known_beyond_rates_are_left_alone():
@@ -206,7 +206,7 @@ def test_equations_that_are_known_beyond_rates_are_left_alone():
     fixed = SindyModel(
         SIGNATURE, WORDS, Regression("bic"), Refinement("trajectory"), {"q": "w"}, fixed={"w": {"u": 8.0}}
     )
-    assert trials(fixed, data) == []
+    assert lag_state_candidates(fixed, data) == []
 
 
 def test_one_state_more_is_seen_by_no_sensor():
@@ -214,17 +214,17 @@ def test_one_state_more_is_seen_by_no_sensor():
     wide = widened(data)
     assert wide.x.shape[-1] == 3 and bool(wide.x[:, 2].isnan().all() and wide.x_next[:, 2].isnan().all())
     assert torch.equal(wide.x[:, 0], data.x[:, 0]) and wide.dt == data.dt
-    assert lagging("u") == "u_lagging"
+    assert lag_state_name("u") == "u_lagging"
 
 
 def test_what_follows_a_step_is_an_exponential_and_each_stretch_begins_at_rest():
     u = torch.cat([torch.zeros(40), torch.ones(60)]).double()
     data = Transitions.from_trajectory(torch.zeros(101, 1).double(), u[:, None], DT)
-    starts, ends = following(u, data, 0.1)
+    starts, ends = lag_dynamics(u, data, 0.1)
     after = torch.arange(1, 61) * DT
     assert ends[40:].tolist() == pytest.approx((1 - torch.exp(-after / 0.1)).tolist()) and not ends[:40].any()
     assert torch.equal(starts[1:], ends[:-1])
-    starts, _ = following(u, replace(data, segment=(torch.arange(100) >= 60).long()), 0.1)
+    starts, _ = lag_dynamics(u, replace(data, segment=(torch.arange(100) >= 60).long()), 0.1)
     assert starts[60] == 1.0
 
 
@@ -234,7 +234,7 @@ def test_a_log_too_short_for_a_lag_has_none_and_one_of_many_stretches_tries_shor
     model.fit(data)
     short = data.select(torch.arange(len(data)) < rows * stretches)
     cut = replace(short, segment=torch.arange(len(short)) // rows)
-    times = [1 / float(trial.model.initial[-1, -1]) / DT for trial in trials(model, cut)]
+    times = [1 / float(trial.model.initial[-1, -1]) / DT for trial in lag_state_candidates(model, cut)]
     assert all(min(abs(time - n) for n in LONGER) < 1e-6 and time <= 0.25 * rows for time in times)
     if rows == 12:
         assert not times
@@ -244,7 +244,7 @@ def test_a_recording_gets_the_states_that_its_model_has_and_no_others():
     data, model = arm(), made()
     model.fit(data)
     assert completed(data, ("q", "w"), model) is data
-    wide = trials(model, arm(lag=0.15))[0].model
+    wide = lag_state_candidates(model, arm(lag=0.15))[0].model
     assert completed(data, ("q", "w"), wide).x.shape[-1] == 3
     for names, other in ((("q", "v"), wide), (("q",), model)):
         with pytest.raises(ValueError, match="give a model of the plant that the log is of"):
@@ -263,7 +263,7 @@ def test_states_that_follow_begin_where_the_log_had_them():
     x = torch.full((401, 3), math.nan).double()
     x[:, 0] = 80 + 0.5 * torch.arange(401)
     data = Transitions.from_trajectory(x, torch.tensor([[-0.5, 0.25], [0.5, 0.75]]).double().repeat(200, 1), 1.0)
-    found = begins(model, data)
+    found = lag_state_ranges(model, data)
     assert found[1] == (0.0, 0.75)
     assert found[2] == (pytest.approx(-10, rel=0.03), pytest.approx(0.0, abs=0.3))
 
@@ -287,7 +287,7 @@ def of_wheel(data):
     model = made(Signature(("w",), ("rad/s",), ("u",), (3.0,)), ["1", "w", "u", "w^2"], {}, "auto")
     model.refinement = replace(model.refinement, longest_delay=None)
     model.delay = 10 * DT
-    return trials(model, data)[0]
+    return lag_state_candidates(model, data)[0]
 
 
 def test_a_trial_tells_a_delay_from_a_lag_where_both_were_taken_for_one_delay():

@@ -13,18 +13,18 @@ from dynasindy.sindy.reconstruction import (
     LENGTHS,
     LONGEST_BUMP,
     SHORTEST_BUMP,
-    Seen,
-    at_rest,
-    begun,
+    RegressionData,
     best_length,
-    filled,
-    followed,
     has_gaps,
-    imagined,
+    interpolate_gaps,
+    lag_signals,
     local_cubic,
-    ranged,
-    rates_known,
+    rate_states,
     reconstruct,
+    settle_lag_states,
+    simulate_hidden_states,
+    start_lag_states,
+    with_rate_ranges,
 )
 from dynasindy.sindy.regression import DEPENDENT, simpson_form
 from dynasindy.sindy.weak_form import weak_form
@@ -66,8 +66,8 @@ def test_fewer_samples_than_a_cubic_needs_are_taken_as_they_are():
 
 
 def test_lost_samples_lie_on_the_line_between_their_neighbours():
-    assert filled(np.array([NAN, 1.0, NAN, NAN, 4.0, 8.0, NAN])).tolist() == [1, 1, 2, 3, 4, 8, 8]
-    assert filled(lost(3)) is None
+    assert interpolate_gaps(np.array([NAN, 1.0, NAN, NAN, 4.0, 8.0, NAN])).tolist() == [1, 1, 2, 3, 4, 8, 8]
+    assert interpolate_gaps(lost(3)) is None
 
 
 def test_the_length_weighs_the_noise_against_the_bend():
@@ -119,11 +119,11 @@ def store(spread=None):
 
 def test_a_state_follows_if_its_equation_may_have_nothing_else():
     library, constraints, _ = store()
-    assert followed(library, constraints) == {"b": "T"}
-    assert followed(*store({"b": ["(T - b)", "u"]})[:2]) == {} == followed(*store({"b": ["T"]})[:2])
-    assert followed(*store({"T": ["(T - b)"], "b": ["T"]})[:2]) == {}  # T' of itself and of what follows it
+    assert lag_signals(library, constraints) == {"b": "T"}
+    assert lag_signals(*store({"b": ["(T - b)", "u"]})[:2]) == {} == lag_signals(*store({"b": ["T"]})[:2])
+    assert lag_signals(*store({"T": ["(T - b)"], "b": ["T"]})[:2]) == {}  # T' of itself and of what follows it
     fixed = Constraints.build(library, {}, {"b": []}, {"b": {"(T - b)": 0.25}})
-    assert followed(library, fixed) == {"b": "T"}
+    assert lag_signals(library, fixed) == {"b": "T"}
 
 
 def test_where_a_state_that_follows_began_is_told_by_the_rates_that_it_acts_on():
@@ -136,15 +136,15 @@ def test_where_a_state_that_follows_began_is_told_by_the_rates_that_it_acts_on()
         path = torch.linalg.matrix_exp(times[:, None, None] * a) @ torch.tensor(start, dtype=torch.float64)
         parts.append(Transitions.from_trajectory(path, torch.zeros(400, 1).double(), 0.02))
     true = Transitions.cat(parts)
-    rest = at_rest(true, {1: 0})
+    rest = settle_lag_states(true, {1: 0})
     assert torch.equal(rest.x[:, 1], true.x[:, 0]) and torch.equal(rest.x_next[:, 1], true.x_next[:, 0])
-    assert at_rest(true, {}) is true
+    assert settle_lag_states(true, {}) is true
     b = true.x.clone(), true.x_next.clone()
     for part, off in zip((slice(0, 400), slice(400, 800)), (50.0, 30.0), strict=True):  # as if it began at rest
         left = off * torch.exp(-0.25 * 0.02 * torch.arange(401).double())
         b[0][part, 1] += left[:-1]
         b[1][part, 1] += left[1:]
-    found = begun(library, xi, replace(true, x=b[0], x_next=b[1]), {1: 0})
+    found = start_lag_states(library, xi, replace(true, x=b[0], x_next=b[1]), {1: 0})
     np.testing.assert_allclose(found.x, true.x, atol=1e-2)
     np.testing.assert_allclose(found.x_next, true.x_next, atol=1e-2)
 
@@ -152,8 +152,8 @@ def test_where_a_state_that_follows_began_is_told_by_the_rates_that_it_acts_on()
 def test_functions_of_angles_have_a_prior_where_there_is_noise():
     data = recording(cubic(np.arange(40.0)))
     library = Library(Signature(("a",), ("rad",), ("u",), (1.0,)), [of("sin", "a"), variable("u")])
-    assert Seen.of(data, data, {}).shares(library) is None
-    told = Seen.of(data, data, {}, noisy=True).shares(library)
+    assert RegressionData.of(data, data, {}).shares(library) is None
+    told = RegressionData.of(data, data, {}, noisy=True).shares(library)
     assert told is not None and told.isfinite().tolist() == [True, False]
 
 
@@ -174,14 +174,14 @@ def test_what_was_measured_throughout_stays_as_it_is():
 
 def test_rates_are_read_off_the_equations_that_are_known():
     def found(**known: str) -> dict[int, int]:
-        return rates_known(LIBRARY, Constraints.build(LIBRARY, known, {}, {}))
+        return rate_states(LIBRARY, Constraints.build(LIBRARY, known, {}, {}))
 
     assert found(a="w") == {1: 0} and found(a="h", w="a") == {2: 0, 0: 1}
     assert found() == {} and found(a="u") == {} and found(a="1") == {}
     # Twice the state is not its rate, nor is the rate of an equation that has more.
     for fixed, known in (({"a": {"w": 2.0}}, ["w"]), ({"a": {"w": 1.0}}, ["w", "u"])):
-        assert rates_known(LIBRARY, Constraints.build(LIBRARY, {}, {"a": known}, fixed)) == {}
-    assert rates_known(LIBRARY, Constraints.build(LIBRARY, {}, {"a": ["w"]}, {"a": {"w": 1.0}})) == {1: 0}
+        assert rate_states(LIBRARY, Constraints.build(LIBRARY, {}, {"a": known}, fixed)) == {}
+    assert rate_states(LIBRARY, Constraints.build(LIBRARY, {}, {"a": ["w"]}, {"a": {"w": 1.0}})) == {1: 0}
 
 
 def test_a_hidden_state_is_led_by_the_states_that_were_measured():
@@ -192,7 +192,7 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     xi = torch.zeros(5, 3).double()
     xi[[3, 1, 4], 2] = torch.tensor([-2.0, 3.0, 4.0]).double()
     guess = reconstruct(data, {})
-    found = imagined(LIBRARY, xi, data, guess, {})
+    found = simulate_hidden_states(LIBRARY, xi, data, guess, {})
     phi, expected = math.exp(-2 * DT), []
     for k in (1.0, -2.0):
         h = 0.0
@@ -211,7 +211,7 @@ def test_a_hidden_state_of_a_difference_equation_is_led_by_where_each_step_begin
     data, guess = recording(a, 0 * a, lost(25), u=u), recording(a, 0 * a, 0 * a, u=u)
     xi = torch.zeros(5, 3).double()
     xi[[3, 1, 4], 2] = torch.tensor([-1.6, 0.3, 0.4], dtype=torch.float64) / DT
-    found = imagined(LIBRARY.with_step(DT), xi, data, guess, {})
+    found = simulate_hidden_states(LIBRARY.with_step(DT), xi, data, guess, {})
     h, expected = 0.0, []
     for begin, held in zip(a[:-1], u, strict=True):
         expected.append(h := -0.6 * h + 0.3 * begin + 0.4 * held)
@@ -224,7 +224,7 @@ def test_what_the_model_says_of_measured_states_does_not_lead():
     data = recording(t, 0 * t, lost(40))
     xi = torch.zeros(5, 3).double()
     xi[1, 2], xi[0, 0] = 1.0, -3.0
-    found = imagined(LIBRARY, xi, data, reconstruct(data, {}), {})
+    found = simulate_hidden_states(LIBRARY, xi, data, reconstruct(data, {}), {})
     np.testing.assert_allclose(found.x_next[:, 2], t[1:] ** 2 / 2, atol=1e-9)
 
 
@@ -233,14 +233,14 @@ def test_the_rate_of_a_measured_angle_stays_as_it_was_differentiated():
     t = DT * np.arange(40)
     data, xi = recording(cubic(t), lost(40), lost(40)), torch.zeros(5, 3).double()
     xi[0, 1], xi[2, 2] = -9.0, 1.0
-    found = imagined(LIBRARY, xi, data, reconstruct(data, {1: 0}), {1: 0})
+    found = simulate_hidden_states(LIBRARY, xi, data, reconstruct(data, {1: 0}), {1: 0})
     np.testing.assert_allclose(found.x[:, 1], cubic(t[:-1], 1), atol=1e-8)
     np.testing.assert_allclose(found.x_next[:, 1], cubic(t[1:], 1), atol=1e-8)
     expected = np.cumsum(DT / 2 * (cubic(t[:-1], 1) + cubic(t[1:], 1)))  # the rate moves evenly between samples
     np.testing.assert_allclose(found.x_next[:, 2], expected, atol=1e-7)
     # The rate of a state that was not measured either is seen in no form.
     blind = recording(lost(40), lost(40), t)
-    assert bool(imagined(LIBRARY, xi, blind, reconstruct(blind, {1: 0}), {1: 0}).x_next[:, 1].all())
+    assert bool(simulate_hidden_states(LIBRARY, xi, blind, reconstruct(blind, {1: 0}), {1: 0}).x_next[:, 1].all())
 
 
 def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_runs_away_is_not_followed():
@@ -248,14 +248,14 @@ def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_run
     data = recording(t, lost(10), t)
     data.x_next[3, 1] = 1.0
     guess = reconstruct(data, {})
-    assert imagined(LIBRARY, torch.zeros(5, 3).double(), data, guess, {}) is guess
+    assert simulate_hidden_states(LIBRARY, torch.zeros(5, 3).double(), data, guess, {}) is guess
     unseen = recording(t, t, lost(10))
-    said_nothing = imagined(LIBRARY, torch.zeros(5, 3).double(), unseen, reconstruct(unseen, {}), {})
+    said_nothing = simulate_hidden_states(LIBRARY, torch.zeros(5, 3).double(), unseen, reconstruct(unseen, {}), {})
     assert not bool(said_nothing.x_next[:, 2].any()), "a first model that says nothing of a hidden state leaves it"
     hidden = recording(1e120 + t, t, lost(10))
     mad = Library(SIGNATURE, [variable("a", 3)])
     xi = torch.tensor([[0.0, 0.0, 1.0]]).double()
-    assert not bool(imagined(mad, xi, hidden, reconstruct(hidden, {}), {}).x_next[:, 2].any())
+    assert not bool(simulate_hidden_states(mad, xi, hidden, reconstruct(hidden, {}), {}).x_next[:, 2].any())
 
 
 def test_rows_are_those_of_the_weak_form_only_where_a_state_was_not_measured():
@@ -266,12 +266,12 @@ def test_rows_are_those_of_the_weak_form_only_where_a_state_was_not_measured():
     def field(x, u):
         return LIBRARY(x, u) @ xi
 
-    seen = Seen.of(data, data, {1: 0})
+    seen = RegressionData.of(data, data, {1: 0})
     assert (seen.half, seen.dependent) == (0, DEPENDENT)
     torch.testing.assert_close(seen.rows(LIBRARY, field), simpson_form(LIBRARY, field, data))
     gaps = recording(cubic(t), lost(60), np.sin(t))
     guess = reconstruct(gaps, {1: 0})
-    seen = Seen.of(guess, gaps, {1: 0})
+    seen = RegressionData.of(guess, gaps, {1: 0})
     assert SHORTEST_BUMP <= seen.half <= LONGEST_BUMP and seen.dependent > DEPENDENT
     torch.testing.assert_close(seen.rows(LIBRARY, field), weak_form(LIBRARY, gaps, guess, {1: 0}, seen.half))
 
@@ -281,7 +281,7 @@ def test_the_bump_is_longer_for_noise_and_within_bounds(rate, noise, half):
     t = DT * np.arange(400)
     a = np.sin(rate * t) + noise * np.random.default_rng(0).normal(size=400)
     data = recording(a, lost(400), a)
-    assert Seen.of(reconstruct(data, {1: 0}), data, {1: 0}).half == half
+    assert RegressionData.of(reconstruct(data, {1: 0}), data, {1: 0}).half == half
 
 
 def test_a_hidden_state_that_follows_fast_is_imagined_in_as_many_steps_as_it_needs():
@@ -291,7 +291,7 @@ def test_a_hidden_state_that_follows_fast_is_imagined_in_as_many_steps_as_it_nee
     seen = torch.tensor([[1.0, math.nan]] * 6).double()
     data = Transitions.from_trajectory(seen, torch.zeros(5, 1).double(), 4.0)
     guess = reconstruct(data, {})
-    found = imagined(library, torch.tensor([[0.0, 1.0], [0.0, -1.0]]).double(), data, guess, {})
+    found = simulate_hidden_states(library, torch.tensor([[0.0, 1.0], [0.0, -1.0]]).double(), data, guess, {})
     assert found.x_next[:, 1].tolist() == pytest.approx([1 - math.exp(-4 * k) for k in range(1, 6)], abs=1e-3)
 
 
@@ -299,8 +299,8 @@ def test_a_rate_without_a_sensor_has_the_range_in_which_its_state_moved():
     """Of a = 3 sin 2t the rate is 6 cos 2t."""
     t = DT * np.arange(400)
     data = recording(3 * np.sin(2 * t), lost(400), lost(400))
-    found = ranged(SIGNATURE, data, {"a": "w"})
+    found = with_rate_ranges(SIGNATURE, data, {"a": "w"})
     assert found.x_scale == (1.0, pytest.approx(6.0, rel=0.01), 1.0)
-    assert ranged(SIGNATURE, data, {"a": "2 w", "h": "u"}).x_scale == SIGNATURE.x_scale
+    assert with_rate_ranges(SIGNATURE, data, {"a": "2 w", "h": "u"}).x_scale == SIGNATURE.x_scale
     seen = recording(3 * np.sin(2 * t), 6 * np.cos(2 * t), lost(400))
-    assert ranged(SIGNATURE, seen, {"a": "w"}).x_scale == SIGNATURE.x_scale
+    assert with_rate_ranges(SIGNATURE, seen, {"a": "w"}).x_scale == SIGNATURE.x_scale

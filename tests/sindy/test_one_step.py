@@ -9,7 +9,7 @@ import torch
 from scipy.optimize import least_squares
 
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.one_step_fit import certainty, linear_model, missed, refine_one_step, steps_in
+from dynasindy.sindy.one_step_fit import linear_model, one_step_covariance, one_step_errors, refine_one_step, steps_in
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -57,8 +57,8 @@ def test_the_part_of_the_changes_that_steps_miss_is_that_of_the_closed_form():
     x = torch.tensor([[0.3], [-1.0], [2.0]], dtype=torch.float64)
     moved = Transitions(x, 0 * x, math.exp(A * DT) * x, DT, torch.zeros(3, dtype=torch.long))
     wanted = (math.exp(1.1 * A * DT) - math.exp(A * DT)) / (math.exp(A * DT) - 1)
-    assert missed(LIBRARY, column(1.1 * A, 0.0, 0.0, 0.0), moved) == {"y": pytest.approx(wanted, rel=1e-6)}
-    assert missed(LIBRARY, column(A, 0.0, 0.0, 0.0), moved)["y"] < 1e-8
+    assert one_step_errors(LIBRARY, column(1.1 * A, 0.0, 0.0, 0.0), moved) == {"y": pytest.approx(wanted, rel=1e-6)}
+    assert one_step_errors(LIBRARY, column(A, 0.0, 0.0, 0.0), moved)["y"] < 1e-8
 
 
 def test_from_a_poor_first_model_the_plant_is_found_to_nine_digits():
@@ -138,7 +138,7 @@ def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
     for seed in range(40):
         data = recording(0.02, 400, seed)
         library, xi = refine_one_step(LIBRARY, column(A, B, 0.0, 0.0), support, data, 1e-9)
-        known = certainty(library, xi, support, data, 1e-9)
+        known = one_step_covariance(library, xi, support, data, 1e-9)
         assert (known.features.tolist(), known.states.tolist()) == ([0, 1], [0, 0])
         fits.append(xi[:2, 0])
         stated.append(known.errors)

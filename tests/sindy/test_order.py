@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import polynomial
-from dynasindy.sindy.reconstruction import moving_on
+from dynasindy.sindy.reconstruction import find_missing_rates
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -47,28 +47,28 @@ def lag(x, u):
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 def test_an_angle_alone_misses_its_rate(noise):
-    assert moving_on(polynomial(ONE), recorded(swing, 2, [0], noise=noise)) == ["y"]
+    assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0], noise=noise)) == ["y"]
 
 
 def test_a_difference_equation_misses_no_rate():
     """What follows from an angle and the one before is a state more to it, and no rate."""
-    assert moving_on(polynomial(ONE).with_step(DT), recorded(swing, 2, [0])) == []
+    assert find_missing_rates(polynomial(ONE).with_step(DT), recorded(swing, 2, [0])) == []
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 def test_an_angle_with_its_rate_misses_nothing(noise):
-    assert moving_on(polynomial(TWO), recorded(swing, 2, [0, 1], noise=noise)) == []
+    assert find_missing_rates(polynomial(TWO), recorded(swing, 2, [0, 1], noise=noise)) == []
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_first_order_plant_misses_nothing_though_its_root_is_no_polynomial(late):
-    assert moving_on(polynomial(ONE), recorded(lag, 1, [0], late=late)) == []
+    assert find_missing_rates(polynomial(ONE), recorded(lag, 1, [0], late=late)) == []
 
 
 def test_a_state_that_was_not_measured_is_not_judged():
     data = recorded(swing, 2, [0])
     data.x[:, 0] = torch.nan
-    assert moving_on(polynomial(ONE), data) == []
+    assert find_missing_rates(polynomial(ONE), data) == []
 
 
 def test_a_delay_is_not_made_up_where_a_rate_is_missing():
@@ -106,7 +106,7 @@ def test_without_a_time_a_delay_beyond_two_control_periods_is_found_where_a_regr
 
 
 def test_a_recording_of_a_few_samples_is_not_judged():
-    assert moving_on(polynomial(ONE), recorded(swing, 2, [0]).select(torch.arange(N - 1) < 7)) == []
+    assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0]).select(torch.arange(N - 1) < 7)) == []
 
 
 def lossy(data: Transitions, kept: np.ndarray, column: int = 0) -> Transitions:
@@ -118,6 +118,6 @@ def lossy(data: Transitions, kept: np.ndarray, column: int = 0) -> Transitions:
 
 @pytest.mark.parametrize("kept", [np.random.default_rng(1).random(N) > 0.1, np.arange(N) % 3 == 0])
 def test_lost_samples_hide_neither_a_missing_rate_nor_one_that_is_there(kept):
-    assert moving_on(polynomial(ONE), lossy(recorded(swing, 2, [0]), kept)) == ["y"]
-    assert moving_on(polynomial(TWO), lossy(recorded(swing, 2, [0, 1]), kept)) == []
-    assert moving_on(polynomial(ONE), lossy(recorded(lag, 1, [0]), kept)) == []
+    assert find_missing_rates(polynomial(ONE), lossy(recorded(swing, 2, [0]), kept)) == ["y"]
+    assert find_missing_rates(polynomial(TWO), lossy(recorded(swing, 2, [0, 1]), kept)) == []
+    assert find_missing_rates(polynomial(ONE), lossy(recorded(lag, 1, [0]), kept)) == []

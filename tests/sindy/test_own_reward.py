@@ -15,7 +15,7 @@ from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.envs import Foreign, GymnasiumEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay
-from dynasindy.sindy import OwnReward, SindyModel
+from dynasindy.sindy import LearnedReward, SindyModel
 from dynasindy.systems import Diverged, Signature
 
 SIGNATURE = Signature(("a", "b"), ("m", "m"), ("u",), (2.0, 4.0))
@@ -38,7 +38,7 @@ def test_a_reward_of_either_end_of_the_period_is_found(later):
     x, u, x_next = drawn()
     a, b = (x_next if later else x).unbind(-1)
     paid = 3.0 - 2.0 * a**2 + 0.5 * a * b - 0.1 * u[:, 0] ** 2
-    task = OwnReward(SIGNATURE)
+    task = LearnedReward(SIGNATURE)
     assert not earned(task, x, u, x_next).any()  # nothing is known yet
     task.learn(x, u, x_next, paid)
     torch.testing.assert_close(earned(task, *drawn(20, 1)), _by_hand(*drawn(20, 1), later), atol=1e-6, rtol=1e-6)
@@ -54,7 +54,7 @@ def _by_hand(x, u, x_next, later):
 
 def test_what_a_library_cannot_express_is_refused_in_one_line_and_changes_nothing():
     x, u, x_next = drawn()
-    task = OwnReward(SIGNATURE)
+    task = LearnedReward(SIGNATURE)
     task.learn(x, u, x_next, x[:, 0])
     before = earned(task, x, u, x_next)
     with pytest.raises(Diverged, match=r"leave [\d.]+ % over of what the plant pays, more than 10 %") as refused:
@@ -70,14 +70,14 @@ def test_what_a_library_cannot_express_is_refused_in_one_line_and_changes_nothin
 
 def test_a_reward_that_is_always_the_same_is_refused():
     with pytest.raises(Diverged, match="paid 1 in each of 300 periods, which tells no good state from a bad one"):
-        OwnReward(SIGNATURE).learn(*drawn(), torch.ones(300))
+        LearnedReward(SIGNATURE).learn(*drawn(), torch.ones(300))
 
 
 def test_a_reward_of_inputs_alone_is_refused():
     """As of MountainCarContinuous-v0 before it has reached the flag."""
     x, u, x_next = drawn()
     with pytest.raises(Diverged, match="depends on inputs alone, so that the best is to rest"):
-        OwnReward(SIGNATURE).learn(x, u, x_next, -0.1 * u[:, 0] ** 2)
+        LearnedReward(SIGNATURE).learn(x, u, x_next, -0.1 * u[:, 0] ** 2)
 
 
 def test_a_given_reward_is_used_and_compared_with_what_was_paid():
@@ -86,7 +86,7 @@ def test_a_given_reward_is_used_and_compared_with_what_was_paid():
     def reward(x, u, x_next):
         return x[..., 0] - 2.0 * x_next[..., 1] * u[..., 0]
 
-    task = OwnReward(SIGNATURE, reward)
+    task = LearnedReward(SIGNATURE, reward)
     torch.testing.assert_close(earned(task, x, u, x_next), x[:, 0] - 2.0 * x_next[:, 1] * u[:, 0])
     task.learn(x, u, x_next, reward(x, u, x_next))
     assert "the function that was given, leaves 0 % over" in task.words()
@@ -103,7 +103,7 @@ def test_a_given_reward_of_another_shape_or_without_a_number_is_refused(reward):
     with pytest.raises(
         Diverged, match=r"task\.reward returned numbers of shape .*one finite number per period, \(300,\)"
     ):
-        OwnReward(SIGNATURE, reward).learn(x, u, x_next, x[:, 0])
+        LearnedReward(SIGNATURE, reward).learn(x, u, x_next, x[:, 0])
 
 
 def test_a_plant_that_pays_no_number_is_told():
@@ -111,12 +111,12 @@ def test_a_plant_that_pays_no_number_is_told():
     paid = x[:, 0].clone()
     paid[3] = torch.nan
     with pytest.raises(Diverged, match="paid what is no finite number in 1 periods"):
-        OwnReward(SIGNATURE, lambda x, u, x_next: x[..., 0]).learn(x, u, x_next, paid)
+        LearnedReward(SIGNATURE, lambda x, u, x_next: x[..., 0]).learn(x, u, x_next, paid)
 
 
 def test_what_was_learnt_is_kept():
     x, u, x_next = drawn()
-    task, other = OwnReward(SIGNATURE), OwnReward(SIGNATURE)
+    task, other = LearnedReward(SIGNATURE), LearnedReward(SIGNATURE)
     task.learn(x, u, x_next, x_next[:, 1] ** 2 - u[:, 0])
     other.load_state_dict(copy.deepcopy(task.state_dict()))
     assert torch.equal(earned(other, x, u, x_next), earned(task, x, u, x_next))
@@ -125,7 +125,7 @@ def test_what_was_learnt_is_kept():
 
 def test_a_reward_without_inputs_is_that_of_inputs_of_zero():
     x, u, x_next = drawn()
-    task = OwnReward(SIGNATURE)
+    task = LearnedReward(SIGNATURE)
     task.learn(x, u, x_next, x[:, 0] - 7.0 * u[:, 0])
     torch.testing.assert_close(task.reward(x, x_next, torch.zeros(0), torch.zeros(1), FREE), x[:, 0])
 
@@ -136,7 +136,7 @@ def of_pendulum(planning, seed=0):
     products = ["1", "c", "s", "w", "torque", "c s", "c w", "s w", "s^2", "c torque", "s torque"]
     return Recipe(
         system=system,
-        task=partial(OwnReward, library=PENDULUM, max_steps=100),
+        task=partial(LearnedReward, library=PENDULUM, max_steps=100),
         env=GymnasiumEnv,
         excitation=partial(Multisine, duration=5.0, amplitude=1.0, seed=seed),
         world_model=partial(SindyModel, library=products),
@@ -182,7 +182,7 @@ def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing)
 def test_an_episode_that_the_environment_ends_is_worth_nothing_afterwards():
     """The flag of the car pays 100 once; the value of what follows is not asked for."""
     system = Foreign("MountainCarContinuous-v0", {"p": 1.2, "v": 0.07})
-    env = GymnasiumEnv(system, OwnReward(system.signature, max_steps=300), dt=1.0)
+    env = GymnasiumEnv(system, LearnedReward(system.signature, max_steps=300), dt=1.0)
 
     def pumping(tensordict):
         return tensordict.set("action", tensordict["state"][..., -1:].sign().float())

@@ -7,7 +7,7 @@ import torch
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library, parse
-from dynasindy.sindy.trajectory_fit import plainer
+from dynasindy.sindy.trajectory_fit import drop_quotient
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -24,15 +24,17 @@ def test_terms_over_a_quotient_are_joined_to_those_without_it():
     made, free = library(), torch.ones(6, 2, dtype=torch.bool)
     xi = torch.tensor([[1.0, -0.5], [0.0, 0.0], [0.0, 0.0], [0.0, -0.25], [0.0, 3.0], [0.0, 0.0]])
     expected = torch.tensor([[1.0, -0.75], [0.0, 3.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
-    assert torch.equal(plainer(made, xi, free, 0), expected)
+    assert torch.equal(drop_quotient(made, xi, free, 0), expected)
     assert xi[3, 1] == -0.25
-    assert plainer(made, expected, free, 0) is None  # it is not in use
+    assert drop_quotient(made, expected, free, 0) is None  # it is not in use
     fixed = free.clone()
     fixed[1, 1] = False
-    assert plainer(made, xi, fixed, 0) is None
-    assert plainer(library([*WORDS[:1], *WORDS[3:]]), xi[[0, 3, 4, 5]], free[:4], 0) is None  # u stands nowhere alone
+    assert drop_quotient(made, xi, fixed, 0) is None
+    assert (
+        drop_quotient(library([*WORDS[:1], *WORDS[3:]]), xi[[0, 3, 4, 5]], free[:4], 0) is None
+    )  # u stands nowhere alone
     dry = library(["w", "tanh(~5 w)"])
-    assert plainer(dry, torch.ones(2, 2), torch.ones(2, 2, dtype=torch.bool), 0) is None
+    assert drop_quotient(dry, torch.ones(2, 2), torch.ones(2, 2, dtype=torch.bool), 0) is None
 
 
 @pytest.mark.parametrize("p", [0.0, -0.4])

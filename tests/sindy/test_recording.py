@@ -3,15 +3,15 @@
 import numpy as np
 import torch
 
-from dynasindy.sindy.reconstruction import BRIEF, Recording
+from dynasindy.sindy.reconstruction import BRIEF, DelayedRecording
 from dynasindy.systems.transitions import Transitions
 
 
-def recorded(n: int) -> Recording:
+def recorded(n: int) -> DelayedRecording:
     """Return a counter as state and input, a tenth of a second between samples, whose inputs may act 0.5 s later."""
     count = torch.arange(n + 1, dtype=torch.float64)[:, None]
     data = Transitions.from_trajectory(count, count[:-1], 0.1)
-    return Recording.of(data, data, {}, 0.5)
+    return DelayedRecording.of(data, data, {}, 0.5)
 
 
 def test_rows_are_read_under_the_inputs_of_before_from_the_first_one_that_knows_them():
@@ -31,7 +31,7 @@ def test_a_long_recording_is_cut_to_stretches_and_a_short_one_stays():
 def test_a_recording_that_is_called_noisy_is_guessed_smoother_and_stays_so_when_cut():
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(3 * BRIEF + 1, 1)))
     data = Transitions.from_trajectory(noise, noise[:-1], 0.1)
-    smooth = Recording.of(data, data, {}, 0.0).smoothed()
+    smooth = DelayedRecording.of(data, data, {}, 0.0).smoothed()
     assert float(smooth.guess.x.std()) < 0.5 * float(data.x.std()) and smooth.brief(0.0).noisy
-    jumping = Recording.of(data, data, {}, 0.0)
+    jumping = DelayedRecording.of(data, data, {}, 0.0)
     assert jumping.smoothed(0.1) is jumping  # a difference equation may jump as noise does

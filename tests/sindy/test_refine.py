@@ -14,7 +14,7 @@ from dynasindy.sindy import refinement as refine
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.sindy.one_step_fit import refine_one_step
-from dynasindy.sindy.reconstruction import Recording, reconstruct
+from dynasindy.sindy.reconstruction import DelayedRecording, reconstruct
 from dynasindy.sindy.refinement import METHODS, Refinement
 from dynasindy.sindy.regression import Regression, RunningSums, integral_form, simpson_form
 from dynasindy.sindy.shooting import Descent, RunsAway
@@ -281,7 +281,7 @@ def test_a_delay_of_the_first_estimate_is_looked_for_though_no_regression_tells_
 
 def test_a_model_without_functions_tells_no_delay():
     data, none = recording(0.05), torch.zeros(4, 1, dtype=torch.float64)
-    settings, whole = Refinement("trajectory", longest_delay=0.2), Recording.of(data, data, {}, 0.2)
+    settings, whole = Refinement("trajectory", longest_delay=0.2), DelayedRecording.of(data, data, {}, 0.2)
     assert settings._fine(0.05, (LIBRARY, none), FREE.free, whole, Descent(20)) == 0.05
 
 

@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import build_library, polynomial
-from dynasindy.sindy.shooting import free_scales, holding, unscaled
+from dynasindy.sindy.shooting import free_scales, scale_constraints, states_without_scale
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -112,7 +112,7 @@ def test_what_holds_the_unit_of_a_hidden_state(words, given, fixed, hidden, free
     nan = torch.where(torch.tensor(hidden), torch.nan, 1.0).double().expand(5, 2)
     data = Transitions.from_trajectory(nan, torch.zeros(4, 1).double(), 0.1)
     names = {n for n, h in zip(TANKS.state_names, hidden, strict=True) if h} if free else set()
-    assert set(unscaled(library, xi, may, data)) == names
+    assert set(states_without_scale(library, xi, may, data)) == names
 
 
 def test_the_unit_is_held_where_the_errors_do_not_change_and_nothing_else():
@@ -126,7 +126,7 @@ def test_the_unit_is_held_where_the_errors_do_not_change_and_nothing_else():
     slopes = torch.randn(50, 4, generator=generator, dtype=torch.float64)
     slopes -= (slopes @ lost).outer(lost) / lost.square().sum()
     rows = torch.cat([slopes, torch.randn(50, 1, generator=generator, dtype=torch.float64)], -1)
-    held = torch.cat([rows, holding(exponents, xi, rows, (features, states))])
+    held = torch.cat([rows, scale_constraints(exponents, xi, rows, (features, states))])
     assert int(torch.linalg.matrix_rank(rows[:, :4])) == 3 and int(torch.linalg.matrix_rank(held[:, :4])) == 4
     best = torch.linalg.lstsq(held[:, :4], held[:, 4:]).solution
     least = torch.linalg.lstsq(rows[:, :4], rows[:, 4:], driver="gelsd").solution

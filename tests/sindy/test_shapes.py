@@ -9,7 +9,7 @@ from dynasindy.data.simulated import record
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library, parse
-from dynasindy.sindy.shape_parameters import fit_shapes, stayed
+from dynasindy.sindy.shape_parameters import fit_shapes, unmoved_shapes
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -128,14 +128,14 @@ def test_the_inertia_of_the_azimuth_is_found_from_a_guess_that_is_far_off():
 def test_a_number_that_stays_at_its_guess_is_told_if_its_function_is_used():
     library = Library(CART, [parse(word) for word in ("v", "u", "tanh(~20 v)", "v exp(~3 u)")])
     both = torch.ones(4, 1, dtype=torch.float64)
-    first, second = stayed(library, both)
+    first, second = unmoved_shapes(library, both)
     assert first == (
         "the number in tanh(20 v) did not move from its first guess 20: the data probably do not determine it"
     )
     assert "exp(3 u)" in second and "guess 3:" in second
-    assert stayed(library, torch.tensor([[1.0], [1.0], [0.0], [0.0]])) == []
-    assert stayed(library.with_shapes([20.5, 2.9]), both) == []
-    assert len(stayed(library.with_shapes([20.001, 2.9]), both)) == 1  # a part of 5e-5
+    assert unmoved_shapes(library, torch.tensor([[1.0], [1.0], [0.0], [0.0]])) == []
+    assert unmoved_shapes(library.with_shapes([20.5, 2.9]), both) == []
+    assert len(unmoved_shapes(library.with_shapes([20.001, 2.9]), both)) == 1  # a part of 5e-5
 
 
 def test_a_fit_says_that_a_number_inside_a_function_means_nothing():

@@ -13,7 +13,17 @@ from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, m
 from dynasindy.data.simulated import disturb
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import Descent, Estimate, Flow, RunsAway, certainty, cost_of, left_over, linearise, move
+from dynasindy.sindy.shooting import (
+    Descent,
+    Estimate,
+    Flow,
+    RunsAway,
+    cost_of,
+    left_over,
+    linearise_windows,
+    move,
+    shooting_covariance,
+)
 from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.sindy.windows import Windows
 from dynasindy.systems.base import Signature
@@ -28,7 +38,7 @@ def test_condensing_leaves_the_slopes_of_one_long_trajectory():
     data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
     windows = Windows.of(data, 10)
     estimate = Estimate(LIBRARY, column(A, B, 0.0, 0.0), torch.from_numpy(y[:40:10])[:, None])
-    model = linearise(Flow.of(estimate, Parameters.where(TWO), windows), torch.ones(1).double())
+    model = linearise_windows(Flow.of(estimate, Parameters.where(TWO), windows), torch.ones(1).double())
     place, slopes = np.array([Y0, A, B]), []
     for step in 1e-5 * np.eye(3):
         up, down = (motion(p[1], p[2], p[0], INPUTS) for p in (place + step, place - step))
@@ -51,12 +61,12 @@ def test_the_cost_counts_samples_starts_and_gaps_each_by_its_weight():
     none = torch.zeros(4, 1).double()
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     flow = Flow.of(Estimate(LIBRARY, none, nodes), parameters, windows)
-    model = linearise(flow, torch.tensor([2.0]).double())
+    model = linearise_windows(flow, torch.tensor([2.0]).double())
     samples = (2 - 1.5) ** 2 + (4 - 1.5) ** 2 + (8 - 5) ** 2 + (16 - 5) ** 2 + (32 - 17) ** 2
     start = (1 - 1.5) ** 2
     gaps = (1.5 - 5) ** 2 + (5 - 17) ** 2
     assert model.cost == pytest.approx((samples + start + 10 * 2 * gaps) / 2.0**2)
-    free = linearise(flow)
+    free = linearise_windows(flow)
     assert free.sigma.item() == pytest.approx((samples / 5) ** 0.5)
     # The first node moves by itself; each other one closes its gap and follows: by the start, 0.2 s of the constant.
     expected = [[1.0, 0.0, 0.0], [1.0, 0.2, -3.5], [1.0, 0.4, -15.5]]
@@ -72,7 +82,7 @@ def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
     flow = Flow.of(estimate, parameters, windows)
-    model = linearise(flow, torch.ones(1).double())
+    model = linearise_windows(flow, torch.ones(1).double())
     found = move(flow, model, torch.arange(2))
     slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
     assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
@@ -95,7 +105,7 @@ def test_windows_that_run_away_are_counted_and_the_first_is_named():
     assert flow.lost().tolist() == [False, True, False]
     assert flow.predicted[2, -1].item() == pytest.approx(-1 / (1 + 2.0), rel=1e-4)
     with pytest.raises(RunsAway, match="1 of 3 windows of 20 samples, the first of them number 1;"):
-        linearise(flow)
+        linearise_windows(flow)
 
 
 def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything():
@@ -104,7 +114,7 @@ def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything
     windows = Windows.of(data, 20, joined=False)
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
     parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
-    trial = linearise(Flow.of(estimate, parameters, windows), torch.ones(1).double())
+    trial = linearise_windows(Flow.of(estimate, parameters, windows), torch.ones(1).double())
     assert not trial.cost < 1e300
 
 
@@ -116,7 +126,7 @@ def test_a_gap_of_a_hidden_state_is_weighed_by_the_errors_of_the_others():
     windows = Windows.of(Transitions.from_trajectory(x, torch.zeros(4, 1).double(), 0.1), 2)
     nodes = torch.tensor([[0.5, 2.0], [1.5, 6.0]]).double()
     parameters = Parameters.where(torch.ones(1, 2, dtype=torch.bool))
-    model = linearise(Flow.of(Estimate(library, torch.zeros(1, 2).double(), nodes), parameters, windows))
+    model = linearise_windows(Flow.of(Estimate(library, torch.zeros(1, 2).double(), nodes), parameters, windows))
     errors = [0.5, -0.5, 1.5, -1.5]
     sigma = math.sqrt(np.square(errors).mean())
     spread = nodes.std(0, correction=0)
@@ -135,7 +145,7 @@ def test_windows_that_are_not_joined_have_a_start_each():
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(3, 1).double())
     flow = Flow.of(estimate, parameters, windows)
-    model = linearise(flow, torch.ones(1).double())
+    model = linearise_windows(flow, torch.ones(1).double())
     found = move(flow, model, torch.arange(1))  # the starts are eliminated
     # Least squares of three lines of one slope, each through the samples of its window, its first one included.
     places = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 3), (1, 4), (1, 5), (1, 6), (2, 6), (2, 7)]
@@ -154,7 +164,7 @@ def test_a_number_inside_a_function_moves_as_in_least_squares():
     windows, parameters = Windows.of(data, 5), Parameters.where(torch.zeros(1, 1, dtype=torch.bool))
     estimate = Estimate(library, column(2.0), torch.from_numpy(rng.normal(size=(3, 1))))
     flow = Flow.of(estimate, parameters, windows)
-    model = linearise(flow, torch.ones(1).double())
+    model = linearise_windows(flow, torch.ones(1).double())
     found = move(flow, model, torch.arange(2))
     time, driven = np.arange(13), np.concatenate([[0], np.cumsum(u)])
     start, number = np.linalg.lstsq(np.stack([np.ones(13), -1.0 * time], -1), y - driven, rcond=None)[0]
@@ -176,7 +186,7 @@ def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
     estimate = Estimate(library, xi, torch.from_numpy(0.1 * INPUTS[:40:10, None].repeat(2, 1)))
     parameters = Parameters.where(torch.tensor([[False, False], [False, False], [False, True]]))
     flow = Flow.of(estimate, parameters, windows)
-    model = linearise(flow)
+    model = linearise_windows(flow)
     moved = move(flow, model, torch.arange(len(model.scale)))
     assert float((moved.nodes - estimate.nodes).abs().max()) < 10
     assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
@@ -190,14 +200,14 @@ def test_a_coefficient_that_is_likely_to_be_small_counts_as_one_measurement_more
     windows = replace(Windows.of(data, 7, joined), likely=column(1.0, 1.0, 0.4, 1.0))
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(1, 1).double())
-    model = linearise(Flow.of(estimate, parameters, windows), torch.tensor([2.0]).double())
+    model = linearise_windows(Flow.of(estimate, parameters, windows), torch.tensor([2.0]).double())
     found = move(Flow.of(estimate, parameters, windows), model, torch.arange(len(model.scale)))
     rows = np.concatenate([np.stack([np.ones(8), 0.5 * np.arange(8)], -1) / 2.0, [[0.0, 1 / 0.4]]])
     start, slope = np.linalg.lstsq(rows, np.append(y / 2.0, 0.0), rcond=None)[0]
     assert found.xi[2, 0].item() == pytest.approx(slope) and found.nodes.item() == pytest.approx(start)
     missed = np.square((y - 3.0 * 0.5 * np.arange(8)) / 2.0).sum()
     assert model.cost == pytest.approx(missed + (3.0 / 0.4) ** 2)
-    bare = linearise(Flow.of(estimate, parameters, replace(windows, likely=None)), torch.tensor([2.0]).double())
+    bare = linearise_windows(Flow.of(estimate, parameters, replace(windows, likely=None)), torch.tensor([2.0]).double())
     assert left_over(model, windows) - left_over(bare, windows) == pytest.approx(0.5 * (3.0 / 0.4) ** 2)
 
 
@@ -216,7 +226,7 @@ def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
     windows = replace(Windows.of(data, 10, joined), **made_white)
     estimate = Estimate(LIBRARY, column(A, 1.0, 0.0, 0.1), windows.first.nan_to_num(0.2))
     flow, sigma = Flow.of(estimate, Parameters.where(TWO), windows), torch.tensor([0.3]).double()
-    model = linearise(flow, sigma)
+    model = linearise_windows(flow, sigma)
     assert cost_of(flow, sigma) == pytest.approx(model.cost, rel=1e-12) and model.cost > 0.1
 
 
@@ -226,7 +236,7 @@ def test_standard_errors_are_those_of_cramer_and_rao_and_of_the_scatter_over_see
     library, truth = case.library(), case.truth()
     for seed, clean in enumerate(case.clean(20)):
         found = refine_trajectory(library, truth, truth != 0, disturb(clean, 0.1, 1000 + seed), Descent(20))
-        known = certainty(found.flow)
+        known = shooting_covariance(found.flow)
         fits.append(found.coefficients[known.features, known.states])
         stated.append(known.errors)
         bounds.append(cramer_rao(library, truth, clean, 0.1 * clean.x_next.std(0)))
@@ -252,7 +262,7 @@ def test_standard_errors_are_those_of_the_scatter_where_errors_last(joined):
     fits, stated, alone = [], [], []
     for seed in range(20):
         found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(seed), Descent(20, joined))
-        known, model = certainty(found.flow), linearise(found.flow)
+        known, model = shooting_covariance(found.flow), linearise_windows(found.flow)
         fits.append(found.coefficients[:2, 0])
         stated.append(known.errors)
         inverse = torch.linalg.inv(model.triangle[:-1, :-1])
@@ -289,15 +299,15 @@ def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
         left = np.concatenate([always, *(window for k, window in enumerate(windows) if k not in part)])
         moved.append(np.linalg.lstsq(left[:, :-1], left[:, -1], rcond=1e-12)[0][-2:])
     wanted = np.sqrt(0.9 * len(parts) * np.var(moved, 0))
-    np.testing.assert_allclose(certainty(flow).errors, wanted, rtol=0.01)
+    np.testing.assert_allclose(shooting_covariance(flow).errors, wanted, rtol=0.01)
 
 
 def test_a_single_window_still_tells_standard_errors():
     found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
-    assert len(found.flow.windows) == 1 and (certainty(found.flow).errors > 0).all()
+    assert len(found.flow.windows) == 1 and (shooting_covariance(found.flow).errors > 0).all()
 
 
 def test_a_fit_that_leaves_no_function_tells_no_standard_errors():
     flow = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60)).flow
     none = replace(flow, parameters=flow.parameters.take(torch.tensor([], dtype=torch.long)))
-    assert certainty(none) is None
+    assert shooting_covariance(none) is None

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from dynasindy.sindy.equations import (
+    coefficient_lines,
     equations,
     equations_to_latex,
     plus_minus,
     to_csv,
     to_latex,
-    to_text,
-    with_errors,
+    to_table,
 )
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.model import SindyModel
@@ -75,17 +75,17 @@ def test_the_paper_s_equations_are_printed():
 
 
 def test_text_is_aligned_and_may_leave_out_empty_functions():
-    lines = to_text(LIBRARY, COEFFICIENTS).splitlines()
+    lines = to_table(LIBRARY, COEFFICIENTS).splitlines()
     assert len(lines) == 5 and len({len(line) for line in lines}) == 1
     assert lines[0].split() == ["function", "alpha_p'", "b'"]
     assert lines[1].split() == ["1", "-0.5", "0"]
-    active = to_text(LIBRARY, COEFFICIENTS, active_only=True).splitlines()
+    active = to_table(LIBRARY, COEFFICIENTS, active_only=True).splitlines()
     assert len(active) == 4 and not any("u^2" in line for line in active)
 
 
 def test_names_stand_left_and_numbers_right():
     few = Library(SIGNATURE, [variable("b"), of("cos", "alpha_p")])
-    written = to_text(few, torch.tensor([[1.0, 0.0], [-1.5, 12.0]]))
+    written = to_table(few, torch.tensor([[1.0, 0.0], [-1.5, 12.0]]))
     assert written.splitlines() == [
         "function      alpha_p'  b'",
         "b                    1   0",
@@ -115,7 +115,7 @@ def test_csv_holds_every_digit_and_the_units():
 
 def test_all_forms_hold_the_19_published_numbers():
     model = published()
-    text = to_text(model.library, model.coefficients, digits=7)
+    text = to_table(model.library, model.coefficients, digits=7)
     rows = {line[:24].strip(): line[24:].split() for line in text.splitlines()[1:]}
     assert len(rows) == 27 and sum(v != "0" for row in rows.values() for v in row) == 19
     assert rows["Omega_a^2 sin(alpha_p)"][3] == "-16.3547" and rows["1"][2:] == ["0", "0.5961", "262.7", "-8.54"]
@@ -149,7 +149,7 @@ def test_a_difference_equation_is_written_as_what_a_state_is_next():
     library = Library(signature, [v, variable("u"), p * p], step=0.5)
     xi = torch.tensor([[2.0, -2.0 + 1e-13], [-0.2, 0.0], [0.0, 3.0]], dtype=torch.float64)
     assert equations(library, xi) == ["p[k+1] = p + v - 0.1 u", "v[k+1] = 1.5 p^2"]
-    text = to_text(library, xi, active_only=True).splitlines()
+    text = to_table(library, xi, active_only=True).splitlines()
     assert text[0].split() == ["function", "p[k+1]", "v[k+1]"] and [line.split()[0] for line in text[1:]] == [
         "p", "v", "u", "p^2",
     ]  # fmt: skip
@@ -180,7 +180,7 @@ def test_each_coefficient_that_was_fitted_has_a_line_with_its_error():
     library = Library(signature, [CONSTANT, variable("v"), of("sin", "p")])
     xi = torch.tensor([[0.0, 0.0], [1.0, -0.5], [0.0, -9.81]], dtype=torch.float64)
     errors = torch.tensor([[0.0, 0.0], [0.0, 0.01], [0.0, 0.03]], dtype=torch.float64)
-    assert with_errors(library, xi, errors) == ["v'  -0.500 ± 0.010  v", "v'  -9.810 ± 0.030  sin(p)"]
+    assert coefficient_lines(library, xi, errors) == ["v'  -0.500 ± 0.010  v", "v'  -9.810 ± 0.030  sin(p)"]
 
 
 def test_a_coefficient_of_a_difference_equation_has_the_error_of_its_right_side():
@@ -188,4 +188,4 @@ def test_a_coefficient_of_a_difference_equation_has_the_error_of_its_right_side(
     signature = Signature(("v",), ("m/s",), ("u",), (1.0,))
     library = Library(signature, [variable("u"), variable("v")], step=0.5)
     xi, errors = (torch.tensor(values, dtype=torch.float64).unsqueeze(-1) for values in ([3.0, -0.5], [0.02, 0.04]))
-    assert with_errors(library, xi, errors) == ["v[k+1]  0.750 ± 0.020  v", "v[k+1]  1.500 ± 0.010  u"]
+    assert coefficient_lines(library, xi, errors) == ["v[k+1]  0.750 ± 0.020  v", "v[k+1]  1.500 ± 0.010  u"]

@@ -17,9 +17,9 @@ from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.one_step_fit import refine_one_step
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import Descent, Estimate, Flow, growth
+from dynasindy.sindy.shooting import Descent, Estimate, Flow, error_growth
 from dynasindy.sindy.trajectory_fit import few_steps, refine_trajectory
-from dynasindy.sindy.windows import Windows, spread
+from dynasindy.sindy.windows import Windows, choose_stretches
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -80,9 +80,9 @@ def test_noise_in_the_states_biases_the_one_step_fit_but_not_this_one():
         [f(LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k, 0.1), *more)[1][0, 0].item() for k in range(6)]
         for f, more in ((refine_one_step, (1e-9,)), (refine_trajectory, (Descent(10),)))
     ]
-    spread = 0.1 / NOISE * bound()[0] / math.sqrt(6)
-    assert abs(np.mean(estimates[0]) - A) > 8 * spread
-    assert abs(np.mean(estimates[1]) - A) < 4 * spread
+    choose_stretches = 0.1 / NOISE * bound()[0] / math.sqrt(6)
+    assert abs(np.mean(estimates[0]) - A) > 8 * choose_stretches
+    assert abs(np.mean(estimates[1]) - A) < 4 * choose_stretches
 
 
 def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
@@ -184,7 +184,7 @@ def test_errors_of_a_start_grow_as_the_exact_motion_says(rate, joined, factor):
     data, xi = recording(0), column(rate, B, 0.0, 0.0)
     windows = Windows.of(data, 100, joined)
     estimate = Estimate(LIBRARY, xi, windows.first)
-    grown = growth(Flow.of(estimate, Parameters.where(xi != 0), windows))[0]
+    grown = error_growth(Flow.of(estimate, Parameters.where(xi != 0), windows))[0]
     wanted = math.exp(rate * factor / 2) if rate > 0 else math.exp(rate)
     assert grown == pytest.approx(wanted, rel=1e-6)
 
@@ -220,7 +220,7 @@ def test_of_a_long_recording_functions_are_chosen_on_some_rows_and_fitted_on_all
 
 @pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
 def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
-    chosen = spread(n, wanted)
+    chosen = choose_stretches(n, wanted)
     assert int(chosen.sum()) == rows and bool(chosen[0] and chosen[-1])
     if n == 1000:
         begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
@@ -248,7 +248,7 @@ def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
         return float(np.sqrt(np.square(error[ends]).mean()))
 
     library, free = Library(SIGNATURE, [variable("u")]), torch.ones(1, 1, dtype=torch.bool)
-    found = trajectory.strain(library, column(2.0), free, data, Descent(20), data.x)
+    found = trajectory.trajectory_error_ratio(library, column(2.0), free, data, Descent(20), data.x)
     wanted = left_over(200) / (left_over(20) / math.sqrt(1 - 10 / 210))
     assert found.tolist() == pytest.approx([wanted], rel=1e-5)
     assert (wanted > 1.5) == (push > 0) and (push or abs(wanted - 1) < 0.05)
@@ -257,11 +257,13 @@ def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
 def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_exactly():
     exact = Transitions.from_trajectory(torch.from_numpy(motion(A, B, Y0, INPUTS))[:, None], column(*INPUTS), DT)
     args = (LIBRARY, column(A, B, 0, 0), TWO)
-    assert trajectory.strain(*args, exact, Descent(20), exact.x).tolist() == pytest.approx([1.0], abs=0.2)
+    assert trajectory.trajectory_error_ratio(*args, exact, Descent(20), exact.x).tolist() == pytest.approx(
+        [1.0], abs=0.2
+    )
     lost = Transitions(exact.x * math.nan, exact.u, exact.x_next * math.nan, DT, exact.segment)
-    assert trajectory.strain(*args, lost, Descent(20), exact.x).tolist() == [0.0]
+    assert trajectory.trajectory_error_ratio(*args, lost, Descent(20), exact.x).tolist() == [0.0]
     nothing = (LIBRARY, column(0, 0, 0, 0), TWO)
-    assert trajectory.strain(*nothing, exact, Descent(20), exact.x).tolist() == [math.inf]
+    assert trajectory.trajectory_error_ratio(*nothing, exact, Descent(20), exact.x).tolist() == [math.inf]
 
 
 def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypatch):
