@@ -20,8 +20,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from benchmarks import gradient
+from benchmarks.common import TimedPolicy, add_choices, add_output, add_seeds
 from benchmarks.gradient import PLANTS
-from benchmarks.stopwatch import Timed
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.loop import train
@@ -54,6 +54,16 @@ STATE_WEIGHTS, INTEGRAL_WEIGHTS = (30.0, 30.0, 1.0, 1.0, 0.0, 0.0), (50.0, 50.0)
 STEPS = 64
 """Targets of the scenario of steps."""
 MARK = "## Tables"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--plants", ("tras", "xi"))
+    add_choices(parser, "--controllers", tuple(CONTROLLERS))
+    add_choices(parser, "--models", ("identified", "true"))
+    add_seeds(parser, 5)
+    parser.add_argument("--seconds", type=float, default=0.0, help="length of every run; 0 takes the scenario's own")
+    add_output(parser, "baselines")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -188,9 +198,11 @@ def casadi_field(system: System, smooth: bool) -> Callable[[Any, Any], list[Any]
     """Return a plant or a model as a function of lists of CasADi's symbols, from the formulas of its machine code."""
     from benchmarks.nmpc import functions
 
+    signature = system.signature
+    calls = functions(dict(zip(signature.state_names, signature.x_scale)) if smooth else {})
     if isinstance(system, SindyModel):
-        return field_of(system, functions(smooth))
-    formulas, calls = program(system.forward, system.signature.n_x, system.signature.n_u), functions(smooth)
+        return field_of(system, calls)
+    formulas = program(system.forward, signature.n_x, signature.n_u)
 
     def _field(x: Any, u: Any) -> list[Any]:
         scope = {**calls, "x": x, "u": u}
@@ -234,7 +246,7 @@ def judge(env: ControlEnv, policy: Policy, head: Sequence[Any], among: Iterable[
         head: Values of the columns up to `real_seconds`.
         among: Scenarios; the computing time is that of those with one row.
     """
-    single, rows = Timed(policy), []
+    single, rows = TimedPolicy(policy), []
     for scenario in among:
         result = evaluate(env, single if scenario.episodes == 1 else policy, scenario)
         for metric in METRICS:

@@ -1,7 +1,7 @@
 """What `identify.py` makes of the log of a rig, as its documents say, without a hand's turn: a stand-in of `tras`.
 
 Each log is 120 s long, sampled every 0.01 s in closed loop; the model is fitted to its first half and judged on the
-second. See `benchmarks.bench_rig` for what the rig has and its manual does not mention.
+second. See `benchmarks.bench_surrogate` for what the rig has and its manual does not mention.
 """
 
 from __future__ import annotations
@@ -12,16 +12,129 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
-from benchmarks.arguments import LOGS
-from benchmarks.bench_rig import closed_loop, write_log
-from benchmarks.commit import commit
-from dynasindy.safe_io import Row, write_rows
+from benchmarks.common import add_written, commit
+from dynasindy.safe_io import Row, write_csv, write_rows
+from dynasindy.systems import Tras, integrate
+from dynasindy.systems.tras import TrasConstants
+
+DT, DELAY, HELD = 0.01, 1, 4.0
+"""Time between two samples [s], samples until a command acts, and time for which a reference is held [s]."""
+BIAS, PROPORTIONAL, INTEGRAL, DERIVATIVE = (-0.1, 0.25), (0.6, 0.3), (0.1, 0.25), (0.6, 0.15)
+"""Of the PID controller under which the log is made."""
+RANGE = (0.5, 0.3)
+"""Largest reference of azimuth and pitch [rad]."""
+STEP, NOISE = 0.0015, (20.0, 10.0)
+"""Step of the encoders [rad]; standard deviation of the speeds of tail and main rotor [rpm]."""
+LASTING = 0.5
+"""Time in which a gust dies down [s]."""
+OLD = 8
+"""Samples over which the controller differences the angles."""
+
+
+@dataclass(frozen=True)
+class Unmodelled:
+    """What the manual does not mention.
+
+    Attributes:
+        stiffness: Torque of the cable [N m/rad].
+        rest: Azimuth at which the cable pulls nowhere [rad].
+        dry_a: Dry friction of the azimuth bearing [N m].
+        dry_p: Dry friction of the pitch bearing [N m].
+        width: Rate at which dry friction is at 76 % of its full size [rad/s].
+    """
+
+    stiffness: float = 0.006
+    rest: float = 0.15
+    dry_a: float = 0.0012
+    dry_p: float = 0.0012
+    width: float = 0.03
+
+
+class Rig(Tras):
+    """`tras` with a cable, dry friction and stronger motors.
+
+    Args:
+        bearings: What the manual does not mention.
+    """
+
+    def __init__(self, bearings: Unmodelled | None = None) -> None:
+        manual = TrasConstants().detuned(0.1, seed=3)
+        # 9660 rpm/s is what a real rig's main rotor had; drag grows with it, so that its speeds stay.
+        super().__init__(constants=replace(manual, motor_a=1.3 * manual.motor_a, motor_p=9660.0))
+        self.bearings = bearings or Unmodelled()
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, 6)`, of states `(*batch, 6)` under inputs `(*batch, 2)` in [-1, 1]."""
+        dx, b, k = super().forward(x, u), self.bearings, self.constants
+        azimuth, pitch, rate_a, rate_p, *_ = x.unbind(-1)
+        inertia_a = k.inertia_a[0] * pitch.cos().square() + k.inertia_a[1]
+        push_a = -b.stiffness * (azimuth - b.rest) - b.dry_a * torch.tanh(rate_a / b.width)
+        push_p = -b.dry_p * torch.tanh(rate_p / b.width)
+        zero = torch.zeros_like(azimuth)
+        return dx + torch.stack((zero, zero, push_a / inertia_a, push_p / k.inertia_p, zero, zero), -1)
+
+
+def closed_loop(seconds: float, logs: int, gust: float = 0.0, plant: Rig | None = None) -> tuple[Tensor, Tensor]:
+    """Fly along random references and return what was logged, several logs side by side.
+
+    Args:
+        seconds: Length of each flight [s].
+        logs: Flights, which differ in references and noise.
+        gust: Standard deviation of accelerations that nothing explains, on both axes [rad/s^2].
+        plant: What flies; the default rig if omitted.
+
+    Returns:
+        Measured states `(T, logs, 6)`, their rates NaN, and commands `(T, logs, 2)`.
+    """
+    plant, generator = plant or Rig(), torch.Generator().manual_seed(0)
+    gains = [torch.tensor(gain, dtype=torch.float64) for gain in (BIAS, PROPORTIONAL, INTEGRAL, DERIVATIVE)]
+
+    def _normal(*scale: float) -> Tensor:
+        return torch.tensor(scale) * torch.randn(logs, 2, generator=generator, dtype=torch.float64)
+
+    x, push = torch.zeros(logs, 6, dtype=torch.float64), _normal(gust)
+    reference = integral = torch.zeros(logs, 2, dtype=torch.float64)
+    past = [reference] * DELAY
+    seen: list[Tensor] = []
+    for k in range(round(seconds / DT)):
+        if k % round(HELD / DT) == 0:
+            drawn = torch.rand(logs, 2, generator=generator, dtype=torch.float64)
+            reference = (2 * drawn - 1) * torch.tensor(RANGE)
+        y = x.clone()
+        y[:, :2] = STEP * torch.round(x[:, :2] / STEP)
+        y[:, 4:] += _normal(*NOISE)
+        y[:, 2:4] = (y[:, :2] - (seen[max(0, k - OLD)] if seen else y)[:, :2]) / (OLD * DT)
+        error = reference - y[:, :2]
+        u = gains[0] + gains[1] * error + gains[2] * integral - gains[3] * y[:, 2:4]
+        integral = integral + DT * error.masked_fill(u.abs() > 1.0, 0.0)  # no winding up at a limit
+        u = u.clamp(-1.0, 1.0)
+        seen.append(y)
+        past.append(u)
+        with torch.no_grad():
+            x = integrate(plant, x, past[k], DT, 2, plant.stops)[0][:, -1]
+        push = push * (1 - DT / LASTING) + (2 * DT / LASTING) ** 0.5 * _normal(gust)
+        x[:, 2:4] += DT * push
+    measured = torch.stack(seen)
+    measured[..., 2:4] = torch.nan
+    return measured, torch.stack(past[DELAY:])
+
+
+def write_log(path: Path, measured: Tensor, commands: Tensor) -> None:
+    """Write a log with the columns time, alpha_a, alpha_p, omega_a, omega_p, u_a, u_p."""
+    time = DT * torch.arange(len(measured), dtype=torch.float64).unsqueeze(-1)
+    header = ["time", "alpha_a", "alpha_p", "omega_a", "omega_p", "u_a", "u_p"]
+    write_csv(path, header, torch.cat([time, measured[:, [0, 1, 4, 5]], commands], -1).tolist())
+
 
 COMMAND = Path(__file__).resolve().parents[2] / "scripts" / "identify.py"
+LOGS = 3
+"""Logs at least before the published figures are replaced."""
 RESULTS, SECONDS = Path("docs/results/standin.csv"), 120.0
 CASES = {"still": 0.0, "gusts": 0.01}
 """Standard deviation of accelerations that nothing explains [rad/s^2]."""
@@ -29,6 +142,12 @@ TARGETS = {"alpha_a": 0.017, "alpha_p": 0.011, "omega_a": 45.0, "omega_p": 25.0}
 """Errors over 2 s that were reached by hand on the log of a real rig, with some room [rad, rpm]."""
 METHODS = {"ours": "rmse_2_s", "linear model on past samples": "linear_rmse_2_s", "last value held": "held_rmse_2_s"}
 COLUMNS = ["case", "log", "method", *TARGETS, "delay_ms", "friction", "spring", "commit"]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--logs", type=int, default=LOGS, help="logs of each case")
+    add_written(parser, RESULTS, LOGS, "logs")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -41,7 +160,7 @@ def main(arguments: argparse.Namespace) -> None:
         for log in range(arguments.logs):
             with tempfile.TemporaryDirectory() as folder:
                 write_log(Path(folder) / "log.csv", measured[:, log], commands[:, log])
-                for row in identified(Path(folder)):
+                for row in run_identify(Path(folder)):
                     rows.append({"case": case, "log": str(log), **row, "commit": commit()})
                     print("  ".join(f"{rows[-1][name]:<10}" for name in COLUMNS[:-1]), flush=True)
             if out is not None:
@@ -49,7 +168,7 @@ def main(arguments: argparse.Namespace) -> None:
     print(f"written to {out}" if out else f"written to no file: fewer than {LOGS} logs; name one by --out")
 
 
-def identified(folder: Path) -> Iterator[Row]:
+def run_identify(folder: Path) -> Iterator[Row]:
     """Run the command as its documents say, and yield what it wrote.
 
     Raises:

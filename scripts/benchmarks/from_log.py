@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 import dynasindy
-from benchmarks.commit import commit
+from benchmarks.common import add_output, add_seeds, commit
 from benchmarks.gradient import BENCH, KNOWN, PLANTS
 from dynasindy import Controller
 from dynasindy.envs import ControlEnv
@@ -42,6 +42,12 @@ SUBSTEPS = 10
 """Runge-Kutta steps of the plant between two samples."""
 
 
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_seeds(parser, 10)
+    add_output(parser, "from_log")
+
+
 def main(arguments: argparse.Namespace) -> None:
     """Make a log, a controller and a flight of each seed, and append a row."""
     torch.set_num_threads(1)
@@ -58,10 +64,10 @@ def measure(seed: int) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"
         write_log(path, seed)
-        controller = made(path, seed)
+        controller = make_controller(path, seed)
     sources = controller_sources(controller)
     spent = time.process_time() - start
-    errors = flown(controller, [Native(sources) for _ in range(TARGETS)], seed)
+    errors = simulate_targets(controller, [Native(sources) for _ in range(TARGETS)], seed)
     numbers = dict(zip(COLUMNS[2:6], [*errors.mean(0).tolist(), *errors.max(0).tolist()], strict=True))
     cost = {"flops": sources.cost.flops, "bytes": sources.cost.state + sources.cost.constants}
     head = {"seed": seed, "metric": "mean_abs_error_last_5s", **{key: round(v, 5) for key, v in numbers.items()}}
@@ -89,7 +95,7 @@ def write_log(path: Path, seed: int) -> None:
     write_csv(path, column_headings(names, signature), torch.cat([time, y[:, seen], inputs], -1).tolist())
 
 
-def made(path: Path, seed: int) -> Controller:
+def make_controller(path: Path, seed: int) -> Controller:
     """Return the controller that the log gives."""
     signature, facts = Tras().signature, PLANTS["tras"]
     rates = set(KNOWN.values())
@@ -104,7 +110,7 @@ def made(path: Path, seed: int) -> Controller:
     return dynasindy.plan(model, targets, log, seed=seed)
 
 
-def flown(controller: Controller, natives: list[Native], seed: int) -> NDArray[np.float64]:
+def simulate_targets(controller: Controller, natives: list[Native], seed: int) -> NDArray[np.float64]:
     """Return the errors at the end of a flight to each target, `(TARGETS, 2)` [rad].
 
     Args:

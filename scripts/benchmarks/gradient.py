@@ -17,9 +17,8 @@ from typing import Any
 
 import torch
 
-from benchmarks.commit import commit
-from benchmarks.stopwatch import Watch, Watched
-from benchmarks.unseen_situations import following, holding
+from benchmarks.common import Stopwatch, TimedPlanner, add_choices, add_output, add_seeds, commit
+from benchmarks.unseen_situations import judge_following, judge_holding
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
@@ -27,9 +26,9 @@ from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
+from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.metrics import STEADY_SECONDS
-from dynasindy.evaluation.scenarios import Evaluation, Policy, PolicyWrapper, Scenario, evaluate, step_references
+from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Variation
 from dynasindy.planning.integral import IntegralAction
@@ -84,21 +83,8 @@ NOISE = (5e-4, 5e-4, 5e-3, 5e-3, 20.0, 20.0)  # rad, rad, rad/s, rad/s, rpm, rpm
 NOISY = Sensors({name: Channel(noise=std) for name, std in zip(SIGNATURE.state_names, NOISE)}, KNOWN)
 GUST = {"Omega_a": 0.5, "Omega_p": 0.5}  # rad/s^2
 COLUMNS = (
-    "case",
-    "plant",
-    "seed",
-    "plant_seconds",
-    "scenario",
-    "metric",
-    "azimuth",
-    "pitch",
-    "azimuth_worst",
-    "pitch_worst",
-    "return",
-    "updates",
-    "wall_seconds",
-    "cpu_seconds",
-    "commit",
+    *("case", "plant", "seed", "plant_seconds", "scenario", "metric", "azimuth", "pitch", "azimuth_worst"),
+    *("pitch_worst", "return", "updates", "wall_seconds", "cpu_seconds", "commit"),
 )
 
 
@@ -114,13 +100,11 @@ class Case:
         longest_delay: Longest delay of the inputs that the fit looks for [s]; None where the data are to tell, as in
             the commands.
         detuned: Evaluate on a plant with other parameters, in a gust.
-        late: Control periods that inputs need to reach the plant in flight.
         integral: Evaluate with integral action, too.
         unseen: Evaluate in situations that nothing was tuned on.
         variation: How imagined plants stray.
         margin: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
         updates: Gradient updates of the first planning phase; None for as many as suit the plant.
-        width: Error at which the imagined cost turns linear [rad].
         hidden: Widths of the policy's hidden layers.
         plants: Plants that it is measured on.
     """
@@ -131,13 +115,11 @@ class Case:
     sensors: Sensors | None = None
     longest_delay: float | None = 0.0
     detuned: bool = False
-    late: int = 0
     integral: bool = False
     unseen: bool = False
     variation: Variation = field(default_factory=Variation)
     margin: float | None = None
     updates: int | None = None
-    width: float = 0.02
     hidden: tuple[int, ...] = (128, 128)
     plants: tuple[str, ...] = ("xi", "tras")
 
@@ -148,19 +130,23 @@ CASES = {
     "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
     "moving": Case(moving=True, updates=400),
-    "moving_long": Case(moving=True, updates=1000),
-    "moving_long_wide": Case(moving=True, updates=1000, width=0.1),
     "noise": Case(episodes=3, sensors=NOISY, integral=True),
     "bench": Case(sensors=BENCH, longest_delay=None),
     "bench_delay": Case(sensors=replace(BENCH, actuator_delay=1), longest_delay=None),
-    "late": Case(late=1),
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
-    "detuned_robust": Case(detuned=True, integral=True, variation=Variation(parameters=0.1), plants=("tras",)),
     "friction": Case(episodes=5, integral=True, plants=("trms33",)),
     "friction_alone": Case(integral=True, plants=("trms33",)),  # the excitation and nothing else
     "unseen": Case(unseen=True),  # the policies of `step` after 10 s and of `moving`, elsewhere
     "unseen_moving": Case(unseen=True, moving=True, updates=400),
 }
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--cases", tuple(CASES))
+    add_choices(parser, "--plants", tuple(PLANTS))
+    add_seeds(parser, 10)
+    add_output(parser, "gradient")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -185,7 +171,7 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
     """
     case, code = CASES[name], commit()
     rows: list[Row] = []
-    watch = Watch()
+    watch = Stopwatch()
 
     def planned(updates: int) -> None:
         """Judge the policy of a finished planning phase."""
@@ -198,7 +184,7 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
 
     recipe = build_recipe(case, plant, seed, planning)
     parts = recipe.build()
-    parts.planner = Watched(parts.planner, planned)
+    parts.planner = TimedPlanner(parts.planner, planned)
     train(parts, recipe.train, Callback())
     return rows
 
@@ -229,7 +215,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
 
 
 def _planning(case: Case) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("variation", "margin", "updates", "width")}
+    return {name: getattr(case, name) for name in ("variation", "margin", "updates")}
 
 
 def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:
@@ -249,9 +235,9 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
     if case.unseen:
         env, policy = parts.plant, parts.agent.deployed
         if case.moving:
-            flights = following(env, policy, parts.sensing)
+            flights = judge_following(env, policy, parts.sensing)
         else:
-            flights = holding(env, policy, facts.low, facts.high, NOISE, seed, parts.sensing)
+            flights = judge_holding(env, policy, facts.low, facts.high, NOISE, seed, parts.sensing)
         for name, metric, result, errors in flights:
             yield name, metric, _numbers(result, errors)
         return
@@ -272,7 +258,7 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
             result = evaluate(env, policy, gust, parts.sensing)
             yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
         else:
-            result = evaluate(env, policy, Scenario("step", steps, 64, wrappers=_in_flight(case)), parts.sensing)
+            result = evaluate(env, policy, Scenario("step", steps, 64), parts.sensing)
             yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
             if case.sensors is not None:
                 yield f"step{suffix}_inputs", "mean_abs_change_per_period_last_5s", _numbers(result, _changes(result))
@@ -317,11 +303,6 @@ def _waves(random: bool = False) -> list[Wave]:
         wide = (0.55, 0.55)
         return [Wave(wide, (0.05, 0.05), shape, random=True) for shape in ("sine", "square")]
     return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
-
-
-def _in_flight(case: Case) -> list[PolicyWrapper]:
-    """Return what lies between policy and plant."""
-    return [partial(DelayedActuator, periods=case.late)] if case.late else []
 
 
 def _changes(result: Evaluation) -> torch.Tensor:

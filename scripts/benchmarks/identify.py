@@ -17,18 +17,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks import certainty, textbook
-from benchmarks.arguments import SEEDS
-from benchmarks.bound import cramer_rao
-from benchmarks.commit import commit
-from benchmarks.rivals import (
+from benchmarks import textbook_systems
+from benchmarks.common import add_written, commit
+from benchmarks.pysindy_regression import (
     Score,
     best_threshold,
-    given_rows,
+    integral_rows,
     own_rows,
     score,
     stlsq,
 )
+from benchmarks.textbook_systems import cramer_rao
 from dynasindy.data.simulated import disturb, record, record_all
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
 from dynasindy.safe_io import Row, read_rows, write_rows
@@ -42,8 +41,17 @@ from dynasindy.systems.trms33 import Trms33
 
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 HOVER = (-0.12, 0.21)
+SEEDS = 10
+"""Seeds at least before the published figures are replaced."""
 RESULTS = Path("docs/results/identification.csv")
 COLUMNS = ("case", "method", "measure", "value", "target", "commit")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="seeds of each case with seeds")
+    parser.add_argument("--only", nargs="*", choices=list(CASES), help="names of cases; all by default")
+    add_written(parser, RESULTS, SEEDS, "seeds")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -187,12 +195,6 @@ def open_loop_errors(model: SindyModel, states: Tensor, inputs: Tensor) -> Tenso
     return error.nan_to_num(math.inf, math.inf)
 
 
-def xi_noisy(logs: int) -> certainty.Logs:
-    """Record `xi` for 20 s, with noise of 1e-3 of each state's standard deviation."""
-    data = [disturb(clean, 1e-3, 1000 + k) for k, clean in enumerate(xi_recordings(20.0, 0.01, range(logs)))]
-    return paper_table(Xi().signature), true_table(), data
-
-
 def rig(plant: System, library: str, excitation: Excitation, goal: str) -> list[Row]:
     """Identify a first-principles plant from 20 s and predict unseen episodes open loop."""
     data = record(plant, excitation.samples(0.01), 0.01, 10)
@@ -239,7 +241,7 @@ def pysindy_rows(seeds: int) -> list[Row]:
     for label, seconds, dt in (("10 s at 0.01 s", 10.0, 0.01), ("20 s at 0.05 s", 20.0, 0.05)):
         data = [xi_recording(seconds, dt, seed) for seed in range(seeds)]
         own = {order: [own_rows(library, d, pysindy.FiniteDifference(order)) for d in data] for order in (2, 4)}
-        given = [given_rows(library, d) for d in data]
+        given = [integral_rows(library, d) for d in data]
         default = [score(stlsq(pair, pysindy.STLSQ()), truth) for pair in own[2]]
         rows.append(_pysindy_row("PySINDy defaults", label, default))
         best = max((best_threshold(f"order {k}", pairs, truth) for k, pairs in own.items()), key=lambda one: one[0])
@@ -277,7 +279,7 @@ def refit(seeds: int) -> list[Row]:
         times = []
         for _ in range(21):
             model.sums = stored.copy()
-            times.append(timed(lambda: model.update(new)))
+            times.append(time_call(lambda: model.update(new)))
         goal = "<= 10" if total == 1_000_000 else "<= 2 x the row above"
         rows.append(
             row(
@@ -291,7 +293,7 @@ def refit(seeds: int) -> list[Row]:
     u = 2 * torch.rand(1_002_000, 2, generator=generator, dtype=torch.float64) - 1
     theta, dx = library(x, u).numpy(), plant(x, u).numpy()
     optimizer = pysindy.STLSQ(threshold=0.9, alpha=0, normalize_columns=True)
-    seconds = timed(lambda: optimizer.fit(theta, dx))
+    seconds = time_call(lambda: optimizer.fit(theta, dx))
     rows.append(row("PySINDy STLSQ, functions given", "fit of 1e6 + 2000 samples [ms]", f"{1e3 * seconds:.0f}"))
     return rows
 
@@ -304,7 +306,7 @@ def speed(seeds: int) -> list[Row]:
         generator = torch.Generator().manual_seed(0)
         x = (torch.rand(4096, 6, generator=generator) - 0.5) * torch.tensor(model.signature.x_scale)
         u = 2 * torch.rand(4096, 2, generator=generator) - 1
-        times = [timed(partial(_imagine, model, x, u)) for _ in range(41)][1:]
+        times = [time_call(partial(_imagine, model, x, u)) for _ in range(41)][1:]
         terms = int((model.coefficients != 0).sum())
         rates = f"{4096 / statistics.median(times):.3g}, best {4096 / min(times):.3g}"
         rows.append(row("ours", f"{name} model, {terms} terms: transitions per CPU-second", rates, ">= 1e6"))
@@ -334,11 +336,11 @@ def _pysindy_speed(model: SindyModel) -> Row:
 
     theirs, t = to_pysindy(model), np.arange(0, 1.05, 0.05)
     u = np.full((len(t), 2), 0.1)
-    seconds = timed(lambda: theirs.simulate(np.zeros(6), t, u=u))
+    seconds = time_call(lambda: theirs.simulate(np.zeros(6), t, u=u))
     return row("PySINDy simulate", "xi model: transitions per CPU-second", f"{(len(t) - 1) / seconds:.3g}")
 
 
-def timed(call: Callable[[], object]) -> float:
+def time_call(call: Callable[[], object]) -> float:
     """Return the CPU time of a call [s]."""
     start = time.process_time()
     call()
@@ -349,8 +351,7 @@ CASES: dict[str, Callable[[int], list[Row]]] = {
     "xi_10s": lambda seeds: noise_free(10.0, 0.01, 1e-6, seeds),
     "xi_control": lambda seeds: noise_free(20.0, 0.05, 1e-4, seeds),
     "xi_noise": noisy,
-    **{name: partial(textbook.measure, case) for name, case in textbook.CASES.items()},
-    "standard_errors": lambda seeds: certainty.measure(seeds, xi_noisy),
+    **{name: partial(textbook_systems.measure, case) for name, case in textbook_systems.CASES.items()},
     "tras": tras,
     "trms33": trms33,
     "pysindy": pysindy_rows,

@@ -6,45 +6,241 @@ it leaves is flown on the true plant, behind the same sensors, to targets drawn 
 
 from __future__ import annotations
 
+import argparse
 import copy
 import json
 import math
 import tempfile
-from argparse import Namespace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+import yaml
 from numpy.typing import NDArray
+from torch import Tensor
 
 import dynasindy
-from benchmarks import logged, unseen_plants
-from benchmarks.commit import commit
-from benchmarks.logged import SUBSTEPS, Case, Input
-from benchmarks.training import called, over_seeds
+from benchmarks.common import add_choices, add_output, add_seeds, commit, measure_seeds, run_command
 from dynasindy import Controller
 from dynasindy.data.units import in_radians
 from dynasindy.safe_io import Row, write_csv
-from dynasindy.sensing import Sensors
+from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import integrate
+from dynasindy.systems import Signature, System, integrate
+
+SUBSTEPS = 5
+"""Runge-Kutta steps of a plant between two samples of its log."""
+SMOOTH = 0.8
+"""Part of a difference that the loop keeps of the one before."""
+Loop = Mapping[str, tuple[float, float]]
+"""Measured states, and what an input is changed by per state and per rate of it."""
+
+
+FUNCTIONS = {name: getattr(torch, name) for name in ("sin", "cos", "tanh", "exp", "sqrt", "abs", "sign")}
+NAMES = {**FUNCTIONS, "at_least": torch.clamp_min, "log": math.log, "pi": math.pi}
+"""What equations and numbers of logged_plants.yaml may name besides states and inputs."""
+
+
+class Plant(System):
+    """A plant out of equations in words.
+
+    Args:
+        signature: Names, units and ranges.
+        let: Formulas by the name that the later ones may use.
+        rates: Formula of the rate of change of each state, under inputs in their own units.
+    """
+
+    def __init__(self, signature: Signature, let: Mapping[str, str], rates: Mapping[str, str]) -> None:
+        super().__init__(signature)
+        self.lines = [(name, compile(formula, name, "eval")) for name, formula in (*let.items(), *rates.items())]
+        self.shared = len(let)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x)`."""
+        given = zip((*self.signature.state_names, *self.signature.input_names), (*x.unbind(-1), *u.unbind(-1)))
+        scope: dict[str, Any] = {**NAMES, **dict(given)}
+        for name, code in self.lines[: self.shared]:
+            scope[name] = eval(code, scope)
+        rates = [eval(code, scope) for _, code in self.lines[self.shared :]]
+        return torch.stack(torch.broadcast_tensors(*rates), -1)
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input in the unit of its actuator.
+
+    Attributes:
+        unit: Its unit.
+        low: Lower end of the actuator.
+        high: Upper end.
+        stated: Whether the user of the plant states the ends.
+    """
+
+    unit: str = "-"
+    low: float = -1.0
+    high: float = 1.0
+    stated: bool = True
+
+
+@dataclass(frozen=True)
+class Case:
+    """A plant, how it is logged, and what is wanted of it.
+
+    Attributes:
+        states: Name to unit; all states of the plant, measured or not.
+        rates: Formula of the rate of change of each state.
+        sensors: Measured states.
+        targets: Outputs, and the ends of their targets.
+        known: States whose rate is another state.
+        dt: Sampling time of the log [s].
+        seconds: Length of the log [s].
+        amplitude: Half range of the levels of each input, around `offset` [half ranges of the actuator].
+        holds: Shortest and longest time for which a level is held [s].
+        flight: Length of a flight [s].
+        offset: Mean of each input, from the middle of its actuator [half ranges of the actuator].
+        start: States that are not zero where log and flights begin.
+        loop: Of each input, what it is changed by per state and per rate of it [half ranges of the actuator].
+        words: Settings besides, which the user of such a plant would give.
+        inputs: Inputs by name.
+        let: Formulas that the rates share.
+        columns: States that are logged in another unit than their own, which is it, and its size in their own.
+    """
+
+    states: Mapping[str, str]
+    rates: Mapping[str, str]
+    sensors: Mapping[str, Channel]
+    targets: Mapping[str, tuple[float, float]]
+    dt: float
+    seconds: float
+    amplitude: float
+    holds: tuple[float, float]
+    flight: float = 10.0
+    known: Mapping[str, str] = field(default_factory=dict)
+    offset: float = 0.0
+    start: Mapping[str, float] = field(default_factory=dict)
+    loop: tuple[Loop, ...] = ()
+    words: tuple[str, ...] = ()
+    inputs: Mapping[str, Input] = field(default_factory=lambda: {"u": Input()})
+    columns: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    let: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def plant(self) -> Plant:
+        """The plant itself."""
+        names, units = tuple(self.states), tuple(self.states.values())
+        return Plant(Signature(names, units, tuple(self.inputs), (1.0,) * len(names)), self.let, self.rates)
+
+    @property
+    def begins(self) -> Tensor:
+        """State in which log and flights begin, `(n_x,)`."""
+        return torch.tensor([self.start.get(name, 0.0) for name in self.states], dtype=torch.float64)
+
+    @property
+    def ends(self) -> tuple[Tensor, Tensor]:
+        """Lower and upper ends of the actuators, `(n_u,)` each."""
+        pairs = [(given.low, given.high) for given in self.inputs.values()]
+        low, high = torch.tensor(pairs, dtype=torch.float64).unbind(-1)
+        return low, high
+
+    def record(self, seed: int) -> tuple[Tensor, Tensor]:
+        """Return measurements `(T, n_x)`, NaN where there is no sensor, and inputs in their own units `(T, n_u)`.
+
+        Args:
+            seed: Seed of the inputs' levels and of the sensors' noise.
+        """
+        plant, rng, x = self.plant, torch.Generator().manual_seed(seed), self.begins
+        sensors, (low, high), n_u = Sensors(self.sensors), self.ends, len(self.inputs)
+        fed = [_Loop(loop, list(self.states), self.dt) for loop in (*self.loop, *[{}] * (n_u - len(self.loop)))]
+        seen, inputs, until, level = [], [], [0] * n_u, [0.0] * n_u
+        for k in range(round(self.seconds / self.dt)):
+            y = sensors.read(x, plant.signature, rng)
+            for i in range(n_u):
+                if k >= until[i]:
+                    drawn, share = torch.rand(2, generator=rng).tolist()
+                    shortest, longest = self.holds
+                    level[i] = 2 * drawn - 1
+                    until[i] = k + max(1, round((shortest + share * (longest - shortest)) / self.dt))
+            given = [self.offset + self.amplitude * level[i] + fed[i](y) for i in range(n_u)]
+            share_of_range = torch.tensor(given, dtype=torch.float64).clamp(-1.0, 1.0)
+            u = 0.5 * (low + high) + 0.5 * (high - low) * share_of_range
+            seen.append(y)
+            inputs.append(u)
+            x = integrate(plant, x, u, self.dt, SUBSTEPS)[0][-1]
+        return torch.stack(seen), torch.stack(inputs)
+
+
+class _Loop:
+    """What a simple loop of proportions and smoothed differences adds to an input.
+
+    Args:
+        loop: Its gains.
+        names: Names of the states.
+        dt: Sampling time [s].
+    """
+
+    def __init__(self, loop: Loop, names: list[str], dt: float) -> None:
+        self.gains = torch.tensor(list(loop.values()), dtype=torch.float64).reshape(-1, 2)
+        self.places, self.dt = [names.index(name) for name in loop], dt
+        self.speeds = torch.zeros(len(loop), dtype=torch.float64)
+        self.last: Tensor | None = None
+
+    def __call__(self, y: Tensor) -> float:
+        now = y[self.places]
+        slopes = 0.0 if self.last is None else (now - self.last) / self.dt
+        self.speeds, self.last = SMOOTH * self.speeds + (1 - SMOOTH) * slopes, now
+        return float((self.gains * torch.stack([now, self.speeds], -1)).sum())
+
+
+def read_cases(path: Path) -> dict[str, Case]:
+    """Return the plants of a file, by name; numbers may be formulas of `NAMES`."""
+
+    def _number(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: _number(of) for name, of in value.items()}
+        if isinstance(value, list):
+            return tuple(_number(of) for of in value)
+        return float(eval(value, dict(NAMES))) if isinstance(value, str) else value
+
+    def _case(facts: dict[str, Any]) -> Case:
+        names = ("states", "rates", "let", "words", "known")
+        given = {name: tuple(of) if name == "words" else of for name, of in facts.items() if name in names}
+        log = _number(facts["log"])
+        given |= {name: _number(facts[name]) for name in ("targets", "flight", "start", "loop") if name in facts}
+        if "inputs" in facts:
+            given["inputs"] = {name: Input(**of) for name, of in facts["inputs"].items()}
+        columns = {name: (unit, _number(size)) for name, (unit, size) in facts.get("columns", {}).items()}
+        sensors = {name: Channel(**_number(of)) for name, of in facts["sensors"].items()}
+        return Case(**given, **log, sensors=sensors, columns=columns)
+
+    return {name: _case(facts) for name, facts in yaml.safe_load(path.read_text()).items()}
+
+
+CASES = read_cases(Path(__file__).with_name("logged_plants.yaml"))
 
 COLUMNS = (
     *("plant", "seed", "foretold", "foretold_percent", "output", "error_percent", "worst_percent"),
     *("terms", "cpu_seconds", "commit"),
 )
-CASES = {**logged.CASES, **unseen_plants.CASES}
 TARGETS, LAST = 8, 0.25
 """Targets that are flown to, and the part at the end of a flight over which errors are averaged."""
 FAR = 1e6
 """State beyond which a flight has run away."""
 
 
-def main(arguments: Namespace) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--plants", tuple(CASES))
+    add_seeds(parser, 3)
+    add_output(parser, "logs")
+
+
+def main(arguments: argparse.Namespace) -> None:
     """Log, plan and fly, and append a row per output."""
     torch.set_num_threads(1)
-    over_seeds(arguments, COLUMNS, measure)
+    measure_seeds(arguments, COLUMNS, measure)
 
 
 def measure(name: str, seed: int) -> list[Row]:
@@ -58,18 +254,18 @@ def measure(name: str, seed: int) -> list[Row]:
         log, place = Path(folder) / "log.csv", Path(folder) / "run"
         write_log(case, log, seed)
         given = [*words(case, log), f"seed={seed}", f"folder={place}"]
-        spent, complaint = called("train", given, Path(folder))
+        spent, complaint = run_command("train", given, Path(folder))
         if not (place / "model.json").is_file():
             raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {complaint}")
-        terms = terms_of(place / "model.json")
+        terms = count_terms(place / "model.json")
         found, errors = None, np.full((1, len(case.targets)), math.inf)
         if (place / "metrics.json").is_file():
             found = json.loads((place / "metrics.json").read_text())
-            errors = flown(case, dynasindy.load(place), seed)
+            errors = simulate_targets(case, dynasindy.load(place), seed)
     return rows_of(name, seed, found, errors, terms, spent)
 
 
-def terms_of(path: Path) -> int:
+def count_terms(path: Path) -> int:
     """Count the terms of a saved model: signs in its equations are also those inside functions and quotients."""
     return int(SindyModel.load(path).coefficients.count_nonzero())
 
@@ -90,8 +286,8 @@ def words(case: Case, log: Path) -> list[str]:
 
 
 def _column(name: str, given: Input) -> str:
-    """Return the column of an input, with the ends of its actuator if the user tells them."""
-    return f"{name}:{{name:{name},low:{given.low:g},high:{given.high:g}}}" if given.told else f"{name}:{name}"
+    """Return the column of an input, with the ends of its actuator if the user states them."""
+    return f"{name}:{{name:{name},low:{given.low:g},high:{given.high:g}}}" if given.stated else f"{name}:{name}"
 
 
 def write_log(case: Case, path: Path, seed: int) -> None:
@@ -107,7 +303,7 @@ def write_log(case: Case, path: Path, seed: int) -> None:
     write_csv(path, heads, torch.cat([time, columns, u], -1).tolist())
 
 
-def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
+def simulate_targets(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     """Return the errors at the end of each flight [target ranges], infinite where it was lost, `(TARGETS, n_outputs)`.
 
     A flight is lost where the plant runs away, and where the numbers of the controller grow beyond all limits.
@@ -126,7 +322,7 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     low, high = torch.tensor(list(case.targets.values()), dtype=torch.float64).unbind(-1)
     outputs = [list(case.states).index(name) for name in case.targets]
     ranges = torch.tensor([controller.signature.x_scale[controller.signature.state_index(n)] for n in case.targets])
-    ranges, sizes = torch.where(high > low, high - low, ranges.double()), sizes_of(case, controller)
+    ranges, sizes = torch.where(high > low, high - low, ranges.double()), unit_sizes(case, controller)
     targets = low + (high - low) * torch.rand(TARGETS, len(low), generator=rng, dtype=torch.float64)
     # Side by side, as a plant in torch moves eight states at the cost of one.
     pilots = [copy.deepcopy(controller) for _ in range(TARGETS)]
@@ -153,7 +349,7 @@ def flown(case: Case, controller: Controller, seed: int) -> NDArray[np.float64]:
     return torch.where(away, math.inf, errors / ranges).numpy()
 
 
-def sizes_of(case: Case, controller: Controller) -> dict[str, float]:
+def unit_sizes(case: Case, controller: Controller) -> dict[str, float]:
     """Return what 1 of each sensor's unit is in the unit that a controller reads: a log in degrees is read in radians.
 
     Args:

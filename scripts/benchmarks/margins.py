@@ -6,16 +6,15 @@ ends from its targets is measured on the plant itself.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import tempfile
-from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.commit import commit
+from benchmarks.common import add_choices, add_output, add_seeds, commit, measure_seeds, run_command
 from benchmarks.plants import EXAMPLES
-from benchmarks.training import called, over_seeds
 from dynasindy.safe_io import Row
 
 PLANTS = ("tras", "xi", "tanks", "four_tanks", "springs", "reactor", "ship", "van_der_pol")
@@ -29,9 +28,16 @@ COLUMNS = (
 """Columns of the file: errors are those of the worst output, in % of its range; margins the least of all inputs."""
 
 
-def main(arguments: Namespace) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--plants", PLANTS)
+    add_seeds(parser, 3)
+    add_output(parser, "margins")
+
+
+def main(arguments: argparse.Namespace) -> None:
     """Train and check, and append a row per kind of planning."""
-    over_seeds(arguments, COLUMNS, measure)
+    measure_seeds(arguments, COLUMNS, measure)
 
 
 def measure(plant: str, seed: int) -> list[Row]:
@@ -47,8 +53,8 @@ def _one(plant: str, planning: str, seed: int) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         words = ["--config-dir", str(EXAMPLES / "conf"), f"system={plant}", f"planning={planning}", f"seed={seed}"]
-        spent, said = called("train", [*words, f"folder={run}"], Path(folder), [EXAMPLES])
-        said += called("check", [f"run={run}"], Path(folder), [EXAMPLES])[1]
+        spent, said = run_command("train", [*words, f"folder={run}"], Path(folder), [EXAMPLES])
+        said += run_command("check", [f"run={run}"], Path(folder), [EXAMPLES])[1]
         if not (run / "check" / "check.json").is_file():
             raise RuntimeError(f"no check.json is left of {plant}, planning={planning}, seed {seed}: {said}")
         metrics, found = (json.loads((run / name).read_text()) for name in ("metrics.json", "check/check.json"))

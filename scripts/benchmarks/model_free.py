@@ -28,7 +28,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from tensordict import TensorDict, TensorDictBase
 
-from benchmarks.commit import commit
+from benchmarks.common import RESULTS, add_choices, add_seeds, commit
 from benchmarks.gradient import PLANTS, Plant
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.folder import check_settings, claimed, clear
@@ -87,6 +87,16 @@ class Job:
     def settings(self) -> str:
         """What `config.yaml` holds, by which a finished run is known."""
         return "".join(f"{key}: {value}\n" for key, value in asdict(self).items())
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--plants", ("xi", "tras"))
+    add_choices(parser, "--agents", tuple(AGENTS))
+    add_seeds(parser, 5)
+    parser.add_argument("--episodes", type=int, default=20, help="real episodes after the excitation")
+    parser.add_argument("--out", type=Path, default=Path("runs/model_free"), help="folder of the runs")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the ablation's tables and figures")
 
 
 def main(arguments: argparse.Namespace) -> None:

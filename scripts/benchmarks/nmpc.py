@@ -64,11 +64,22 @@ def monomials(targets: Sequence[Any]) -> list[Any]:
     return [first**a * second**b for a, b in powers]
 
 
-def functions(smooth: bool) -> dict[str, Any]:
-    """Return what formulas call, by name; a smooth magnitude is rounded within 1 of its unit."""
+def functions(sizes: Mapping[str, float]) -> dict[str, Any]:
+    """Return what formulas call, by name.
+
+    Args:
+        sizes: Ranges of the states whose magnitudes are to be smooth: rounded within a 2500th of the range.
+    """
     calls = {name: getattr(casadi, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "fabs")}
-    if smooth:
-        calls["fabs"] = lambda a: casadi.sqrt(a * a + 1.0) - 1.0
+
+    def _magnitude(a: Any) -> Any:
+        if not a.is_symbolic() or a.name() not in sizes:
+            return casadi.fabs(a)
+        corner = sizes[a.name()] / 2500
+        return casadi.sqrt(a * a + corner**2) - corner
+
+    if sizes:
+        calls["fabs"] = _magnitude
     exceeds = {"exceeds": lambda a, b: casadi.if_else(a > b, 1.0, 0.0)}
     return {**calls, **exceeds, "square": lambda a: a * a, "larger": casadi.fmax}
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import tempfile
-from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.commit import commit
-from benchmarks.training import ROOT, called, over_seeds
+from benchmarks.common import ROOT, add_choices, add_output, add_seeds, commit, measure_seeds, run_command
 from dynasindy.safe_io import Row
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -36,9 +35,16 @@ COLUMNS = (
 )
 
 
-def main(arguments: Namespace) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--plants", tuple(PLANTS))
+    add_seeds(parser, 5)
+    add_output(parser, "plants")
+
+
+def main(arguments: argparse.Namespace) -> None:
     """Train, and append a row per output."""
-    over_seeds(arguments, COLUMNS, measure)
+    measure_seeds(arguments, COLUMNS, measure)
 
 
 def measure(plant: str, seed: int) -> list[Row]:
@@ -50,7 +56,7 @@ def measure(plant: str, seed: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "run"
         words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={place}"]
-        spent, complaint = called("train", words, Path(folder), [EXAMPLES])
+        spent, complaint = run_command("train", words, Path(folder), [EXAMPLES])
         file = place / "metrics.json"
         if not file.is_file():
             raise RuntimeError(f"train.py left no metrics.json for {plant}, seed {seed}: {complaint}")

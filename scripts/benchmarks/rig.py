@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.commit import commit
+from benchmarks.common import add_output, commit
 from dynasindy.rig import Fault, Flown, Guard, UdpRig, Wiring, fly
 from dynasindy.rig.base import Array
 from dynasindy.rig.simulated import FAULTS as THEIRS
@@ -39,16 +39,24 @@ PERIODS = 40
 """Length of a flight with a fault [control periods]."""
 
 
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--hertz", type=float, nargs="+", default=[20.0, 100.0])
+    parser.add_argument("--moments", type=int, default=5, help="moments at which each fault is injected")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of the flight without faults")
+    add_output(parser, "rig")
+
+
 def main(arguments: argparse.Namespace) -> None:
     """Fly without faults, then with them, and append a row for each flight."""
     draw = random.Random(0)
     with FarEnd() as end:
         for hertz in arguments.hertz:
-            rows = [calm(end, hertz, round(arguments.seconds * hertz))]
+            rows = [run_calm(end, hertz, round(arguments.seconds * hertz))]
             append_rows(arguments.out, COLUMNS, rows)
             for fault in FAULTS:
                 for _ in range(arguments.moments):
-                    row = injected(end, hertz, fault, draw.randrange(5, PERIODS - 10))
+                    row = run_with_fault(end, hertz, fault, draw.randrange(5, PERIODS - 10))
                     append_rows(arguments.out, COLUMNS, [row])
                     print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
     found = [row for row in read_rows(arguments.out) if row["fault"] != "none"]
@@ -65,7 +73,7 @@ def is_safe(row: Row) -> bool:
     return asked and float(row["periods_to_safe"]) <= 1 and float(row["rows_lost"]) == 0
 
 
-def calm(end: FarEnd, hertz: float, periods: int) -> Row:
+def run_calm(end: FarEnd, hertz: float, periods: int) -> Row:
     """Fly without a fault; the milliseconds are those by which the latest sample was late."""
     flown, _, _ = _flown(end, hertz, {}, lambda y, t: np.array([0.3 * math.sin(t)]), periods)
     late = 1e3 * float(np.quantile(flown.jitter, 0.999))
@@ -73,7 +81,7 @@ def calm(end: FarEnd, hertz: float, periods: int) -> Row:
     return _row((hertz, "none", periods, ended), (0, 0, 0), late)
 
 
-def injected(end: FarEnd, hertz: float, fault: str, at: int) -> Row:
+def run_with_fault(end: FarEnd, hertz: float, fault: str, at: int) -> Row:
     """Fly, and have something go wrong at a period."""
     theirs = {fault: at} if fault in THEIRS else {}
 

@@ -9,39 +9,241 @@ state), the last value held and, where there is one, the published physics.
 from __future__ import annotations
 
 import argparse
+import copy
 import itertools
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from torch import Tensor
 
-from benchmarks.cascaded_tanks import (
-    FIRST,
-    linear_tanks,
-    pysindy_tanks,
-    reading_errors,
-    rms,
-    states_of,
-)
-from benchmarks.commit import commit
-from benchmarks.emps_axis import published_axis, steady_force
-from benchmarks.open_loop import simulated
-from benchmarks.qube import PublishedQube, ahead
-from benchmarks.rivals import pysindy_of
+from benchmarks.common import add_choices, add_output, commit, simulate
+from benchmarks.pysindy_regression import pysindy_of
 from dynasindy.safe_io import Row, append_rows, read_rows, write_rows
+from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature, System
+from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
 
+MASS, VISCOUS, DRY, PUSH = 95.1089, 203.5034, 20.3935, -3.1648
+"""Mass [kg], friction [N s/m] and [N], and push against the axis [N]: Janot, Gautier and Brunot, EMPS, 2019."""
+FORCE = 100.0
+"""Force of a full input [N]."""
+
+
+def published_axis(signature: Signature) -> SindyModel:
+    """Return `M v' = F - 203.5 v - 20.4 sign(v) + 3.2`, the sign as steep as that of a fitted model.
+
+    Args:
+        signature: the place q [m], the speed v [m/s] and the input u [100 N].
+    """
+    model = SindyModel(signature, ["1", "u", "v", "tanh(1000 v)"])
+    forces = torch.tensor([-PUSH, FORCE, -VISCOUS, -DRY], dtype=torch.float64)
+    place = torch.tensor([0.0, 0.0, 1.0, 0.0], dtype=torch.float64)
+    model.set_coefficients(torch.stack([place, forces / MASS], 1))
+    return model
+
+
+def steady_force(model: System, speed: float) -> float:
+    """Return the force [N] at which a model keeps a speed [m/s] in the middle of the axis, at 0.125 m.
+
+    Args:
+        model: states are the place [m] and the speed [m/s], the input is the force in 100 N.
+        speed: what is kept.
+    """
+    x = torch.tensor([0.125, speed], dtype=torch.float64)
+    with torch.no_grad():
+        none, full = (float(model(x, torch.tensor([u], dtype=torch.float64))[1]) for u in (0.0, 1.0))
+    return FORCE * none / (none - full)
+
+
+STEP = 2 * math.pi / 2048
+"""Resolution of both encoders [rad]."""
+ARM, ROD, ARM_LENGTH, ROD_LENGTH = 0.095, 0.024, 0.085, 0.129
+"""Masses [kg] and lengths [m] of the rotor arm and the pendulum; companion data of arXiv 2303.15318."""
+MOTOR, OHMS, VOLTS, GRAVITY = 0.042, 8.4, 10.0, 9.81
+"""Constant of the motor [V s/rad, N m/A], its resistance [ohm], full input [V], and gravity [m/s^2]."""
+HORIZONS = (20, 50)
+"""Samples of 10 ms ahead: 0.2 and 0.5 s; over 1 s an error of the start state grows a million times."""
+LAST = 100
+"""Samples at the end of a log from which nothing is predicted."""
+
+
+class PublishedQube(System):
+    """Rotary inverted pendulum by Lagrange's equations, without friction, `alpha = 0` upright.
+
+    Args:
+        signature: theta, alpha, dtheta, dalpha and u.
+    """
+
+    def __init__(self, signature: Signature) -> None:
+        super().__init__(signature)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, 4)`, of states `(*batch, 4)` under inputs `(*batch, 1)` in [-1, 1]."""
+        _, alpha, dtheta, dalpha = x.unbind(-1)
+        s, c = alpha.sin(), alpha.cos()
+        torque = MOTOR * (VOLTS * u[..., 0] - MOTOR * dtheta) / OHMS
+        rod = ROD * ROD_LENGTH**2
+        across = 0.5 * ROD * ROD_LENGTH * ARM_LENGTH
+        m11 = ARM * ARM_LENGTH**2 / 3 + ROD * ARM_LENGTH**2 + rod / 3 * s.square()
+        m12, m22 = across * c, rod / 3
+        b1 = torque - 2 / 3 * rod * s * c * dtheta * dalpha + across * s * dalpha.square()
+        b2 = rod / 3 * s * c * dtheta.square() + 0.5 * ROD * ROD_LENGTH * GRAVITY * s
+        det = m11 * m22 - m12.square()
+        return torch.stack((dtheta, dalpha, (m22 * b1 - m12 * b2) / det, (m11 * b2 - m12 * b1) / det), -1)
+
+
+def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor, Tensor]:
+    """Return the errors of a model and of the last value held, each `(horizons, 2)` for theta and alpha, RMSE [rad].
+
+    The states from which a prediction starts are those of a Kalman filter on the same model, which reads the angles up
+    to that moment; its process noise is the one that suits the training log.
+
+    Args:
+        model: what predicts; its states are both angles and their rates, in this order.
+        train: log on which the filter is set.
+        test: log to predict, from every 0.1 s after the first half second.
+    """
+    names = model.signature.state_names
+    channels: Any = {name: {"resolution": STEP} for name in names[:2]}
+    sensors = Sensors(channels=channels, rates=dict(zip(names[:2], names[2:], strict=True)))
+    delay = float(getattr(model, "delay", 0.0))
+    env = cast(Any, SimpleNamespace(dt=train.dt, substeps=2, stops=None))
+    if delay:
+        model = copy.copy(model)
+        cast(Any, model).delay = 0.0  # the filter reads inputs as they take effect
+    observer = Observer(model, sensors, env)
+    known, late = delay_inputs(train, delay), delay_inputs(test, delay)
+    observer.learn(torch.cat([known.x, known.x_next[-1:]]), known.u)
+    y = torch.cat([late.x, late.x_next[-1:]])
+    with torch.no_grad():
+        states = observer.follow(y, late.u)[0]
+        starts = torch.arange(50, len(late) - LAST, 10)
+        x, errors, held = states[starts], [], []
+        for k in range(max(HORIZONS)):
+            for _ in range(2):
+                x = rk4(model, x, late.u[starts + k], late.dt / 2)
+            if k + 1 in HORIZONS:
+                after = y[starts + k + 1, :2]
+                errors.append((x[:, :2] - after).square().mean(0).sqrt())
+                held.append((y[starts, :2] - after).square().mean(0).sqrt())
+    return torch.stack(errors), torch.stack(held)
+
+
 Array = NDArray[np.float64]
+FIRST = 20
+"""Samples at the beginning of a log from which its start state is read."""
+FINE = 8
+"""Runge-Kutta steps in a sample of the tanks, whose sensor follows within a second."""
+RIM = 10.0
+"""Reading at which the sensor of the tanks ends [V]."""
+FAR = 1e3
+"""Reading at which a model that runs away is stopped [V]."""
+LINEAR = ("1", "u", "reading", "rate")
+ROOTS = ("sqrt(reading)", "rate sqrt(reading)", "u sqrt(reading)")
+QUADRATIC = (*LINEAR, "u^2", "u reading", "u rate", "reading^2", "reading rate", "rate^2")
+SETS = (LINEAR, (*LINEAR, ROOTS[0]), (*LINEAR, *ROOTS), QUADRATIC, (*QUADRATIC, *ROOTS, "reading^3"))
+"""Sets of functions of the reading and its rate that PySINDy is tried with."""
+
+
+def linear_tanks() -> SindyModel:
+    """Return a linear model of the tanks, of the order of theirs; the upper level's unit is held by its flow."""
+    signature = Signature(("level_1", "reading"), ("V", "V"), ("u",), (10.0, 10.0))
+    return SindyModel(
+        signature,
+        ["1", "u", "level_1", "reading"],
+        Regression("bic"),
+        Refinement("trajectory", window=20, error="simulation"),
+        allowed={"level_1": ["1", "u", "level_1"], "reading": ["1", "reading"]},
+        fixed={"reading": {"level_1": 0.04}},
+        initial={"level_1": {"u": 0.04, "level_1": -0.02}, "reading": {"reading": -0.02}},
+    )
+
+
+def pysindy_tanks(data: Transitions, level: Array, sets: Sequence[Sequence[str]] = SETS) -> SindyModel:
+    """Return PySINDy's model of the tanks: it takes no hidden state, so the rate of the reading is the second one.
+
+    Of several sets of functions that one is taken whose error on the training log is the least.
+
+    Args:
+        data: Training log; its last state is the reading.
+        level: The reading as it was measured [V], `(N + 1,)`.
+        sets: Sets of functions that are tried.
+    """
+    signature = Signature(("reading", "rate"), ("V", "V/s"), ("u",), (10.0, 0.1))
+
+    def _score(model: SindyModel) -> float:
+        return rms(reading_errors(model, data, level))
+
+    def _model(words: Sequence[str]) -> SindyModel:
+        return SindyModel(signature, words, Regression("bic"), Refinement(), known={"reading": "rate"})
+
+    return min((pysindy_of(_model(words), states_of(data, [-1, 0]), _score) for words in sets), key=_score)
+
+
+def states_of(data: Transitions, places: list[int]) -> Transitions:
+    """Return a recording of some of the states; of the tanks the last one was measured, and no other.
+
+    Args:
+        data: The recording.
+        places: Columns of the states that are kept, in this order.
+    """
+    return replace(data, x=data.x[:, places], x_next=data.x_next[:, places])
+
+
+def reading_errors(model: SindyModel, data: Transitions, level: Array) -> Array:
+    """Return the errors of a simulation of the reading [V], `(N + 1,)`; its hidden states fit the first samples.
+
+    Args:
+        model: Its states are the `reading`, `float`, what the sensor makes of the lower level, and hidden ones.
+        data: Recording whose inputs are read.
+        level: Reading as it was measured [V], `(N + 1,)`.
+    """
+    names = model.signature.state_names
+    reading = names.index("reading")
+
+    def _path(start: Array, n: int) -> Array:
+        part = data.select(torch.arange(len(data)) < n)
+        # Of the tanks and the reading that their sensor makes of them, the latter begins where it was measured.
+        seen = {"float": level[0], "reading": level[0]}
+        hidden = iter(start.tolist())
+        x0 = torch.tensor([seen[name] if name in seen else next(hidden) for name in names], dtype=torch.float64)
+        readings: Array = simulate(model, x0, part, FINE)[:, reading].clamp_max(RIM).numpy()
+        return np.clip(np.nan_to_num(readings, nan=FAR), -FAR, FAR)
+
+    def _error(start: Array) -> Array:
+        error: Array = _path(start, FIRST) - level[: FIRST + 1]
+        return error
+
+    # Within the play the reading does not move with the level: the fit begins from several places below the rim.
+    lower = [level[0] - 5] if "level_2" in names else []
+    starts = [[0.0]] if "rate" in names else [[upper, *lower] for upper in (2.0, 4.0, 6.0)]
+    fits = (least_squares(_error, np.array(start), diff_step=1e-3) for start in starts)
+    found = min(fits, key=lambda fit: float(fit.cost)).x
+    errors: Array = _path(found, len(data)) - level
+    return errors
+
+
+def rms(errors: Array) -> float:
+    """Return the root-mean-square of errors; infinite where one is not finite."""
+    found = float(np.sqrt(np.mean(errors**2)))
+    return found if np.isfinite(found) else float("inf")
+
+
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
 COURSES = ("rig", "model", "seconds", "error", "unit", "commit")
 POINTS = 250
@@ -73,6 +275,13 @@ class Log:
         return Transitions.from_trajectory(
             torch.from_numpy(self.y[: n * by + 1 : by].copy()), torch.from_numpy(held), self.dt * by
         )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--data", type=Path, required=True, help="folder of the logs")
+    add_choices(parser, "--rigs", tuple(RIGS))
+    add_output(parser, "rigs")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -170,7 +379,7 @@ def emps(folder: Path) -> Found:
     ]
     return [
         *rows,
-        _row("training log replayed", "test simulated, RMSE", replayed(logs["train"].y[:, 0], q), "mm"),
+        _row("training log replayed", "test simulated, RMSE", replay_error(logs["train"].y[:, 0], q), "mm"),
         _row("last value held", "test simulated, RMSE", rms(held), "mm"),
     ], [*courses, *course("last value held", held, logs["test"].dt, "mm")]
 
@@ -189,7 +398,7 @@ def _axis_errors(model: System, log: Log) -> Array:
     # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
     slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
     data = log.thinned(2)
-    path = simulated(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
+    path = simulate(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
     errors: Array = 1e3 * (path - q[::2][: len(path)])
     return errors
 
@@ -206,7 +415,7 @@ def _held(signature: Signature) -> SindyModel:
     return SindyModel(signature, words, Regression("bic"), refinement, known={"q": "v"}, fixed=fixed)
 
 
-def replayed(before: Array, q: Array) -> float:
+def replay_error(before: Array, q: Array) -> float:
     """Return the RMSE [mm] if another log, in which the axis moves alike, is taken as the prediction of a log.
 
     Args:

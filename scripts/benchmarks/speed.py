@@ -3,22 +3,19 @@
 The controller is that of `benchmark.py gradient`, case `step`: ten seconds of data, the fit, planning, and no more. The
 CPU time of the compiler counts. Seconds depend on the computer and on what else it does; their ratio hardly does.
 
-Two jobs are other comparisons. `start-up` is what a run takes until its work begins, and `import torch` alone. With
-`--before FOLDER`, `imagined replay xi before` is the same command here and in a checkout of an earlier commit.
+`start-up` is another comparison: what a run takes until its work begins, and `import torch` alone.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -26,9 +23,8 @@ import gymnasium
 import numpy as np
 import torch
 
-from benchmarks.commit import commit
+from benchmarks.common import ROOT, add_choices, add_seeds, commit, cpu_seconds
 from benchmarks.gradient import CASES, build_recipe
-from benchmarks.stopwatch import cpu_seconds
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.loop import train
 from dynasindy.safe_io import Row, read_rows, write_rows
@@ -41,7 +37,6 @@ STEPS, REPEATS = 1000, 7
 """Control periods of the environment that are timed, and how often; other jobs disturb the least time least."""
 EPISODES = 5
 """Real episodes of imagined replay; with 800 rollouts, most seeds hold the required level after four."""
-# No setting that an earlier commit may not know.
 TO_THE_LEVEL = ("experiment=dyna", "system=xi", "planning.rollouts=800", f"train.episodes={EPISODES}")
 STARTS = {
     True: ("-m", "dynasindy", "train", "experiment=smoke"),
@@ -56,47 +51,41 @@ class Job:
     """What is timed.
 
     Attributes:
-        seconds: CPU seconds of it [s], of our way (True) or of the other one (False).
+        seconds: CPU seconds of it [s], of our way (True) or of the other one (False), for seeds.
         beside: what the other way is called.
     """
 
-    seconds: Callable[[bool], float]
+    seconds: Callable[[bool, list[int]], float]
     beside: str = "torch code"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_seeds(parser, 3)
+    parser.add_argument("--out", type=Path, default=Path("docs/results/speed.csv"), help="CSV file to write")
+    add_choices(parser, "--jobs", tuple(JOBS))
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Time the jobs that are asked for and write the table, which keeps its rows of the others.
 
     Raises:
-        SystemExit: A job is asked for that compares with a checkout, and none is given, or the file is another table.
+        SystemExit: The file is another table.
     """
     torch.set_num_threads(1)
-    jobs = {
-        "environment": Job(environment),
-        **{f"controller {plant}": Job(_controllers(plant, arguments.seeds)) for plant in ("xi", "tras")},
-        "imagined replay xi": Job(imagined_replay),
-        "start-up": Job(start_up, "import torch"),
-    }
-    if arguments.before is not None:
-        then = commit(arguments.before)
-        jobs["imagined replay xi before"] = Job(partial(replay_of_a_checkout, arguments.before), then)
-    asked = arguments.jobs or list(jobs)
-    if missing := [name for name in asked if name not in jobs]:
-        raise SystemExit(f"benchmark.py speed: job '{missing[0]}' needs --before FOLDER, a checkout to compare with")
     kept = read_rows(arguments.out)
     if kept and list(kept[0]) != COLUMNS:
-        raise SystemExit(
-            f"benchmark.py speed: {arguments.out} has the columns {', '.join(kept[0])}, and these rows have "
-            f"{', '.join(COLUMNS)}; give another file by --out"
-        )
-    rows = [row for row in kept if row["job"] not in asked] + [measure(name, jobs[name]) for name in asked]
+        columns = f"{', '.join(kept[0])}, and these rows have {', '.join(COLUMNS)}"
+        raise SystemExit(f"benchmark.py speed: {arguments.out} has the columns {columns}; give another file by --out")
+    rows = [row for row in kept if row["job"] not in arguments.jobs]
+    rows += [measure(name, JOBS[name], arguments.seeds) for name in arguments.jobs]
     write_rows(arguments.out, COLUMNS, rows)
     print(f"written to {arguments.out}")
 
 
-def measure(name: str, job: Job) -> Row:
+def measure(name: str, job: Job, seeds: list[int]) -> Row:
     """Return a job's seconds in our way and in the other one, and their ratio."""
-    ours, other = job.seconds(True), job.seconds(False)
+    ours, other = job.seconds(True, seeds), job.seconds(False, seeds)
     row: Row = {
         "job": name,
         "cpu_seconds": float(f"{ours:.4g}"),
@@ -126,10 +115,6 @@ def environment(machine_code: bool) -> float:
         return min(times)
 
 
-def _controllers(plant: str, seeds: list[int]) -> Callable[[bool], float]:
-    return lambda machine_code: statistics.median(controller(plant, seed, machine_code) for seed in seeds)
-
-
 def controller(plant: str, seed: int, machine_code: bool) -> float:
     """Return the CPU seconds from nothing to a controller [s]."""
     recipe = build_recipe(replace(CASES["step"], episodes=0), plant, seed, {})
@@ -142,21 +127,10 @@ def controller(plant: str, seed: int, machine_code: bool) -> float:
 
 def imagined_replay(machine_code: bool) -> float:
     """Return the CPU seconds of a whole command: 800 imagined rollouts a phase, to the required level on `xi` [s]."""
-    return _commanded(Path.cwd(), () if machine_code else IN_TORCH)
-
-
-def replay_of_a_checkout(before: Path, ours: bool) -> float:
-    """Return the CPU seconds of the same command, here or in a checkout of an earlier commit [s]."""
-    return _commanded(Path.cwd() if ours else before, ())
-
-
-def _commanded(checkout: Path, words: Sequence[str]) -> float:
-    """Return the CPU seconds of training in a checkout, to the required level [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "scripts/train.py", *TO_THE_LEVEL, *words, f"hydra.run.dir={folder}"]
-        own = {**os.environ, "PYTHONPATH": str(checkout)}  # its package, whichever one is installed
+        words = [*TO_THE_LEVEL, *(() if machine_code else IN_TORCH), f"hydra.run.dir={folder}"]
         start = cpu_seconds()
-        subprocess.run(command, cwd=checkout, env=own, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([sys.executable, "scripts/train.py", *words], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         return cpu_seconds() - start
 
 
@@ -187,3 +161,13 @@ def _compiled(machine_code: bool) -> ExitStack:
     for kind in () if machine_code else (System, SindyModel):
         stack.enter_context(patch.object(kind, "compiled", return_value=None))
     return stack
+
+
+JOBS = {
+    "environment": Job(lambda ours, seeds: environment(ours)),
+    "controller xi": Job(lambda ours, seeds: statistics.median(controller("xi", seed, ours) for seed in seeds)),
+    "controller tras": Job(lambda ours, seeds: statistics.median(controller("tras", seed, ours) for seed in seeds)),
+    "imagined replay xi": Job(lambda ours, seeds: imagined_replay(ours)),
+    "start-up": Job(lambda ours, seeds: start_up(ours), "import torch"),
+}
+"""The jobs of the table; its row `imagined replay xi before` is of an earlier commit."""

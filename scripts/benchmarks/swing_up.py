@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
@@ -16,15 +21,115 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from tensordict import TensorDictBase
+from torch import Tensor
 
-from benchmarks.commit import commit
-from benchmarks.swings import SWINGS, Fenced, Settings, Swing
-from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.held import LOST, held
+from benchmarks.common import add_choices, add_output, add_seeds, commit
+from benchmarks.plants import EXAMPLES
+from dynasindy.dyna.excite import within
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.envs.gym import Array, GymControl
+from dynasindy.evaluation.held import LOST, WITHIN, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.safe_io import Row, append_rows, read_rows, write_rows
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
-AGENTS: dict[str, type[OffPolicyAlgorithm]] = {"sac": SAC, "sac_bullet": SAC, "td3": TD3}
+Settings = dict[str, Any]
+Targets = dict[str, tuple[float, float]]
+
+
+class BoundedEpisodes(GymControl):
+    """A plant whose episodes also end where a state leaves the task's bounds, as the library's own do."""
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Advance by one control period."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        assert isinstance(self.env.task, Tracking)
+        inside = bool(within(torch.from_numpy(info["state"]), *self.env.task.bounds))
+        return observation, reward, terminated, truncated or not inside, info
+
+
+@dataclass(frozen=True)
+class SwingUp:
+    """What an agent learns on, and how it is judged.
+
+    Attributes:
+        steps: Real steps after which a run ends.
+        judge: Makes the environment of the evaluations, for a seed.
+        learn: Makes that of an agent; None wraps the one of the evaluations.
+        angle: Angle from upright [rad], `(...)`, of states `(..., n_x)`; None where nothing stands.
+        within: Mean absolute error at the end that is asked for [target ranges].
+        settings: Settings of an agent, by its name.
+    """
+
+    steps: int
+    judge: Callable[[int], ControlEnv]
+    learn: Callable[[], gymnasium.Env[Any, Any]] | None = None
+    angle: Callable[[Tensor], Tensor] | None = None
+    within: float = WITHIN
+    settings: dict[str, Settings] = field(default_factory=dict)
+
+
+def cart_pole(seed: int) -> ControlEnv:
+    """Return the plant and the task of `system=swing_up`."""
+    spec = importlib.util.spec_from_file_location("plants", EXAMPLES / "plants.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    system = module.CartPole((1.5, 3.0, 3.0, 8.0))
+    ends: Settings = {"start": {"theta": [3.04, 3.24]}, "bounds": {"theta": 20.0, "p": 2.4}}
+    reward = TrackingReward((4.0,), error_shape="linear")
+    box: Settings = {"low": [0.0, 0.0], "high": [0.0, 0.0]}
+    task = Tracking(system.signature, RandomStep(**box), ("p", "theta"), ("v", "omega"), reward, **box, **ends)
+    return ControlEnv(system, task, dtype=torch.float64, seed=seed)
+
+
+def of_gymnasium(system: Foreign, targets: Targets, seed: int, dt: float | None = None, **task: Any) -> ControlEnv:
+    """Return an environment of Gymnasium under the task of its run.
+
+    Args:
+        system: The environment's names and ranges.
+        targets: Tracked states, and the ends of their targets.
+        seed: Seed of the resets.
+        dt: Control period [s]; None for that of the environment.
+        **task: More settings of the task.
+    """
+    low, high = ([ends[side] for ends in targets.values()] for side in (0, 1))
+    settings: Settings = {
+        "rates": (),
+        "reward": TrackingReward((4.0,), error_shape="linear"),
+        "low": low,
+        "high": high,
+    } | task
+    tracking = Tracking(system.signature, RandomStep(low, high), list(targets), **settings)
+    return GymnasiumEnv(system, tracking, dt=dt, seed=seed)
+
+
+def pendulum(seed: int) -> ControlEnv:
+    """Return Pendulum-v1, to be held upright."""
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"], stops=["w"])
+    return of_gymnasium(system, {"c": (1.0, 1.0), "s": (0.0, 0.0)}, seed, max_steps=200)
+
+
+PENDULUM_SAC: Settings = {"learning_rate": 1e-3}
+PENDULUM_TD3 = {"gamma": 0.98, "buffer_size": 200_000, "learning_starts": 10_000, "learning_rate": 1e-3}
+TASKS = {
+    "pendulum_v1": SwingUp(
+        20_000,
+        pendulum,
+        lambda: gymnasium.make("Pendulum-v1"),
+        lambda x: torch.atan2(x[..., 1], x[..., 0]),
+        settings={"sac": PENDULUM_SAC, "td3": {"train_freq": 1, "gradient_steps": 1, **PENDULUM_TD3}},
+    ),
+    "swing_up": SwingUp(
+        60_000,
+        cart_pole,
+        angle=lambda x: torch.remainder(x[..., 1] + math.pi, 2 * math.pi) - math.pi,
+        settings={"sac": PENDULUM_SAC},
+    ),
+}
+
+
+AGENTS: dict[str, type[OffPolicyAlgorithm]] = {"sac": SAC, "td3": TD3}
 EVERY, EPISODES = 1000, 16
 """Real steps between two evaluations, and the episodes of one."""
 UPRIGHT = 0.1
@@ -35,13 +140,20 @@ COLUMNS = (
 )
 
 
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    add_choices(parser, "--plants", tuple(TASKS))
+    add_choices(parser, "--agents", tuple(AGENTS))
+    add_seeds(parser, 3)
+    parser.add_argument("--steps", type=int, help="real steps after which a run ends; a plant's own if omitted")
+    add_output(parser, "swing_up")
+
+
 def main(arguments: argparse.Namespace) -> None:
     """Train the agents that are not finished, and append a row per output and evaluation."""
     torch.set_num_threads(1)
     for agent, plant, seed in product(arguments.agents, arguments.plants, arguments.seeds):
-        if agent == "sac_bullet" and agent not in SWINGS[plant].settings:
-            continue  # the settings of another plant
-        steps = arguments.steps or SWINGS[plant].steps
+        steps = arguments.steps or TASKS[plant].steps
         if is_finished(arguments.out, {"plant": plant, "agent": agent, "seed": str(seed)}, steps):
             print(f"finished before: {plant}, {agent}, seed {seed}", flush=True)
         else:
@@ -61,7 +173,7 @@ def is_finished(path: Path, job: Row, steps: int) -> bool:
 
 def train(plant: str, kind: str, seed: int, steps: int, out: Path) -> None:
     """Train an agent until it holds the plant or has made its real steps, and append what each evaluation shows."""
-    swing, spent = SWINGS[plant], 0.0
+    swing, spent = TASKS[plant], 0.0
     agent, env = build(swing, kind, seed), swing.judge(seed)
     while agent.num_timesteps < steps:
         before = time.process_time()
@@ -76,9 +188,9 @@ def train(plant: str, kind: str, seed: int, steps: int, out: Path) -> None:
             return
 
 
-def build(swing: Swing, kind: str, seed: int) -> OffPolicyAlgorithm:
+def build(swing: SwingUp, kind: str, seed: int) -> OffPolicyAlgorithm:
     """Return an agent with the environment that it learns on; TD3 explores with noise, as by default it does not."""
-    env = Fenced(swing.judge(seed)) if swing.learn is None else swing.learn()
+    env = BoundedEpisodes(swing.judge(seed)) if swing.learn is None else swing.learn()
     settings: Settings = dict(swing.settings.get(kind, {}))
     if kind == "td3":
         (n_u,) = env.action_space.shape or (1,)
@@ -88,7 +200,7 @@ def build(swing: Swing, kind: str, seed: int) -> OffPolicyAlgorithm:
     return agent
 
 
-def run(env: ControlEnv, agent: OffPolicyAlgorithm, swing: Swing) -> Evaluation:
+def run(env: ControlEnv, agent: OffPolicyAlgorithm, swing: SwingUp) -> Evaluation:
     """Run an agent, without noise, in episodes of the task.
 
     Args:
@@ -102,14 +214,13 @@ def run(env: ControlEnv, agent: OffPolicyAlgorithm, swing: Swing) -> Evaluation:
 
     def _act(tensordict: TensorDictBase) -> TensorDictBase:
         seen = tensordict["observation" if swing.learn is None else "state"]
-        seen = seen if swing.seen is None else swing.seen(seen)
         action, _ = agent.predict(seen.float().numpy(), deterministic=True)
         return tensordict.set("action", torch.from_numpy(2 * (action - low) / (high - low) - 1))
 
     return evaluate(env, _act, Scenario("step", None, EPISODES, None))
 
 
-def rows_of(swing: Swing, evaluation: Evaluation) -> list[Row]:
+def rows_of(swing: SwingUp, evaluation: Evaluation) -> list[Row]:
     """Return a row per output: its error at the end, and what holds of all of them."""
     found = held(evaluation, torch.ones(evaluation.signature.n_x, dtype=torch.bool))
     share, worst = ({k: math.inf if v is None else v for k, v in d.items()} for d in (found.share, found.worst))

@@ -2,8 +2,8 @@
 
 import pytest
 import torch
+from benchmark import parse
 from benchmarks import baselines, gradient
-from benchmarks.arguments import parsed
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.metrics import tracking_metrics
@@ -29,7 +29,7 @@ def test_every_controller_and_model_has_its_rows_and_its_line(quick, tmp_path, m
     pytest.importorskip("control")
     pytest.importorskip("do_mpc")
     monkeypatch.setattr(baselines, "STEPS", 2)
-    baselines.main(parsed("baselines", options(tmp_path)))
+    baselines.main(parse("baselines", options(tmp_path)))
     rows = read_rows(tmp_path / "baselines.csv")
     assert tuple(rows[0]) == baselines.COLUMNS
     assert len(rows) == 4 * 2 * 3 * 4
@@ -53,8 +53,8 @@ def test_rows_in_the_file_are_not_measured_again_and_text_above_the_tables_stays
     monkeypatch.setattr(baselines, "judge", judged)
     (tmp_path / "baselines.md").write_text("# Mine\n\n## Tables\n\nold\n")
     only = ("--controllers", "LQI, python-control", "--models", "identified", "true")
-    baselines.main(parsed("baselines", options(tmp_path, *only)))
-    baselines.main(parsed("baselines", [*options(tmp_path, *only), "--seeds", "0", "1"]))
+    baselines.main(parse("baselines", options(tmp_path, *only)))
+    baselines.main(parse("baselines", [*options(tmp_path, *only), "--seeds", "0", "1"]))
     assert calls == [
         ("xi", "LQI, python-control", "identified", 0),
         ("xi", "LQI, python-control", "true", 0),
@@ -103,11 +103,6 @@ def test_rows_of_a_run_replace_earlier_ones_of_the_same_seed_only(tmp_path):
     for value, seed in ((0.1, 0), (0.2, 1), (0.3, 0)):
         baselines.append(path, [row("TD3", "step", "rmse", value, seed)])
     assert [(r["seed"], r["azimuth"]) for r in read_rows(path)] == [("1", "0.2"), ("0", "0.3")]
-
-
-def test_a_plant_without_the_scenarios_is_refused():
-    with pytest.raises(ValueError, match="plant pendulum is not compared here; choose of xi, tras, trms33"):
-        baselines.scenarios("pendulum")
 
 
 def rests(system, policy, targets, seconds):

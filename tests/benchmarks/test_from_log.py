@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from benchmarks.from_log import DT, TARGETS, flown, write_log
+from benchmarks.from_log import DT, TARGETS, simulate_targets, write_log
 
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
@@ -47,7 +47,7 @@ def test_errors_are_those_of_the_plant_at_the_end():
     """Without inputs the beam comes to rest, and the error is the distance of the target from there."""
     task = Tracking(Tras().signature, RandomStep([-0.5, -0.5], [0.5, 0.4]))
     controller = Controller(actor(task.n_o, 2, (4,)), ControlSetup(task, 0.05))
-    errors = flown(controller, [Idle() for _ in range(TARGETS)], 0)
+    errors = simulate_targets(controller, [Idle() for _ in range(TARGETS)], 0)
     targets = step_references((-0.5, -0.5), (0.5, 0.4), TARGETS).targets.numpy()
     np.testing.assert_allclose(errors[:, 0], np.abs(targets[:, 0]), atol=1e-3)
     # One rest explains all errors in pitch: |target - rest|.

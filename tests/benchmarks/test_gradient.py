@@ -6,12 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from benchmark import parse
 from benchmarks import gradient
-from benchmarks.arguments import parsed
-from omegaconf import OmegaConf
 
 from dynasindy.safe_io import read_rows
-from dynasindy.systems import Xi
 
 ROOT = Path(__file__).parents[2]
 TINY = {"updates": 2, "more_updates": 1, "rollouts": 4, "window": 5}
@@ -50,14 +48,6 @@ def test_the_bench_sees_no_rates_and_its_delay_is_in_the_data():
     assert starts == {"bench": 0.0, "bench_delay": 0.0}
 
 
-@pytest.mark.parametrize("name", ["bench", "bench_delay"])
-def test_the_bench_looks_for_delays_as_the_command_does(name):
-    """What stands in conf/train.yaml is what a user gets."""
-    wanted = OmegaConf.load(ROOT / "conf" / "train.yaml").longest_delay
-    made = gradient.sparse_model("paper_table", gradient.CASES[name], Xi().signature)
-    assert made.refinement.longest_delay == wanted
-
-
 def test_a_case_behind_sensors_tells_errors_inputs_and_consistency():
     case = replace(gradient.CASES["bench"], oracle=True)
     recipe = gradient.build_recipe(case, "xi", 0, TINY)
@@ -86,42 +76,8 @@ def test_rows_already_in_the_file_are_not_measured_again(tmp_path, monkeypatch, 
 
     monkeypatch.setattr(gradient, "measure", measured)
     options = ["--cases", "step", "--plants", "xi", "--out", str(tmp_path / "gradient.csv")]
-    gradient.main(parsed("gradient", [*options, "--seeds", "0"]))
-    gradient.main(parsed("gradient", [*options, "--seeds", "0", "1"]))
+    gradient.main(parse("gradient", [*options, "--seeds", "0"]))
+    gradient.main(parse("gradient", [*options, "--seeds", "0", "1"]))
     assert calls == [0, 1]
     assert len(read_rows(tmp_path / "gradient.csv")) == 2
     assert "step" in capsys.readouterr().out.splitlines()[-1]
-
-
-def test_inputs_are_late_in_flight_and_not_in_the_data():
-    env = gradient.build_recipe(gradient.CASES["late"], "xi", 0, TINY).build().plant
-    (late,) = gradient._in_flight(gradient.CASES["late"])
-    policy = late(lambda tensordict: tensordict.set("action", torch.ones(2)), env)
-    actions = env.rollout(3, policy)["action"]
-    assert actions[:, 0].tolist() == [0.0, 1.0, 1.0]
-    assert gradient._in_flight(gradient.CASES["step"]) == []
-
-
-def test_what_nothing_was_tuned_on_is_flown_by_the_policies_of_the_tuned_cases(monkeypatch):
-    assert gradient.CASES["unseen"] == replace(gradient.CASES["step"], episodes=0, unseen=True)
-    assert gradient.CASES["unseen_moving"] == replace(gradient.CASES["moving"], unseen=True)
-    asked = {}
-
-    def flown(name):
-        def fly(env, policy, *box):
-            asked[name] = (env, policy, *box)
-            return iter([(name, "m", "result", "errors")])
-
-        return fly
-
-    monkeypatch.setattr(gradient, "holding", flown("holding"))
-    monkeypatch.setattr(gradient, "following", flown("following"))
-    monkeypatch.setattr(gradient, "_numbers", lambda result, errors: {"azimuth": (result, errors)})
-    parts = SimpleNamespace(plant="env", agent=SimpleNamespace(deployed="policy"), sensing="sensing")
-    for case in ("unseen", "unseen_moving"):
-        ((_, metric, numbers),) = gradient.judge(gradient.CASES[case], "tras", parts, 3)
-        assert metric == "m" and numbers == {"azimuth": ("result", "errors")}
-    assert asked == {
-        "holding": ("env", "policy", (-0.5, -0.5), (0.5, 0.4), gradient.NOISE, 3, "sensing"),
-        "following": ("env", "policy", "sensing"),
-    }

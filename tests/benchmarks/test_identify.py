@@ -2,12 +2,20 @@
 
 import csv
 
+import numpy as np
 import pytest
 import torch
-from benchmarks import identify
-from benchmarks.arguments import parsed
+from benchmark import parse
+from benchmarks import identify, pysindy_regression, textbook_systems
+from benchmarks.pysindy_regression import best_threshold, integral_rows, score, smoothed_rows, weak_rows
+from benchmarks.textbook_systems import cramer_rao
 
+from dynasindy.data.simulated import disturb
+from dynasindy.sindy.library import CONSTANT, Library, variable
+from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.systems import Xi
+from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
 
 
 def test_the_true_table_is_the_published_one():
@@ -48,9 +56,9 @@ def test_rows_of_other_cases_stay_in_the_file(tmp_path, monkeypatch):
     quick = {name: lambda seeds, name=name: [identify.row(name, "m", str(seeds))] for name in ("first", "second")}
     monkeypatch.setattr(identify, "CASES", quick)
     monkeypatch.setattr(identify, "commit", lambda: "abc")
-    identify.main(parsed("identify", ["--seeds", "1", "--out", str(path)]))
+    identify.main(parse("identify", ["--seeds", "1", "--out", str(path)]))
     monkeypatch.setattr(identify, "commit", lambda: "def")
-    second = parsed("identify", ["--seeds", "2", "--out", str(path)])
+    second = parse("identify", ["--seeds", "2", "--out", str(path)])
     second.only = ["second"]
     identify.main(second)
     with path.open() as file:
@@ -58,14 +66,77 @@ def test_rows_of_other_cases_stay_in_the_file(tmp_path, monkeypatch):
     assert kept == [("first", "1", "abc"), ("second", "2", "def")]
 
 
-@pytest.mark.parametrize(("seeds", "written"), [("9", False), ("10", True)])
-def test_a_quick_look_leaves_the_published_figures(tmp_path, monkeypatch, seeds, written):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(identify, "CASES", {"first": lambda seeds: [identify.row("m", "what", str(seeds))]})
-    identify.main(parsed("identify", ["--seeds", seeds]))
-    assert identify.RESULTS.is_file() == written
+def test_the_slope_of_a_line_is_known_as_well_as_least_squares_can():
+    # y' = 3: a line through 121 samples whose start is unknown; the error of its slope is sigma / |t - mean of t|.
+    library = Library(Signature(("y",), ("-",), ("u",), (1.0,)), [CONSTANT, variable("y")])
+    time = 0.1 * np.arange(121)
+    y = torch.from_numpy(1 + 3 * time)[:, None]
+    data = Transitions.from_trajectory(y, torch.zeros(120, 1).double(), 0.1)
+    bound = cramer_rao(library, torch.tensor([[3.0], [0.0]]).double(), data, torch.tensor([0.2]).double())
+    assert bound.tolist() == pytest.approx([0.2 / np.linalg.norm(time - time.mean())], rel=1e-6)
 
 
-def test_the_plant_of_the_noise_free_cases_is_that_of_the_package():
-    data = identify.xi_recording(0.1, 0.01, 0)
-    assert torch.allclose((data.x_next[0] - data.x[0]) / 0.01, Xi()(data.x[0], data.u[0]), rtol=0.2, atol=1.0)
+def test_scores_count_true_and_false_terms():
+    truth = torch.tensor([[1.0, 0.0], [2.0, 0.0], [0.0, 4.0]])
+    found = torch.tensor([[1.1, 0.5], [0.0, 0.0], [0.0, 4.0]])
+    assert score(found, truth) == (2, 1, pytest.approx(1.0))
+
+
+def test_given_rows_hold_the_law_of_the_plant_a_hundred_times_closer_than_the_trapezoidal_rule():
+    from dynasindy.sindy.regression import integral_form
+
+    library, truth, data = paper_table(Xi().signature), identify.true_table(), identify.xi_recording(4.0, 0.05, 0)
+    misses = [
+        (theta @ truth - dx).norm(dim=0) for theta, dx in (integral_form(library, data), integral_rows(library, data))
+    ]
+    assert (misses[1] < 0.01 * misses[0]).all()
+
+
+def test_the_best_threshold_is_the_one_with_most_true_and_fewest_false_terms_in_the_units_of_the_data(monkeypatch):
+    monkeypatch.setattr(
+        pysindy_regression, "SCALED_THRESHOLDS", (1e-6, 0.1, 0.99)
+    )  # keeps all; only the true ones; none
+    generator = torch.Generator().manual_seed(0)
+    theta = torch.rand(200, 4, generator=generator, dtype=torch.float64) - 0.5
+    truth = torch.tensor([[1.0, 0.0], [0.5, 3000.0], [0.0, 0.0], [0.0, 4000.0]], dtype=torch.float64)
+    noise = torch.tensor([1e-2, 30.0]) * torch.randn(200, 2, generator=generator, dtype=torch.float64)
+    worth, words, scores = best_threshold("rows", [(theta, theta @ truth + noise)], truth, scaled=True)
+    assert scores[0][:2] == (4, 0) and scores[0][2] < 0.05 and worth == 4
+    assert words.startswith("threshold=0.1,") and words.endswith("rows")
+
+
+TRUE = {
+    "van_der_pol": {("y", "x"): 1, ("x", "y"): -1, ("y", "y"): 1, ("x^2 y", "y"): -1, ("u", "y"): 3},
+    "lorenz": {
+        ("x", "x"): -10, ("y", "x"): 10, ("u", "x"): 50, ("x", "y"): 28, ("y", "y"): -1, ("x z", "y"): -1,
+        ("x y", "z"): 1, ("z", "z"): -8 / 3,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TRUE)
+def test_the_systems_are_the_published_ones(name):
+    case = textbook_systems.CASES[name]
+    names, states, truth = case.library().names, case.plant.signature.state_names, case.truth()
+    found = {(names[k], states[i]): float(truth[k, i]) for k, i in truth.nonzero().tolist()}
+    assert found == pytest.approx(TRUE[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TRUE)
+def test_ten_percent_of_noise_leave_the_terms_and_the_bound(name):
+    rows = {row["measure"]: row["value"] for row in textbook_systems.measure(textbook_systems.CASES[name], 1)}
+    for level in (1, 10):
+        assert rows[f"noise {level} %: seeds with all terms and 0 false"] == "1 of 1"
+        median = rows[f"noise {level} %: rms error / Cramer-Rao bound, median and worst seed"].partition(",")[0]
+        assert 0.2 < float(median) < 2
+
+
+def test_rows_for_pysindy_obey_the_equations():
+    case = textbook_systems.CASES["van_der_pol"]
+    clean, truth = case.clean(1)[0], case.truth()
+    smoothed = smoothed_rows(case.library(), clean, 9)  # it rounds off where the input jumps
+    for rows, limit in ((smoothed, 0.2), (weak_rows(case.library(), disturb(clean, 1e-4, 0)), 0.05)):
+        error = (rows[1] - rows[0] @ truth).norm(dim=0) / rows[1].norm(dim=0)
+        assert bool((error < limit).all()), error
+    assert torch.equal(smoothed_rows(case.library(), clean, 0)[0], case.library()(clean.x, clean.u))

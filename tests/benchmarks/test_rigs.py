@@ -1,12 +1,32 @@
 """What the benchmark of real logs reads of them."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
-from benchmarks.rigs import Log, _ahead_rows, _axis_errors, _columns, course, replayed
+from benchmarks.rigs import (
+    LINEAR,
+    Log,
+    PublishedQube,
+    _ahead_rows,
+    _axis_errors,
+    ahead,
+    linear_tanks,
+    published_axis,
+    pysindy_tanks,
+    reading_errors,
+    replay_error,
+    rms,
+    states_of,
+    steady_force,
+)
+from scipy.signal import cont2discrete, dlsim
 
 from dynasindy.sindy import SindyModel
+from dynasindy.systems import rk4
 from dynasindy.systems.base import Signature
+from dynasindy.systems.transitions import Transitions
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
@@ -15,12 +35,6 @@ def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
     assert data.dt == pytest.approx(0.3)
     assert data.x[:, 0].tolist() == [0, 3] and data.x_next[:, 0].tolist() == [3, 6]
     assert data.u[:, 0].tolist() == [pytest.approx((0 + 1 + 4) / 3), pytest.approx((9 + 16 + 25) / 3)]
-
-
-def test_columns_go_by_the_name_before_the_unit(tmp_path):
-    (tmp_path / "log.csv").write_text("time [s],q [m]\n0,1.5\n1,2.5\n")
-    columns = _columns(tmp_path / "log.csv")
-    assert columns["time"].tolist() == [0, 1] and columns["q"].tolist() == [1.5, 2.5]
 
 
 def test_errors_ahead_are_told_together_and_of_each_angle():
@@ -32,14 +46,7 @@ def test_errors_ahead_are_told_together_and_of_each_angle():
 
 def test_a_log_that_is_replayed_counts_as_far_as_both_go():
     # Missed by 3 mm and 1 mm: the root of 5.
-    assert replayed(np.array([0.0, 0.101, 9.0]), np.array([0.003, 0.1])) == pytest.approx(5**0.5)
-
-
-def test_errors_over_a_log_end_where_a_model_runs_away():
-    rows = course("ours", np.array([0.5, -1.0, np.nan, 3.0]), 0.1, "mm")
-    assert [(row["seconds"], row["error"]) for row in rows] == [(0.0, 0.5), (0.1, -1.0)]
-    rows = course("ours", np.arange(1000.0), 0.1, "mm")
-    assert len(rows) == 250 and (rows[0]["error"], rows[-1]["seconds"]) == (0.0, 99.9)
+    assert replay_error(np.array([0.0, 0.101, 9.0]), np.array([0.003, 0.1])) == pytest.approx(5**0.5)
 
 
 def test_the_error_of_an_axis_is_simulated_less_measured():
@@ -49,3 +56,118 @@ def test_the_error_of_an_axis_is_simulated_less_measured():
     q = np.where(np.arange(60) < 30, 0.0, 1e-3)
     errors = _axis_errors(model, Log(np.stack([q, np.full(60, np.nan)], -1), np.zeros((60, 1)), 1e-3))
     assert errors.tolist() == pytest.approx([0.0] * 15 + [-1.0] * (len(errors) - 15), abs=1e-9)
+
+
+SIGNATURE = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
+
+
+@pytest.mark.parametrize(
+    ("speed", "newton", "acceleration"),
+    [
+        # 203.5034 * .1 + 20.3935 - 3.1648 = 37.57904 keeps .1 m/s forth, -43.90864 back: the push helps one way.
+        (0.1, 37.57904, 0.0),
+        (-0.1, -43.90864, 0.0),
+        # One mass in newtons more is 1 m/s^2 more.
+        (0.1, 37.57904 + 95.1089, 1.0),
+        (0.0, -3.1648, 0.0),
+    ],
+)
+def test_the_force_that_keeps_a_speed(speed, newton, acceleration):
+    x = torch.tensor([0.2, speed], dtype=torch.float64)
+    dx = published_axis(SIGNATURE)(x, torch.tensor([newton / 100], dtype=torch.float64))
+    assert dx.tolist() == pytest.approx([speed, acceleration], abs=1e-9)
+
+
+def test_the_force_at_a_speed_is_read_from_any_model():
+    assert steady_force(published_axis(SIGNATURE), 0.1) == pytest.approx(37.57904)
+    assert steady_force(published_axis(SIGNATURE), -0.1) == pytest.approx(-43.90864)
+
+
+SIGNATURE = Signature(("theta", "alpha", "dtheta", "dalpha"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1, 0.2, 3, 3))
+
+
+def energy(x: torch.Tensor) -> torch.Tensor:
+    """Energy of the arm and of 2000 pieces of the pendulum, from where they are and how they move."""
+    theta, alpha, dtheta, dalpha = x
+    pieces = (torch.arange(2000, dtype=torch.float64) + 0.5) / 2000 * 0.129
+
+    def places(t: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        out = pieces * torch.sin(a)
+        return torch.stack(
+            (
+                0.085 * torch.cos(t) - out * torch.sin(t),
+                0.085 * torch.sin(t) + out * torch.cos(t),
+                pieces * torch.cos(a),
+            )
+        )
+
+    velocity = torch.func.jvp(places, (theta, alpha), (dtheta, dalpha))[1]
+    rod = 0.024 / 2000 * (0.5 * velocity.square().sum() + 9.81 * places(theta, alpha)[2].sum())
+    return rod + 0.5 * 0.095 * 0.085**2 / 3 * dtheta.square()
+
+
+def test_energy_changes_by_the_power_of_the_motor_alone():
+    for x in torch.from_numpy(np.random.default_rng(0).normal(size=(5, 4)) * [1, 1, 5, 5]):
+        u = torch.tensor([0.3], dtype=torch.float64)
+        dx = PublishedQube(SIGNATURE)(x, u)
+        gained = torch.func.jvp(energy, (x,), (dx,))[1]
+        power = 0.042 * (10 * 0.3 - 0.042 * x[2]) / 8.4 * x[2]
+        assert gained.item() == pytest.approx(power.item(), rel=1e-4, abs=1e-6)
+
+
+def test_the_plant_itself_predicts_what_its_encoders_can_tell():
+    plant, generator = PublishedQube(SIGNATURE), torch.Generator().manual_seed(0)
+    x, states, inputs = torch.tensor([0.0, math.pi, 0.0, 0.0]).double(), [], []
+    for _ in range(400):
+        u = 0.1 * torch.randn(1, generator=generator).double()
+        states.append(x)
+        inputs.append(u)
+        for _ in range(5):
+            x = rk4(plant, x, u, 0.002)
+    y = torch.full((401, 4), torch.nan, dtype=torch.float64)
+    step = 2 * math.pi / 2048
+    y[:, :2] = ((torch.stack([*states, x]) / step).round() * step)[:, :2]
+    log = Transitions.from_trajectory(y, torch.stack(inputs), 0.01)
+    errors, held = ahead(plant, log, log)
+    moved = y[70:-81:10, :2] - y[50:-101:10, :2]  # from every 0.1 s after the first half second, 20 samples on
+    torch.testing.assert_close(held[0], moved.square().mean(0).sqrt())
+    assert errors.shape == held.shape == (2, 2)
+    assert (errors < 0.2 * held).all() and (errors[0] < 5 * step).all()
+
+
+DT, UPPER, LOWER, GAIN = 4.0, 0.02, 0.01, 0.03
+"""Sampling time [s], rates at which either tank empties [1/s], and what the pump gives [V/s per V]."""
+
+
+def _log(start=(2.0, 3.0), seed=0):
+    """Return a log by SciPy's solution of `l' = GAIN u - UPPER l`, `r' = 0.04 l - LOWER r`, and the reading."""
+    a, b = np.array([[-UPPER, 0.0], [0.04, -LOWER]]), np.array([[GAIN], [0.0]])
+    system = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), DT)
+    held = np.random.default_rng(seed).uniform(0, 1, 12).repeat(10)[:, None]
+    path = dlsim(system, np.vstack([held, held[-1:]]), x0=np.array(start))[1]
+    y = np.full((len(path), 4), np.nan)
+    y[:, 3] = path[:, 1]
+    return Transitions.from_trajectory(torch.from_numpy(y), torch.from_numpy(held), DT), path[:, 1]
+
+
+def _of(model, state, function):
+    return float(model.coefficients[model.library.names.index(function), model.signature.state_names.index(state)])
+
+
+def test_a_linear_model_finds_linear_tanks_whose_upper_level_nobody_measures():
+    model = linear_tanks()
+    model.fit(states_of(_log()[0], [0, -1]))
+    assert _of(model, "level_1", "u") == pytest.approx(GAIN, rel=1e-3)
+    assert _of(model, "level_1", "level_1") == pytest.approx(-UPPER, rel=1e-3)
+    assert _of(model, "reading", "reading") == pytest.approx(-LOWER, rel=1e-3)
+    other, seen = _log((3.0, 1.0), seed=1)
+    assert rms(reading_errors(model, other, seen)) < 1e-3
+
+
+def test_pysindy_finds_linear_tanks_by_the_reading_and_its_rate():
+    data, level = _log()
+    model = pysindy_tanks(data, level, [LINEAR])
+    # r'' = 0.04 GAIN u - UPPER LOWER r - (UPPER + LOWER) r'.
+    assert _of(model, "rate", "rate") == pytest.approx(-(UPPER + LOWER), rel=0.1)
+    assert _of(model, "rate", "u") == pytest.approx(0.04 * GAIN, rel=0.1)
+    assert rms(reading_errors(model, data, level)) < 0.1

@@ -1,13 +1,18 @@
 """Agents without a model on swing-ups: how a run is judged, how rows come, and that finished runs stay."""
 
 import math
+import sys
+from pathlib import Path
 
 import pytest
 import torch
+from benchmark import parse
 from benchmarks import swing_up
-from benchmarks.arguments import parsed
-from benchmarks.swings import SWINGS
-from stable_baselines3 import SAC
+from benchmarks.plants import EXAMPLES, PLANTS
+from benchmarks.swing_up import TASKS, BoundedEpisodes
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import open_dict
 
 from dynasindy.safe_io import read_rows
 
@@ -34,22 +39,13 @@ class Still:
 def test_rows_come_as_the_run_goes_on_and_a_finished_run_stays(short, tmp_path, agent, capsys):
     out = tmp_path / "rows.csv"
     command = ["--plants", "pendulum_v1", "--agents", agent, "--seeds", "3", "--steps", "40", "--out", str(out)]
-    swing_up.main(parsed("swing_up", command))
+    swing_up.main(parse("swing_up", command))
     rows = read_rows(out)
     assert [(row["output"], int(row["real_steps"])) for row in rows] == [("c", 20), ("s", 20), ("c", 40), ("s", 40)]
     assert {(row["plant"], row["agent"], row["seed"]) for row in rows} == {("pendulum_v1", agent, "3")}
     assert all(float(row["own_return"]) < -200 and row["held"] == "0" for row in rows)
-    swing_up.main(parsed("swing_up", command))
+    swing_up.main(parse("swing_up", command))
     assert read_rows(out) == rows and "finished before" in capsys.readouterr().out
-
-
-def test_settings_of_another_plant_are_not_tried(tmp_path, monkeypatch):
-    trained = []
-    monkeypatch.setattr(swing_up, "train", lambda *job: trained.append(job[:3]))
-    swing_up.main(parsed("swing_up", ["--agents", "sac_bullet", "--seeds", "7", "--out", str(tmp_path / "rows.csv")]))
-    assert trained == [("swing_up", "sac_bullet", 7)]
-    agent = swing_up.build(SWINGS["swing_up"], "sac_bullet", 7)
-    assert isinstance(agent, SAC) and agent.use_sde and (agent.gamma, agent.tau) == (0.98, 0.02)  # the zoo's
 
 
 def test_a_run_that_was_stopped_is_made_anew_and_one_that_held_is_not(tmp_path):
@@ -73,14 +69,14 @@ def test_a_run_ends_where_the_plant_is_held(short, tmp_path, monkeypatch):
 
 def test_an_agent_acts_in_the_units_of_its_environment(short):
     """Pendulum-v1 has torques of -2 to 2, so that half of it is an action of 0.25 of the half range."""
-    env, agent = SWINGS["pendulum_v1"].judge(0), swing_up.build(SWINGS["pendulum_v1"], "sac", 0)
-    evaluation = swing_up.run(env, Still(agent.action_space, 0.5), SWINGS["pendulum_v1"])
+    env, agent = TASKS["pendulum_v1"].judge(0), swing_up.build(TASKS["pendulum_v1"], "sac", 0)
+    evaluation = swing_up.run(env, Still(agent.action_space, 0.5), TASKS["pendulum_v1"])
     assert torch.equal(evaluation.inputs, torch.full((2, 200, 1), 0.25))
 
 
 def test_held_and_upright_are_judged_over_the_last_quarter(short):
     """A pole that stands but for one sample is not upright, nor is one that leans by 0.11 rad."""
-    swing = SWINGS["swing_up"]
+    swing = TASKS["swing_up"]
     agent = swing_up.build(swing, "sac", 0)
     evaluation = swing_up.run(swing.judge(0), agent, swing)
     states = evaluation.trajectory["state"]
@@ -104,11 +100,49 @@ def test_held_and_upright_are_judged_over_the_last_quarter(short):
     assert (row["error_percent"], row["worst_percent"], row["held"]) == ("5", "10", 0)
 
 
-def test_td3_explores_and_settings_are_those_published():
-    td3 = swing_up.build(SWINGS["swing_up"], "td3", 0)
-    assert td3.action_noise._sigma.tolist() == [0.1] and td3.learning_starts == 100
-    td3 = swing_up.build(SWINGS["pendulum_v1"], "td3", 0)
-    assert (td3.gamma, td3.learning_starts, td3.learning_rate, td3.buffer_size) == (0.98, 10_000, 1e-3, 200_000)
-    sac = swing_up.build(SWINGS["swing_up"], "sac", 0)
-    assert (sac.gamma, sac.learning_rate, sac.action_noise) == (0.99, 1e-3, None)
-    assert swing_up.build(SWINGS["pendulum_v1"], "sac", 0).learning_rate == 1e-3
+CONF = Path(__file__).resolve().parents[2] / "conf"
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_plant_and_task_are_those_of_the_command(name, monkeypatch):
+    monkeypatch.setattr(sys, "path", [str(EXAMPLES), *sys.path])
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        search = [f"hydra.searchpath=[file://{EXAMPLES / 'conf'}]"]
+        cfg = compose("train", overrides=[*search, *PLANTS[name]])
+    with open_dict(cfg):
+        cfg.folder = "unused"
+    system = instantiate(cfg.system)
+    task = instantiate(cfg.task, _convert_="all")(signature=system.signature)
+    theirs, mine = instantiate(cfg.env, _convert_="all")(system=system, task=task, seed=5), TASKS[name].judge(5)
+    assert mine.system.signature.x_scale == theirs.system.signature.x_scale and mine.dt == theirs.dt
+    assert mine.task.max_steps == theirs.task.max_steps and TASKS[name].within == cfg.evaluation.within
+    assert torch.equal(mine.task.boxes(), theirs.task.boxes())
+    assert all(map(torch.equal, mine.task.bounds, theirs.task.bounds))
+    assert mine.task.reward_function == theirs.task.reward_function
+    flights = [env.reset().clone() for env in (mine, theirs)]
+    for u in torch.linspace(-1, 1, 30).unsqueeze(-1).expand(-1, len(system.signature.input_names)):
+        flights = [env.step_mdp(env.step(now.set("action", u))) for env, now in zip((mine, theirs), flights)]
+        assert torch.equal(flights[0]["observation"], flights[1]["observation"])
+        if flights[0]["done"]:
+            break
+
+
+def test_an_episode_ends_at_the_end_of_the_track_without_being_over():
+    """Ten newtons on 1.1 kg reach 2.4 m after 0.73 s, which pole and damping change little."""
+    env = BoundedEpisodes(TASKS["swing_up"].judge(0))
+    env.reset(seed=0)
+    ended = []
+    for n in range(1, 20):
+        *_, terminated, truncated, info = env.step(torch.ones(1).numpy())
+        assert truncated == (abs(info["state"][0]) > 2.4) and not terminated
+        ended += [n] * truncated
+    assert ended[0] * 0.05 == pytest.approx(0.73, abs=0.1)
+
+
+def test_angles_are_counted_from_upright():
+    pendulum, cart_pole = (TASKS[name].angle for name in ("pendulum_v1", "swing_up"))
+    leaning = torch.tensor([math.cos(-0.3), math.sin(-0.3), 5.0])
+    assert float(pendulum(leaning)) == pytest.approx(-0.3, abs=1e-6)
+    for turns in (-1, 0, 2):
+        state = torch.tensor([1.0, 2 * math.pi * turns + 0.2, 0.0, 0.0])
+        assert float(cart_pole(state)) == pytest.approx(0.2, abs=1e-5)

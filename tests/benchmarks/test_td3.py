@@ -4,8 +4,8 @@ import csv
 
 import pytest
 import torch
+from benchmark import parse
 from benchmarks import td3
-from benchmarks.arguments import parsed
 from benchmarks.td3 import N_OBS, N_U, Size
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -18,14 +18,6 @@ SIZE = Size("tiny", (12, 8), 16, 10)
 def batch(monkeypatch):
     monkeypatch.setattr(td3, "REPLAY_ROWS", (50, 100))
     return td3.filled_replay(SIZE).sample()
-
-
-@pytest.fixture(autouse=True)
-def compiled(monkeypatch):
-    """What was given to torch's compiler, which takes a minute and is left out."""
-    given = []
-    monkeypatch.setattr(torch, "compile", lambda part, **_: given.append(part) or part)
-    return given
 
 
 def flops(step):
@@ -55,25 +47,6 @@ def test_rivals_learn(make, batch, monkeypatch):
     assert len(set(map(id, steps))) == 2
 
 
-@pytest.mark.parametrize("make", [td3.torchrl_update, td3.stable_baselines3_update])
-def test_compiled_rivals_learn_the_same(make, batch, compiled, monkeypatch):
-    learnt, original = [], torch.optim.Adam.step
-
-    def step(optimizer, *given):
-        original(optimizer, *given)
-        learnt.append([p.detach().clone() for p in optimizer.param_groups[0]["params"]])
-
-    monkeypatch.setattr(torch.optim.Adam, "step", step)
-    for flag in (False, True):
-        torch.manual_seed(0)
-        update = make(SIZE, batch, compiled=flag)
-        torch.manual_seed(1)
-        update()
-        assert bool(compiled) == flag
-    without, with_it = learnt
-    assert all(torch.equal(a, b) for a, b in zip(without, with_it, strict=True))
-
-
 def test_a_call_of_the_best_rival_takes_ten_fused_steps(batch, monkeypatch):
     steps = []
     original = torch.optim.Adam.step
@@ -85,37 +58,15 @@ def test_a_call_of_the_best_rival_takes_ten_fused_steps(batch, monkeypatch):
     assert not any(one.defaults["fused"] for one in steps)
 
 
-def test_times_are_per_update_however_many_a_call_takes(monkeypatch):
-    monkeypatch.setattr(td3, "REPLAY_ROWS", (50, 100))
-    clock = iter(range(10_000))
-    monkeypatch.setattr(td3.time, "process_time", lambda: float(next(clock)))
-    calls = []
-    monkeypatch.setattr(td3, "stable_baselines3_update", lambda *a, **k: lambda: calls.append(k.get("fused", False)))
-    rows = td3.measure(SIZE, 1)
-    assert {row["ms_per_update"] for row in rows} == {100.0}  # a second by the clock for ten updates
-    assert calls.count(False) == 20 and calls.count(True) == 4  # one repeat, after one that warms up
-
-
 def test_main_writes_a_row_per_contender_and_size(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(td3, "SIZES", (SIZE,))
     monkeypatch.setattr(td3, "REPLAY_ROWS", (50, 100))
-    td3.main(parsed("td3", ["--repeats", "1", "--out", str(tmp_path / "new" / "td3.csv")]))
+    td3.main(parse("td3", ["--repeats", "1", "--out", str(tmp_path / "new" / "td3.csv")]))
     with (tmp_path / "new" / "td3.csv").open() as file:
         rows = list(csv.DictReader(file))
     rivals = ["TorchRL TD3Loss loop", "Stable-Baselines3 TD3", td3.BEST]
     assert [row["what"] for row in rows][:4] == [td3.OURS, *rivals]
-    assert sum(row["what"].endswith(td3.COMPILED) for row in rows) == 2
     assert float(rows[0]["ratio_to_ours"]) == 1.0
     assert all(float(row["ms_per_update"]) > 0 for row in rows)
     printed = capsys.readouterr().out
     assert all(row["what"] in printed for row in rows)
-
-
-@pytest.mark.parametrize(("repeats", "written"), [("1", False), ("2", True)])
-def test_a_quick_look_leaves_the_published_figures(tmp_path, monkeypatch, capsys, repeats, written):
-    monkeypatch.chdir(tmp_path)
-    for name, value in {"SIZES": (SIZE,), "REPLAY_ROWS": (50, 100), "REPEATS": 2}.items():
-        monkeypatch.setattr(td3, name, value)
-    td3.main(parsed("td3", ["--repeats", repeats]))
-    assert td3.RESULTS.is_file() == written
-    assert ("written to no file" in capsys.readouterr().out) != written

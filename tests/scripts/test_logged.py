@@ -10,9 +10,8 @@ from pathlib import Path
 import forked
 import pytest
 import torch
-from benchmarks.logged import CASES
+from benchmarks.logs import CASES, write_log
 from benchmarks.logs import words as log_words
-from benchmarks.logs import write_log
 from omegaconf import OmegaConf
 
 import dynasindy

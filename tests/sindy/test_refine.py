@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from benchmarks.textbook import CASES
+from benchmarks.textbook_systems import CASES
 from scipy.linalg import expm
 
 from dynasindy.data.simulated import disturb

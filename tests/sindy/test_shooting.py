@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from benchmarks.bound import cramer_rao
-from benchmarks.textbook import CASES
+from benchmarks.textbook_systems import CASES, cramer_rao
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.data.simulated import disturb

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from benchmarks.bound import cramer_rao
-from benchmarks.rivals import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
+from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
 from dynasindy.data.simulated import disturb, record_all
 from dynasindy.excitation import HeldRandom
 from dynasindy.safe_io import Row
@@ -20,8 +19,27 @@ from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.regression import Rows
 from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.sindy.shooting import Estimate, Flow, linearise_windows
+from dynasindy.sindy.windows import Windows
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
+
+
+def cramer_rao(library: Library, truth: Tensor, clean: Transitions, sigma: Tensor) -> Tensor:
+    """Return the smallest standard error of each true term, the start state unknown, `(P,)`.
+
+    Args:
+        library: candidate functions.
+        truth: the true coefficients, `(n_features, n_x)`.
+        clean: the recording without noise.
+        sigma: standard deviation of the white noise of each state, `(n_x,)`.
+    """
+    windows, parameters = Windows.of(clean, 50), Parameters.where(truth != 0)
+    model = linearise_windows(Flow.of(Estimate(library, truth, windows.first.clone()), parameters, windows), sigma)
+    n = len(model.scale)
+    inverse = torch.linalg.inv(model.triangle[:n, :n])
+    return (inverse.square().sum(-1).sqrt() / model.scale)[n - len(parameters) :]
+
 
 LEVELS = (0.01, 0.05, 0.1, 0.2)
 """Standard deviation of the noise, relative to that of each state."""

@@ -58,7 +58,7 @@ def pysindy_of(model: SindyModel, data: Transitions, score: Callable[[SindyModel
     return min(found, key=lambda pair: pair[0])[1]
 
 
-def given_rows(library: Library, data: Transitions) -> Rows:
+def integral_rows(library: Library, data: Transitions) -> Rows:
     """Return functions averaged over the intervals by Simpson's rule, and mean rates; midpoints by least squares."""
     rows = integral_form(library, data)
     for _ in range(2):
