@@ -334,6 +334,24 @@ def speed() -> str:
     return grid("job | machine code | torch code | ratio", lines)
 
 
+def peers() -> str:
+    """Return ours beside the strongest peers: errors of controllers, the worst target in brackets, and of models."""
+    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in rows("peers.csv"):
+        key = tuple(row[name] for name in ("case", "plant", "peer", "version", "cpu_seconds", "ms_per_action"))
+        groups.setdefault(key, []).append(row)
+    lines = []
+    for (case, plant, peer, version, seconds, milliseconds), found in groups.items():
+        values = [row["value"] for row in found]
+        if len(values) == 4:
+            words = "{} / {} ({} / {}) rad".format(*values)
+        else:
+            words = f"{values[0]} {found[0]['measure'].removeprefix('RMSE, ')}"
+        name = "ours" if peer == "ours" else f"{peer} {version}"
+        lines.append((case, f"`{plant}`", name, words, seconds, milliseconds))
+    return grid("case | plant | by | error | CPU [s] | ms per action", lines)
+
+
 def standard_errors() -> str:
     """Return standard errors over the scatter that they should have."""
     cases = (
@@ -560,7 +578,7 @@ TABLES: dict[str, Callable[[], str]] = {
     for one in (
         *(main_job, policies, scenarios, gradient, unseen, rigs, plants, bench_plants, logs, textbook_logs, margins),
         *(td3, speed, standard_errors, identification, rollouts, model_free, controls, paper, paper_errors),
-        *(paper_in_full, paper_in_full_errors, paper_tras),
+        *(paper_in_full, paper_in_full_errors, paper_tras, peers),
     )
 }
 """The tables by name."""

@@ -1,0 +1,88 @@
+"""What is asked of peers and what is made of their answers; the peers themselves are not installed here."""
+
+import json
+import sys
+from argparse import Namespace
+
+import numpy as np
+import pytest
+import torch
+from benchmark import parse
+from benchmarks import peers
+from benchmarks.peers import serve
+
+from dynasindy.export.formats import casadi_source
+from dynasindy.safe_io import read_rows
+from dynasindy.sindy import SindyModel
+from dynasindy.systems import Tras
+
+PROPORTIONAL = """
+import sys
+sys.path.insert(0, {here!r})
+from serve import answer, control, settings
+asked = settings()
+print("a library talks")
+answer(version="1.2", cpu=3.5, found=asked.get("y_test"))
+control(lambda x, r, first, flight: asked["gain"] * (r - x[:2]) + 0.1 * flight)
+"""
+
+
+@pytest.fixture
+def script(tmp_path, monkeypatch):
+    (tmp_path / "stub.py").write_text(PROPORTIONAL.format(here=str(peers.HERE)))
+    monkeypatch.setattr(peers, "HERE", tmp_path)
+    monkeypatch.setattr(peers, "environment", lambda folder, name: sys.executable)
+    return "stub.py"
+
+
+def test_a_peer_flies_by_lines_and_what_its_library_prints_is_no_answer(script):
+    with peers.peer(sys.executable, script, {"gain": 2.0}) as found:
+        assert found.first == {"version": "1.2", "cpu": 3.5, "found": None}
+        from tensordict import TensorDict
+
+        x, r = torch.tensor([[0.1, 0.2, 9.0], [0.0, 0.0, 9.0]]), torch.tensor([[0.2, 0.1], [0.3, -2.0]])
+        steps = torch.zeros(2, 1, dtype=torch.int64)
+        acted = found(TensorDict({"state": x, "reference": r, "step_count": steps}, [2]))
+        torch.testing.assert_close(acted["action"], torch.tensor([[0.2, -0.2], [0.7, -1.0]]))
+        assert found.calls == 2
+    assert found.process.returncode == 0
+
+
+def test_a_script_that_ends_without_an_answer_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(peers, "HERE", tmp_path)
+    (tmp_path / "stub.py").write_text("")
+    with pytest.raises((RuntimeError, BrokenPipeError)), peers.peer(sys.executable, "stub.py", {}):
+        pass
+
+
+def test_the_exported_field_is_the_model_on_numbers_of_any_kind():
+    model = SindyModel(Tras().signature, "rotor")
+    generator = torch.Generator().manual_seed(0)
+    model.set_coefficients(torch.randn(model.coefficients.shape, generator=generator, dtype=torch.float64))
+    calls = {name: getattr(np, name) for name in ("cos", "sin", "exp", "fabs", "sign", "sqrt", "tanh", "square")}
+    field = serve.field_of(casadi_source(model), calls)
+    x, u = torch.tensor([0.1, 0.2, -0.3, 0.4, 500.0, -900.0]).double(), torch.tensor([0.3, -0.6]).double()
+    assert field(x.numpy(), u.numpy()) == pytest.approx(model(x, u).tolist(), rel=1e-9)
+
+
+def test_models_are_scored_on_the_test_log_and_rows_have_ours_beside_them(script, tmp_path, monkeypatch):
+    y = np.stack([np.linspace(0, 2, 5), np.linspace(0, 8, 5)], -1)
+    data = {"u": y, "y": y, "u_test": y, "y_test": y, "states_measured": True}
+    assert peers.score_model("tras", y + np.array([0.2, 0.8]), data) == (pytest.approx(0.1), "of the range")
+    assert peers.score_model("emps", y + 1e-3, data) == (pytest.approx(1.0), "mm")
+    monkeypatch.setattr(peers, "LOGS", {"tras": lambda folder, seed: (data, peers.row_of("ours", "0", 0.5, "x", 1.0))})
+    monkeypatch.setattr(peers, "SCRIPTS", dict.fromkeys(peers.SCRIPTS, script))
+    out = tmp_path / "peers.csv"
+    words = ["--peers", "SysIdentPy", "--environments", str(tmp_path), "--seeds", "7", "--out", str(out)]
+    monkeypatch.setitem(data, "gain", 0.0)
+    peers.main(parse("peers", words))
+    first, second = read_rows(out)
+    assert (first["peer"], first["value"], second["peer"], second["version"]) == ("ours", "0.5", "SysIdentPy", "1.2")
+    assert (float(second["value"]), second["cpu_seconds"], second["seed"]) == (0.0, "3.5", "7")
+    assert list(first) == list(peers.COLUMNS)
+
+
+def test_logs_of_rigs_need_their_folder():
+    with pytest.raises(SystemExit, match="--data"):
+        peers.LOGS["tanks"](None, 0)
+    assert json.dumps(peers.CONTROLLERS) and isinstance(parse("peers", ["--environments", "x"]), Namespace)
