@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import tempfile
 import time
@@ -138,7 +139,8 @@ class Peer:
 
     def __init__(self, python: Path, script: str, asked: dict[str, Any]) -> None:
         words = [str(python), str(HERE / script)]
-        self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=own)
         self.first = self.ask(asked)
         self.seconds, self.calls = 0.0, 0
 

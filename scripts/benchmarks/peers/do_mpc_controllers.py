@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from serve import answer, control, cpu_seconds, field_of, settings
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 
 LOW, HIGH = [-1.2, -1.2, -2.5, -2.5, -4000, -2500, -0.5, -0.5], [1.2, 1.2, 2.5, 2.5, 4000, 4000, 0.5, 0.4]
 """Ranges of states and targets to which the network scales."""
