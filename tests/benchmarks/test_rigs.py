@@ -58,7 +58,7 @@ def test_the_error_of_an_axis_is_simulated_less_measured():
     assert errors.tolist() == pytest.approx([0.0] * 15 + [-1.0] * (len(errors) - 15), abs=1e-9)
 
 
-SIGNATURE = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
+AXIS = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
 
 
 @pytest.mark.parametrize(
@@ -74,13 +74,13 @@ SIGNATURE = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
 )
 def test_the_force_that_keeps_a_speed(speed, newton, acceleration):
     x = torch.tensor([0.2, speed], dtype=torch.float64)
-    dx = published_axis(SIGNATURE)(x, torch.tensor([newton / 100], dtype=torch.float64))
+    dx = published_axis(AXIS)(x, torch.tensor([newton / 100], dtype=torch.float64))
     assert dx.tolist() == pytest.approx([speed, acceleration], abs=1e-9)
 
 
 def test_the_force_at_a_speed_is_read_from_any_model():
-    assert steady_force(published_axis(SIGNATURE), 0.1) == pytest.approx(37.57904)
-    assert steady_force(published_axis(SIGNATURE), -0.1) == pytest.approx(-43.90864)
+    assert steady_force(published_axis(AXIS), 0.1) == pytest.approx(37.57904)
+    assert steady_force(published_axis(AXIS), -0.1) == pytest.approx(-43.90864)
 
 
 SIGNATURE = Signature(("theta", "alpha", "dtheta", "dalpha"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1, 0.2, 3, 3))
