@@ -91,7 +91,7 @@ def again(folder: str) -> str:
 
 def draw(session: "Session") -> None:
     """Draw the excitations of the folder, and each flight with its references and what ended it early."""
-    from dynasindy.rig.shown import samples
+    from dynasindy.rig.log import samples
     from dynasindy.viz.flight import excitation, flight
     from dynasindy.viz.style import save
 

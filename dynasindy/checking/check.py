@@ -294,8 +294,8 @@ def _farthest(loop: Loop, targets: Tensor, begin: Tensor) -> int:
 
 def _begin(loop: Loop, settings: Settings, middle: Tensor) -> Tensor:
     """Return the state in which steps begin, `(n_x,)`."""
-    ends = ranges.starts(loop.signature, settings.start).double()
-    low, high = ranges.limits(loop.signature, settings.bounds)
+    ends = ranges.start_ranges(loop.signature, settings.start).double()
+    low, high = ranges.state_limits(loop.signature, settings.bounds)
     if settings.start or bool(((low <= 0) & (high >= 0)).all()):
         return ends.mean(0)
     return guess(loop, middle.unsqueeze(0))[0, loop.parts["x"]]

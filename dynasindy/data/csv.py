@@ -23,8 +23,8 @@ from dynasindy.data.rates import turning
 from dynasindy.data.resampled import EVEN, evened, stretches
 from dynasindy.data.table import MAP, Table, all_headings, read_table
 from dynasindy.data.units import conversions, undecided, with_units
+from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
-from dynasindy.systems.reach import acting
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
@@ -162,7 +162,7 @@ class CsvLog:
         self._require_enough(data, [name for name, c in states.items() if c.name], list(states), notes)
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
-        reach = acting(found, [column.unit for column in inputs.values()])
+        reach = actuator_units(found, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         return Recording(data, signature, tuple(notes), ends)
 

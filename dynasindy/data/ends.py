@@ -1,6 +1,6 @@
 """Inputs of a log in the units of their actuators, taken into [-1, 1], where planning needs them.
 
-Zero stays zero, as `dynasindy.systems.reach` says. A log alone tells the range that it used.
+Zero stays zero, as `dynasindy.systems.actuator_scaling` says. A log alone tells the range that it used.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from dynasindy.data.columns import Column, columns_of
 from dynasindy.data.table import split_unit
+from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
 from dynasindy.systems.base import WHOLE, Signature
-from dynasindy.systems.reach import PLAIN, Reach
 
 Array = NDArray[np.float64]
 ROUNDED = 1e-3
@@ -28,7 +28,7 @@ WIDE = 20.0
 
 def reaches(
     path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]
-) -> tuple[list[Reach], str]:
+) -> tuple[list[ActuatorScaling], str]:
     """Return what each input reaches and what becomes 0 and 1 of it, and note it.
 
     Beside it stand the words that give these ends, empty where nobody has to say whether they are right.
@@ -43,8 +43,8 @@ def reaches(
     Raises:
         ValueError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
     """
-    found: dict[str, Reach] = {}
-    sided: dict[str, Reach] = {}
+    found: dict[str, ActuatorScaling] = {}
+    sided: dict[str, ActuatorScaling] = {}
     for (name, given), column in zip(inputs.items(), u.T, strict=True):
         if np.ptp(column) == 0:
             raise ValueError(
@@ -54,7 +54,7 @@ def reaches(
         notes += _two_levels(name, column)
         found[name] = _range_of(column) if into_range else PLAIN
         if given.low is not None and given.high is not None:
-            found[name] = Reach.of(given.low, given.high, given.rest)
+            found[name] = ActuatorScaling.of(given.low, given.high, given.rest)
             _require_within(path, name, column, found[name])
             notes += _too_wide(name, column, found[name])
         if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
@@ -63,7 +63,7 @@ def reaches(
                 "the model holds for these numbers, or give its ends, low and high, in data.inputs"
             )
         elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
-            sided[name] = Reach.of(0.0, 1.0) if column.max() > 0 else Reach.of(-1.0, 0.0)
+            sided[name] = ActuatorScaling.of(0.0, 1.0) if column.max() > 0 else ActuatorScaling.of(-1.0, 0.0)
     words = _words(inputs, found | sided)
     notes += [
         f"input {name} goes from {column.min():g} to {column.max():g}; its actuator is taken to reach from -1 to 1. If "
@@ -103,7 +103,7 @@ def with_ends(
             continue
         unit = inside.get(column.name, "") if column.unit == "-" else column.unit
         if column.low is not None and column.high is not None:
-            _require_same(name, Reach.of(column.low, column.high, column.rest), reach)
+            _require_same(name, ActuatorScaling.of(column.low, column.high, column.rest), reach)
         elif unit != "-":
             if unit and own not in ("-", unit):
                 given = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
@@ -115,7 +115,7 @@ def with_ends(
     return columns
 
 
-def _require_same(name: str, given: Reach, plant: Reach) -> None:
+def _require_same(name: str, given: ActuatorScaling, plant: ActuatorScaling) -> None:
     """Refuse ends of a column that are not those of the plant."""
     rounding = 1e-9 * (plant.high - plant.low)
     pairs = (given.low, plant.low), (given.high, plant.high), (given.rest, plant.rest)
@@ -139,14 +139,14 @@ def _units(plant: Signature) -> tuple[str, ...]:
     return plant.input_units or ("-",) * plant.n_u
 
 
-def _reach_of(plant: Signature, place: int) -> Reach:
+def _reach_of(plant: Signature, place: int) -> ActuatorScaling:
     """Return what an input of a plant reaches, in its own unit, and what is zero of it."""
     limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u)
     low, high = (float(plant.in_own_units(ends)[place]) for ends in limits.T)
-    return Reach(low, high, float(plant.in_own_units(np.zeros(plant.n_u))[place]))
+    return ActuatorScaling(low, high, float(plant.in_own_units(np.zeros(plant.n_u))[place]))
 
 
-def scaled(u: Array, found: Sequence[Reach]) -> Array:
+def scaled(u: Array, found: Sequence[ActuatorScaling]) -> Array:
     """Return inputs with their rest at 0 and one unit at 1, those of [-1, 1] as they are, `(N, n_u)`.
 
     Args:
@@ -160,7 +160,7 @@ def scaled(u: Array, found: Sequence[Reach]) -> Array:
     return np.stack(columns, -1)
 
 
-def _range_of(values: Array) -> Reach:
+def _range_of(values: Array) -> ActuatorScaling:
     """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
 
     Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
@@ -170,10 +170,10 @@ def _range_of(values: Array) -> Reach:
         return PLAIN
     if min(-low, high) >= EVEN * max(-low, high):
         low, high = -max(-low, high), max(-low, high)
-    return Reach(low, high, 0.0) if max(low, -high) <= high - low else Reach.of(low, high)
+    return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
 
 
-def _require_within(path: str, name: str, values: Array, reach: Reach) -> None:
+def _require_within(path: str, name: str, values: Array, reach: ActuatorScaling) -> None:
     """Refuse ends that an input goes beyond, as they are then those of another unit."""
     low, high, least, most = reach.low, reach.high, float(values.min()), float(values.max())
     beyond = max(low - least, most - high)
@@ -184,7 +184,7 @@ def _require_within(path: str, name: str, values: Array, reach: Reach) -> None:
         )
 
 
-def _too_wide(name: str, values: Array, reach: Reach) -> list[str]:
+def _too_wide(name: str, values: Array, reach: ActuatorScaling) -> list[str]:
     """Ask whether ends are right of which a log uses hardly anything."""
     least, most = float(values.min()), float(values.max())
     if reach.high - reach.low < WIDE * (most - least):
@@ -208,7 +208,7 @@ def _two_levels(name: str, values: Array) -> list[str]:
     ]
 
 
-def _told(name: str, column: Column, reach: Reach) -> str:
+def _told(name: str, column: Column, reach: ActuatorScaling) -> str:
     """Say what 0 and 1 are of an input, and between which ends it is set."""
     unit = "" if column.unit == "-" else f" {column.unit}"
     return (
@@ -217,7 +217,7 @@ def _told(name: str, column: Column, reach: Reach) -> str:
     )
 
 
-def _words(inputs: Mapping[str, Column], found: Mapping[str, Reach]) -> str:
+def _words(inputs: Mapping[str, Column], found: Mapping[str, ActuatorScaling]) -> str:
     """Return the words of the command line that say these ends."""
     columns = []
     for name, reach in found.items():
@@ -227,6 +227,6 @@ def _words(inputs: Mapping[str, Column], found: Mapping[str, Reach]) -> str:
         own += f"scale: {column.scale!r}, " if column.scale != 1 else ""
         # A log that has not tried zero keeps it all the same; an actuator that rests there reaches it.
         low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
-        rest = f", rest: {reach.rest:.6g}" if reach.rest != Reach.of(low, high).rest else ""
+        rest = f", rest: {reach.rest:.6g}" if reach.rest != ActuatorScaling.of(low, high).rest else ""
         columns.append(f"{name}: {{name: {heading}, {own}low: {low:.6g}, high: {high:.6g}{rest}}}")
     return f"'data.inputs={{{', '.join(columns)}}}'"

@@ -11,7 +11,7 @@ from torch import Tensor
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
-from dynasindy.systems.ranges import Ends, limits
+from dynasindy.systems.ranges import Ends, state_limits
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import did_you_mean
 
@@ -69,7 +69,7 @@ def before_leaving(
         ValueError: a bound is of no state, or is no range.
     """
     far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
-    given = limits(signature, bounds)
+    given = state_limits(signature, bounds)
     low, high = torch.where(given.isfinite(), given, torch.stack([-far, far]))
     out = ~((data.x_next >= low) & (data.x_next <= high))
     if not bool(out.any()):

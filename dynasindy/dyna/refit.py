@@ -161,7 +161,7 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
 def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
     """Return a real episode with the inputs that acted, by a model in which they are later than the states were for.
 
-    Where an input changes within a control period, its mean acts, as in `LateEnv`.
+    Where an input changes within a control period, its mean acts, as in `DelayedEnv`.
 
     Args:
         rollout: The episode, `(T,)`; before it inputs were zero, and after it they stay.

@@ -20,8 +20,8 @@ from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Excitation, HeldRandom
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
-from dynasindy.systems.ranges import Ends, drawn, limits, starts
-from dynasindy.systems.sound import require_plant
+from dynasindy.systems.checks import require_plant
+from dynasindy.systems.ranges import Ends, sample_states, start_ranges, state_limits
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -98,7 +98,7 @@ class Simulated:
         """
         if system is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
-        ends = limits(system.signature, self.bounds or {})
+        ends = state_limits(system.signature, self.bounds or {})
         require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
@@ -206,5 +206,5 @@ class Simulated:
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:
         """Return the states in which recordings begin, `(*batch, n_x)`."""
-        ends = starts(system.signature, self.start or {})
-        return drawn(ends, torch.Size(batch), torch.Generator().manual_seed(seed))
+        ends = start_ranges(system.signature, self.start or {})
+        return sample_states(ends, torch.Size(batch), torch.Generator().manual_seed(seed))

@@ -2,6 +2,11 @@
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.foreign import Foreign, GymnasiumEnv
-from dynasindy.envs.late import LateEnv
+from dynasindy.envs.input_delay import DelayedEnv
 
-__all__ = ["ControlEnv", "Foreign", "GymnasiumEnv", "LateEnv"]
+__all__ = [
+    "ControlEnv",
+    "DelayedEnv",
+    "Foreign",
+    "GymnasiumEnv",
+]

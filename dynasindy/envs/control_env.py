@@ -12,8 +12,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from dynasindy.limits import Count, check_memory
-from dynasindy.systems import System, flight, integrate, repeated
-from dynasindy.systems.sound import rates, require_plant, shapes
+from dynasindy.systems import System, integrate, repeat_steps, simulate
+from dynasindy.systems.checks import rates, require_plant, shapes
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.constants import constants
@@ -152,8 +152,8 @@ class ControlEnv(EnvBase):
             Samples after each sub-step, `(T, *batch, substeps, n_x)`, and whether a stop was touched, `(T, *batch)`.
         """
         if type(self).advance is not ControlEnv.advance or math.isfinite(self.left_beyond):
-            return repeated(self._within, x, u)
-        return flight(self.system, x, u, self.dt, self.substeps, self.stops)
+            return repeat_steps(self._within, x, u)
+        return simulate(self.system, x, u, self.dt, self.substeps, self.stops)
 
     def judged(
         self, x: Tensor, u: Tensor, moved: tuple[Tensor, Tensor], params: Tensor, begun: Tensor

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from dynasindy.envs import ControlEnv, LateEnv
+from dynasindy.envs import ControlEnv, DelayedEnv
 from dynasindy.evaluation.held import LOST, WITHIN, Held, held, of_what
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.planning.equilibria import states_that_matter
@@ -180,7 +180,7 @@ def predict(
     overshoot: dict[str, float] = {}
     shown: Evaluation | None = None
     for k, model in enumerate(models):
-        env = LateEnv.around(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
+        env = DelayedEnv.around(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
         result: Evaluation | None = None
         with suppress(Diverged):
             seen = None if sensing is None else sensing.on(env, sensing.rng)

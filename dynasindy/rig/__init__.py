@@ -2,8 +2,8 @@
 
 from dynasindy.rig.base import Clock, Fault, Rig, Wiring
 from dynasindy.rig.env import RigEnv
-from dynasindy.rig.flight import Flown, Guard, fly
-from dynasindy.rig.flights import Flights
+from dynasindy.rig.flight import FlightResult, Guard, run_flight
+from dynasindy.rig.flights import FlightSequence
 from dynasindy.rig.inprocess import FastClock, InProcessRig
 from dynasindy.rig.udp import UdpRig
 
@@ -11,13 +11,13 @@ __all__ = [
     "Clock",
     "FastClock",
     "Fault",
-    "Flights",
-    "Flown",
+    "FlightResult",
+    "FlightSequence",
     "Guard",
     "InProcessRig",
     "Rig",
     "RigEnv",
     "UdpRig",
     "Wiring",
-    "fly",
+    "run_flight",
 ]

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from dynasindy.envs import ControlEnv
-from dynasindy.rig.flights import Flights
+from dynasindy.rig.flights import FlightSequence
 from dynasindy.systems import System
 from dynasindy.tasks import Task
 
@@ -46,7 +46,7 @@ class RigEnv(ControlEnv):
     begins_anew = False
 
     def __init__(
-        self, system: System, task: Task, flights: Flights, *, dtype: torch.dtype = torch.float64, seed: int = 0
+        self, system: System, task: Task, flights: FlightSequence, *, dtype: torch.dtype = torch.float64, seed: int = 0
     ) -> None:
         theirs, ours = flights.wiring.signature, system.signature
         if (theirs.state_names, theirs.input_names) != (ours.state_names, ours.input_names):
@@ -123,7 +123,7 @@ class Rehearsal(Transform):
         flights: Those of the rig.
     """
 
-    def __init__(self, env: EnvBase, flights: Flights) -> None:
+    def __init__(self, env: EnvBase, flights: FlightSequence) -> None:
         super().__init__(in_keys=[], out_keys=[])
         self.__dict__["env"] = env  # transforms have parents, not children
         self.flights = flights

@@ -19,7 +19,7 @@ from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
 from dynasindy.rig.log import Log
 from dynasindy.rig.watchdog import Watchdog
 from dynasindy.systems.base import WHOLE
-from dynasindy.systems.ranges import Ends, limits
+from dynasindy.systems.ranges import Ends, state_limits
 
 Act = Callable[[Array, float], Array]
 """What was measured `(n_x,)` and the time since the start [s], to inputs `(n_u,)` in [-1, 1]."""
@@ -70,7 +70,7 @@ class Guard:
         if self.low or self.high:
             return self
         given = {name: ends for name, ends in bounds.items() if name in wiring.measured}
-        ends = limits(wiring.signature, given).tolist()
+        ends = state_limits(wiring.signature, given).tolist()
         low, high = ({name: side[wiring.signature.state_index(name)] for name in given} for side in ends)
         return replace(self, low=low, high=high)
 
@@ -112,7 +112,7 @@ class Guard:
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlightResult:
     """What came of a flight.
 
     Attributes:
@@ -144,7 +144,7 @@ class Flown:
         return "" if self.fault is None else f"{self.fault.kind}: {self.fault}"
 
 
-def fly(
+def run_flight(
     rig: Rig,
     act: Act,
     wiring: Wiring,
@@ -152,7 +152,7 @@ def fly(
     path: Path,
     guard: Guard | None = None,
     clock: Clock = time,
-) -> Flown:
+) -> FlightResult:
     """Fly a rig, and leave it at its safe input.
 
     Args:
@@ -173,16 +173,16 @@ def fly(
     guard.require(wiring)
     fault: Fault | None = None
     with Log(path, wiring) as log:
-        loop = Loop(rig, wiring, guard, clock)
+        loop = FlightLoop(rig, wiring, guard, clock)
         try:
             loop.run(act, periods, log)
         except Fault as error:
             fault = error
         except OSError as error:
-            fault = broken(error)
+            fault = connection_fault(error)
         finally:
             loop.end()  # before anything else, the closing of the log included
-    return Flown(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter), loop.lost)
+    return FlightResult(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter), loop.lost)
 
 
 ROUNDING = 1e-6
@@ -191,12 +191,12 @@ FIRST = 10
 """Times longer that the first sample may take: a rig has to begin."""
 
 
-def broken(error: OSError) -> Fault:
+def connection_fault(error: OSError) -> Fault:
     """Return the fault that an error of the connection is."""
     return Fault("connection", f"{type(error).__name__}: {error}")
 
 
-class Loop:
+class FlightLoop:
     """The periods of one flight: `begin`, then `read`, `sample`, `apply` and `write_down` once each, then `end`.
 
     Args:

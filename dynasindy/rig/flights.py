@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
-from dynasindy.rig.flight import Guard, Loop, broken
+from dynasindy.rig.flight import FlightLoop, Guard, connection_fault
 from dynasindy.rig.log import Log
 
 
-class Flights:
+class FlightSequence:
     """One flight of a rig after the other, a period at a time.
 
     Attributes:
@@ -50,7 +50,7 @@ class Flights:
         if not settle >= 0:
             raise ValueError(f"a rig is given settle={settle} s to come to rest; give a time >= 0")
         self.folder, self.settle, self.k = folder, settle, 0
-        self._loop: Loop | None = None
+        self._loop: FlightLoop | None = None
         self._log: Log | None = None
         self._y = np.full(wiring.signature.n_x, np.nan)
         self._dry = False
@@ -123,7 +123,7 @@ class Flights:
         with self._safe():
             if self._loop is not None:
                 self._loop.end()
-            self._loop, self.k = Loop(self.rig, self.wiring, self.guard, self.clock), 0
+            self._loop, self.k = FlightLoop(self.rig, self.wiring, self.guard, self.clock), 0
             self._loop.begin()
             self._y = self._loop.sample(self._loop.read(0))
             return self._y
@@ -147,5 +147,5 @@ class Flights:
         except BaseException as error:
             self.end()
             if isinstance(error, OSError):
-                raise broken(error) from error
+                raise connection_fault(error) from error
             raise

@@ -24,9 +24,8 @@ from dynasindy.evaluation.source import Source, alike_ends
 from dynasindy.excitation import Excitation
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
-from dynasindy.rig.flight import ROUNDING, Flown, Guard, fly
-from dynasindy.rig.log import heading
-from dynasindy.rig.shown import LAST, Shown
+from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
+from dynasindy.rig.log import LAST, FlightRecord, column_headings
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Diverged, Signature
@@ -127,8 +126,8 @@ class Session:
     folder: Path
     tell: Tell = print
     clock: Clock = time
-    flights: dict[str, Flown] = field(default_factory=dict)
-    shown: dict[str, Shown] = field(default_factory=dict)
+    flights: dict[str, FlightResult] = field(default_factory=dict)
+    shown: dict[str, FlightRecord] = field(default_factory=dict)
     model: SindyModel | None = None
     learnt: Controller | None = None
 
@@ -137,7 +136,7 @@ class Session:
         """Whether a flight was ended by a fault."""
         return any(flown.fault is not None for flown in self.flights.values())
 
-    def excite(self, signal: Excitation) -> Flown | None:
+    def excite(self, signal: Excitation) -> FlightResult | None:
         """Move the rig by a signal that begins at `signal.first` of its strength, open loop, into `excitation.csv`.
 
         An excitation that an earlier session in the same folder has finished is not repeated. One that was cut short
@@ -181,7 +180,7 @@ class Session:
         for path in sorted(self.folder.glob(f"{kind}*.csv"), key=lambda path: (len(path.stem), path.stem)):
             with path.open(newline="", encoding="utf-8") as file:
                 first, *rows = list(csv.reader(file)) or [[]]
-            if first != (wanted := heading(self.wiring)):
+            if first != (wanted := column_headings(self.wiring)):
                 raise ValueError(
                     f"{path} has the columns {', '.join(first)}, and this rig {', '.join(wanted)}; give another folder"
                 )
@@ -223,7 +222,7 @@ class Session:
         self.learnt = controller
         return controller
 
-    def fly(self, controller: Controller, targets: Sequence[Sequence[float]], seconds: float) -> Flown:
+    def run_flight(self, controller: Controller, targets: Sequence[Sequence[float]], seconds: float) -> FlightResult:
         """Hold one target after the other, so many seconds each, and log it to `flight_N.csv`.
 
         Raises:
@@ -251,7 +250,7 @@ class Session:
         numbers = (path.stem.removeprefix("flight_") for path in self.logs("flight"))
         name = f"flight_{max([1, *(int(number) + 1 for number in numbers if number.isdigit())])}"
         flown, path = self._fly(name, _act, len(rows)), self.folder / f"{name}.csv"
-        shown = Shown.of(path, controller.signature, controller.outputs, rows, flown.ended)
+        shown = FlightRecord.of(path, controller.signature, controller.outputs, rows, flown.ended)
         self.shown[name] = shown
         self.tell(f"  {shown.words()}")
         return flown
@@ -297,9 +296,9 @@ class Session:
         for line in signature.own_inputs():
             self.tell(f"  {line}; the rig gets the controller's number, and has to turn it into its own unit")
 
-    def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> Flown:
+    def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> FlightResult:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
-        flown = fly(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard, self.clock)
+        flown = run_flight(self.rig, act, self.wiring, periods, self.folder / f"{name}.csv", self.guard, self.clock)
         self.flights[name] = flown
         self.tell(f"  {flown}")
         return flown

@@ -25,8 +25,8 @@ from dynasindy.rig.base import Array
 from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
-from dynasindy.systems.ranges import Ends, drawn, limits, starts
-from dynasindy.systems.sound import require_plant
+from dynasindy.systems.checks import require_plant
+from dynasindy.systems.ranges import Ends, sample_states, start_ranges, state_limits
 
 BRIDGED = 1
 """Periods without inputs that are bridged with the last ones."""
@@ -251,12 +251,12 @@ def rehearsal(
             "rig=simulated moves a plant by its equations, which nobody knows of this one; give rig=udp and the "
             "address of the rig, rig.host"
         )
-    ends = starts(system.signature, start or {}).double()
+    ends = start_ranges(system.signature, start or {}).double()
 
     def _begins(batch: torch.Size) -> torch.Tensor:
-        return drawn(ends, batch, torch.Generator().manual_seed(seed))
+        return sample_states(ends, batch, torch.Generator().manual_seed(seed))
 
-    require_plant(system, _begins, limits(system.signature, bounds or {}))
+    require_plant(system, _begins, state_limits(system.signature, bounds or {}))
     with FarEnd() as end:
         begin = _begins(torch.Size()).numpy()
         port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed, start=begin)

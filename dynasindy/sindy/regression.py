@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.systems.steps import step_of
+from dynasindy.systems.steps import time_step_of
 from dynasindy.systems.transitions import Transitions
 
 DEPENDENT = 1e-13
@@ -147,7 +147,7 @@ def integral_form(library: Theta, data: Transitions) -> Rows:
         `0.5 (Theta(x_k, u_k) + Theta(x_k+1, u_k))`, `(N, n_features)`, and `(x_k+1 - x_k) / dt`, `(N, n_x)`, float64.
     """
     data = data.to(torch.float64)
-    if step_of(library) is not None:
+    if time_step_of(library) is not None:
         return library(data.x, data.u), (data.x_next - data.x) / data.dt
     if len(data) > AT_ONCE:
         theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
@@ -169,7 +169,7 @@ def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
         data: transitions, N rows.
     """
     data = data.to(torch.float64)
-    if step_of(field) is not None:
+    if time_step_of(field) is not None:
         return library(data.x, data.u), (data.x_next - data.x) / data.dt
     bend = field(data.x, data.u) - field(data.x_next, data.u)
     middle = 0.5 * (data.x + data.x_next) + data.dt / 8 * bend

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dynasindy.systems.base import System
 from dynasindy.systems.plain import plain
-from dynasindy.systems.steps import VectorField, step_of, steps_of
+from dynasindy.systems.steps import VectorField, steps_of, time_step_of
 from dynasindy.systems.stops import Stops
 
 COARSE = 1e-3
@@ -59,7 +59,7 @@ def moved(f: VectorField, x: Tensor, u: Tensor, seconds: float, substeps: int = 
     Raises:
         ValueError: The time is not made of whole steps of a difference equation.
     """
-    h, count, difference = steps_of(step_of(f), seconds, substeps)
+    h, count, difference = steps_of(time_step_of(f), seconds, substeps)
     for _ in range(count):
         x = stepped(f, x, u, h, difference)
     return x
@@ -93,17 +93,17 @@ def integrate(
         return sampled(samples, f.step, substeps), touched
     touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
     ends = []
-    h, count, difference = steps_of(step_of(f), dt, substeps)
+    h, count, difference = steps_of(time_step_of(f), dt, substeps)
     for _ in range(count):
         x = stepped(f, x, u, h, difference)
         if stops is not None:
             x, stopped = stops.apply(x)
             touched = touched | stopped
         ends.append(x)
-    return sampled(torch.stack(ends, -2), step_of(f), substeps), touched
+    return sampled(torch.stack(ends, -2), time_step_of(f), substeps), touched
 
 
-def flight(
+def simulate(
     f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
 ) -> tuple[Tensor, Tensor]:
     """Advance states over control periods that follow each other, as `integrate` does again and again.
@@ -128,11 +128,13 @@ def flight(
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
         samples, touched = code.flight(x, u, dt, substeps, stops)
         return sampled(samples, f.step, substeps), touched
-    return repeated(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
+    return repeat_steps(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
 
 
-def repeated(advance: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Advance states period by period, see `flight`.
+def repeat_steps(
+    advance: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], x: Tensor, u: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Advance states period by period, see `simulate`.
 
     Args:
         advance: Return the samples of a period, `(*batch, substeps, n_x)`, and whether a stop was touched, `(*batch,)`.

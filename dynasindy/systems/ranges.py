@@ -15,7 +15,7 @@ Ends = float | Sequence[float]
 """A number, or the two ends of a range."""
 
 
-def limits(signature: Signature, given: Mapping[str, Ends], key: str = "plant.bounds") -> Tensor:
+def state_limits(signature: Signature, given: Mapping[str, Ends], key: str = "plant.bounds") -> Tensor:
     """Return lower and upper limits of states, `(2, n_x)`, infinite where there is none.
 
     Args:
@@ -31,7 +31,7 @@ def limits(signature: Signature, given: Mapping[str, Ends], key: str = "plant.bo
     return _put(signature, both, key, free.clone())
 
 
-def starts(signature: Signature, given: Mapping[str, Ends], key: str = "plant.start") -> Tensor:
+def start_ranges(signature: Signature, given: Mapping[str, Ends], key: str = "plant.start") -> Tensor:
     """Return the ends of the range in which states begin, `(2, n_x)`; those that are not named begin at zero.
 
     Args:
@@ -45,7 +45,7 @@ def starts(signature: Signature, given: Mapping[str, Ends], key: str = "plant.st
     return _put(signature, given, key, torch.zeros(2, signature.n_x))
 
 
-def drawn(ends: Tensor, batch: torch.Size, generator: torch.Generator) -> Tensor:
+def sample_states(ends: Tensor, batch: torch.Size, generator: torch.Generator) -> Tensor:
     """Return states between their ends `(2, n_x)`, `(*batch, n_x)`; nothing is drawn where every range is one value."""
     low, high = ends
     if torch.equal(low, high):
@@ -53,7 +53,7 @@ def drawn(ends: Tensor, batch: torch.Size, generator: torch.Generator) -> Tensor
     return low + (high - low) * torch.rand(*batch, len(low), generator=generator)
 
 
-def rests(
+def read_equilibria(
     signature: Signature, given: Sequence[Mapping[str, Sequence[float]]] | None, key: str = "plant.rests"
 ) -> tuple[Tensor, Tensor] | None:
     """Return states `(n, n_x)` that rest, and the inputs `(n, n_u)` that hold them; None where none are given.

@@ -53,7 +53,7 @@ class Rates:
         return self.f(x, u)
 
 
-def step_of(f: object) -> float | None:
+def time_step_of(f: object) -> float | None:
     """Return the step of a difference equation [s]; None of a differential equation, and of any function.
 
     Raises:

@@ -114,9 +114,9 @@ class Tracking(Task):
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
         self._extents = tuple(_boxes(signature, self.outputs, low, high).tolist())
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
-        self.start = ranges.starts(signature, start or {}, "task.start")
-        self.bounds = ranges.limits(signature, bounds or {}, "task.bounds")
-        self.rests = ranges.rests(signature, rests, "task.rests")
+        self.start = ranges.start_ranges(signature, start or {}, "task.start")
+        self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
+        self.rests = ranges.read_equilibria(signature, rests, "task.rests")
         self.fence = 0.0
         self.followers: Mapping[int, int] = {}
         self._given = set(start or {})
@@ -259,7 +259,7 @@ class Tracking(Task):
         """Return the state in which episodes begin, `(*batch, n_x)`: the origin, unless `start` says otherwise."""
         if self.starts is not None:
             return self.starts[torch.randint(len(self.starts), batch, generator=generator)]
-        x = ranges.drawn(self.start, batch, generator)
+        x = ranges.sample_states(self.start, batch, generator)
         for follower, state in self.followers.items():
             x[..., follower] += x[..., state]
         return x

@@ -17,14 +17,14 @@ from dynasindy.viz.style import GREY, ORANGE, RED, legend_above, styled, time_ax
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
     from dynasindy.rig import Guard, Wiring
     from dynasindy.rig.base import Array
-    from dynasindy.rig.shown import Shown
+    from dynasindy.rig.log import FlightRecord
 
 LATE = 0.02
 """Share of the planned time that is left free beside what was flown, for the line at which a flight ended."""
 
 
 @styled
-def flight(shown: Shown, wiring: Wiring, guard: Guard, name: str) -> Figure:
+def flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
     """Draw a flight on the time that was planned for it.
 
     Args:

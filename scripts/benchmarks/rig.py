@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import add_output, commit
-from dynasindy.rig import Fault, Flown, Guard, UdpRig, Wiring, fly
+from dynasindy.rig import Fault, FlightResult, Guard, UdpRig, Wiring, run_flight
 from dynasindy.rig.base import Array
 from dynasindy.rig.simulated import FAULTS as THEIRS
 from dynasindy.rig.simulated import FarEnd, Record
@@ -115,7 +115,7 @@ def _go_wrong(fault: str, seconds: float) -> Array:
 
 def _flown(
     end: FarEnd, hertz: float, theirs: dict[str, int], act: Callable[[Array, float], Array], periods: int
-) -> tuple[Flown, Record, int]:
+) -> tuple[FlightResult, Record, int]:
     """Return what came of a flight, what the rig saw, and the rows of the log."""
     wiring = Wiring(Pendulum().signature, (True, True), 1 / hertz)
     guard = Guard({"theta": -50.0}, {"theta": 50.0}, lost=0)
@@ -123,10 +123,10 @@ def _flown(
     with tempfile.TemporaryDirectory() as folder:
         log, rig = Path(folder) / "log.csv", UdpRig(2, 1, port=port)
         try:
-            flown = fly(rig, act, wiring, periods, log, guard)
+            flown = run_flight(rig, act, wiring, periods, log, guard)
         except KeyboardInterrupt:
             stopped = len(log.read_text().splitlines()) - 1
-            flown = Flown(stopped, Fault("stopped", "by a signal"), np.zeros(0), np.zeros(1))
+            flown = FlightResult(stopped, Fault("stopped", "by a signal"), np.zeros(0), np.zeros(1))
         rig.close()
         rows = len(log.read_text().splitlines()) - 1
     return flown, end.end(), rows

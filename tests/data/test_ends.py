@@ -11,7 +11,7 @@ import yaml
 
 from dynasindy.data.csv import CsvLog
 from dynasindy.evaluation.identification import Logged
-from dynasindy.systems import Unknown
+from dynasindy.systems import BlackBox
 from dynasindy.tasks import base
 
 
@@ -204,7 +204,7 @@ def test_ends_of_a_state_are_refused(tmp_path):
         CsvLog(path, {"level": {"name": "level", "low": 0, "high": 2}}, VALVE).read()
 
 
-PLANT = Unknown({"level": "m"}, {"valve": {"low": 4, "high": 20, "unit": "mA"}}).signature
+PLANT = BlackBox({"level": "m"}, {"valve": {"low": 4, "high": 20, "unit": "mA"}}).signature
 
 
 @pytest.mark.parametrize(("heading", "given"), [("valve [mA]", "valve"), ("valve", "valve"), ("i [A]", "scaled")])

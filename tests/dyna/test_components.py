@@ -14,7 +14,7 @@ from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.envs import LateEnv
+from dynasindy.envs import DelayedEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -159,7 +159,7 @@ def pendulum(periods, sensors=None):
             reward=TrackingReward((4.0,)),
             max_steps=80,
         ),
-        env=partial(LateEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
+        env=partial(DelayedEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
         excitation=partial(Multisine, duration=4.0, amplitude=[0.3]),
         world_model=partial(
             SindyModel,

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.late import LateEnv
+from dynasindy.envs.input_delay import DelayedEnv
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi, integrate
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
@@ -326,7 +326,7 @@ def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_w
 @pytest.mark.parametrize("delay", [0.0, 0.07])
 def test_periods_that_follow_each_other_are_advanced_one_by_one(delay):
     """Also where inputs are late, of which only `advance` knows."""
-    env = LateEnv.around(make(), delay) if delay else make()
+    env = DelayedEnv.around(make(), delay) if delay else make()
     rng, x = torch.Generator().manual_seed(0), torch.zeros(3, 6)
     u = 2 * torch.rand(8, 3, 2, generator=rng) - 1
     if delay:

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from tensordict.nn import TensorDictModule
 
 from dynasindy.dyna.verdict import judge_run
-from dynasindy.envs import ControlEnv, LateEnv
+from dynasindy.envs import ControlEnv, DelayedEnv
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.held import Held
@@ -211,7 +211,7 @@ def test_a_delay_is_not_negative():
     plant = Pendulum()
     task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)))
     with pytest.raises(ValueError, match="allowed is 0 or more"):
-        LateEnv.around(ControlEnv(plant, task), -0.1)
+        DelayedEnv.around(ControlEnv(plant, task), -0.1)
 
 
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
@@ -269,7 +269,7 @@ def test_a_period_to_try_is_told_in_place_of_a_longer_plan_where_a_plan_fails(fl
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    plain, late = ControlEnv(plant, task), LateEnv.around(ControlEnv(plant, task), 0.02)
+    plain, late = ControlEnv(plant, task), DelayedEnv.around(ControlEnv(plant, task), 0.02)
     drawn = [
         float(env.with_task(task, *seed).reset()["reference"]) for env in (plain, late) for seed in ((), (0,), (1,))
     ]

@@ -17,7 +17,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ImaginedReplay
-from dynasindy.rig import FastClock, Fault, Flights, Guard, InProcessRig, RigEnv, Wiring
+from dynasindy.rig import FastClock, Fault, FlightSequence, Guard, InProcessRig, RigEnv, Wiring
 from dynasindy.rig.env import WARM
 from dynasindy.sensing import Observer, Sensing, Sensors, Wired
 from dynasindy.sindy import SindyModel
@@ -56,7 +56,7 @@ def rigged(sensors=None, guard=None, max_steps=12, **settings):
     clock = FastClock()
     rig = Placed(PLANT, sensors, clock, SAFE, **settings)
     seen = (True, True) if sensors is None else tuple(name in sensors.channels for name in ("theta", "Omega"))
-    flights = Flights(rig, Wiring(PLANT.signature, seen, 0.05), guard or Guard(lost=0), clock=clock)
+    flights = FlightSequence(rig, Wiring(PLANT.signature, seen, 0.05), guard or Guard(lost=0), clock=clock)
     return rig, RigEnv(PLANT, task(max_steps), flights)
 
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from dynasindy.data.csv import CsvLog
-from dynasindy.rig import FastClock, Fault, Guard, InProcessRig, UdpRig, Wiring, fly
+from dynasindy.rig import FastClock, Fault, Guard, InProcessRig, UdpRig, Wiring, run_flight
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, rk4
@@ -46,7 +46,7 @@ def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **setting
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
     try:
-        return fly(rig, act, WIRING, periods, tmp_path / "log.csv", guard), server.record
+        return run_flight(rig, act, WIRING, periods, tmp_path / "log.csv", guard), server.record
     finally:
         rig.close()
         thread.join()
@@ -89,7 +89,7 @@ def test_a_state_without_a_sensor_has_no_column(tmp_path):
         shown.append(y)
         return np.array([0.5])
 
-    fly(rig, act, replace(WIRING, seen=(True, False)), 4, tmp_path / "log.csv", PATIENT)
+    run_flight(rig, act, replace(WIRING, seen=(True, False)), 4, tmp_path / "log.csv", PATIENT)
     rig.close()
     thread.join()
     assert np.isnan(np.array(shown)[:, 1]).all()
@@ -169,7 +169,7 @@ def test_inputs_beyond_what_an_actuator_reaches_never_leave(tmp_path):
     """A pump that takes 0 to 12 V gets no -0.1 of it."""
     rig = InProcessRig(Pendulum(), clock=FastClock())
     pump = replace(WIRING, signature=replace(WIRING.signature, input_limits=((0.0, 1.0),)))
-    result = fly(rig, lambda y, t: [0.3 - t], pump, 20, tmp_path / "log.csv", clock=rig.clock)
+    result = run_flight(rig, lambda y, t: [0.3 - t], pump, 20, tmp_path / "log.csv", clock=rig.clock)
     assert result.periods == 7 and result.fault.kind == "controller"  # 0.3 s are six periods and their first sample
     assert "not 1 numbers in [0, 1]" in str(result.fault) and rig.u.tolist() == [0.0]
 
@@ -183,7 +183,7 @@ def test_a_controller_that_hangs_is_overtaken_by_the_watchdog(tmp_path):
             assert rig.resting.wait(20.0), "nobody asked for the safe input while the controller hung"
         return np.array([0.1])
 
-    result = fly(rig, act, WIRING, 9, tmp_path / "log.csv", Guard(late=6.0))
+    result = run_flight(rig, act, WIRING, 9, tmp_path / "log.csv", Guard(late=6.0))
     assert (result.fault.kind, result.periods) == ("late", 3)
     assert rig.told == ["inputs"] * 3 + ["rest"] * 2
 
@@ -192,7 +192,7 @@ def test_a_controller_that_hangs_is_overtaken_by_the_watchdog(tmp_path):
 def test_a_rig_that_hangs_is_asked_for_its_safe_input_last(tmp_path, hang):
     """Inputs that were applied after the watchdog had barked are overruled again."""
     rig = Noticing(hang)
-    result = fly(
+    result = run_flight(
         rig, lambda y, t: np.array([0.1]), WIRING, 3 if hang == "write" else 9, tmp_path / "log.csv", Guard(late=3.0)
     )
     assert result.fault.kind == "late"
@@ -221,7 +221,7 @@ def test_a_sample_that_comes_late_is_not_taken_for_the_next_one(tmp_path):
 
     # Sample 2 is late: its period is bridged, and it is thrown away when it comes. Sample 5 never comes.
     samples = [(0, a[0]), (1, a[1]), (1, None), (2, a[2]), (3, a[3]), (4, a[4]), (6, a[6]), (7, a[7])]
-    result = fly(Numbered(samples), act, WIRING, 8, tmp_path / "log.csv", Guard(late=50.0))
+    result = run_flight(Numbered(samples), act, WIRING, 8, tmp_path / "log.csv", Guard(late=50.0))
     assert result.fault is None
     np.testing.assert_equal(shown, [(0, 0), (1, 1), (2, np.nan), (3, 3), (4, 4), (6, 6), (7, 7)])
     rows = [row.split(",")[:2] for row in (tmp_path / "log.csv").read_text().splitlines()[1:]]
@@ -236,7 +236,7 @@ def test_an_error_of_the_rig_at_the_end_does_not_leave_the_watchdog_alone(tmp_pa
 
     before = threading.active_count()
     with pytest.raises(OSError, match="cut"):
-        fly(Cut(), swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
+        run_flight(Cut(), swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
     assert threading.active_count() == before
 
 
@@ -244,9 +244,9 @@ def test_what_cannot_be_logged_or_guarded_is_found_before_anything_moves(tmp_pat
     rig = Noticing()
     (tmp_path / "log.csv").write_text("mine")
     with pytest.raises(ValueError, match=r"exists already; give another folder"):
-        fly(rig, swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
+        run_flight(rig, swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
     with pytest.raises(ValueError, match=r"'thta', which is not measured; allowed are theta, Omega"):
-        fly(rig, swing, WIRING, 2, tmp_path / "other.csv", Guard(low={"thta": -1.0}))
+        run_flight(rig, swing, WIRING, 2, tmp_path / "other.csv", Guard(low={"thta": -1.0}))
     with pytest.raises(ValueError, match=r"keeps theta within 1\.0 to 0\.5"):
         Guard(low={"theta": 1.0}, high={"theta": 0.5})
     assert rig.told == []
@@ -264,7 +264,7 @@ def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
     with pytest.raises(KeyboardInterrupt):
-        fly(rig, act, WIRING, 9, tmp_path / "log.csv", PATIENT)
+        run_flight(rig, act, WIRING, 9, tmp_path / "log.csv", PATIENT)
     rig.close()
     thread.join()
     for u in server.record.applied[5:]:
@@ -295,7 +295,7 @@ def test_one_lost_sample_is_shown_as_nan_and_bridged(tmp_path):
 
     y = np.array([0.1, 0.2])
     rig = Polled([y, None, y, None, None, y])
-    result = fly(rig, act, replace(WIRING, dt=0.01), 6, tmp_path / "log.csv", Guard(late=50.0, lost=1))
+    result = run_flight(rig, act, replace(WIRING, dt=0.01), 6, tmp_path / "log.csv", Guard(late=50.0, lost=1))
     assert [np.isnan(v).all() for v in shown] == [False, True, False, True]
     assert (result.fault.kind, result.periods, rig.rested, len(rig.written)) == ("lost", 4, 1, 4)
     assert str(result.fault) == "2 samples in a row did not come, and guard.lost=1 is allowed"
@@ -315,7 +315,7 @@ def test_a_period_that_begins_late_is_told(tmp_path):
         def rest(self):
             pass
 
-    result = fly(Slow(), swing, replace(WIRING, dt=0.01), 4, tmp_path / "log.csv", Guard(late=100.0))
+    result = run_flight(Slow(), swing, replace(WIRING, dt=0.01), 4, tmp_path / "log.csv", Guard(late=100.0))
     assert (result.jitter >= np.array([0.019, 0.038, 0.057])).all()
 
 
@@ -330,7 +330,7 @@ def test_a_broken_connection_is_one_line(tmp_path):
             self.rested += 1
 
     rig = Broken()
-    result = fly(rig, swing, replace(WIRING, dt=0.01), 4, tmp_path / "log.csv", PATIENT)
+    result = run_flight(rig, swing, replace(WIRING, dt=0.01), 4, tmp_path / "log.csv", PATIENT)
     assert (result.fault.kind, rig.rested, result.periods) == ("connection", 1, 0)
     assert "the cable is out" in str(result)
 
@@ -365,7 +365,7 @@ def test_a_rig_that_never_sends_a_sample_is_told_with_what_came_instead(tmp_path
         rig = UdpRig(2, 1, port=far.getsockname()[1])
         thread = threading.Thread(target=lambda: far.sendto(b"DYN1" + bytes(12), far.recvfrom(100)[1]))
         thread.start()
-        result = fly(rig, swing, replace(WIRING, dt=0.01), 9, tmp_path / "log.csv", Guard(late=9.0, lost=3))
+        result = run_flight(rig, swing, replace(WIRING, dt=0.01), 9, tmp_path / "log.csv", Guard(late=9.0, lost=3))
         thread.join()
         rig.close()
     assert result.fault is not None and result.fault.kind == "lost"
@@ -388,7 +388,7 @@ def test_inputs_that_end_a_flight_are_among_those_of_which_the_slowest_is_told(t
         return np.array([0.1])
 
     clock = FastClock()
-    result = fly(Slow(), act, WIRING, 12, tmp_path / "log.csv", Guard(late=0.5), clock)
+    result = run_flight(Slow(), act, WIRING, 12, tmp_path / "log.csv", Guard(late=0.5), clock)
     assert result.fault is not None and result.fault.kind == "late"
     assert "inputs after 40.00 ms at most" in str(result)
     assert "or give more than guard.late=0.5 of a period; the rig was asked" in str(result)

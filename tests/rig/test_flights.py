@@ -5,7 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from dynasindy.rig import FastClock, Fault, Flights, Guard, Wiring
+from dynasindy.rig import FastClock, Fault, FlightSequence, Guard, Wiring
 from dynasindy.systems import Pendulum
 
 WIRING = Wiring(Pendulum().signature, (True, True), 0.05)
@@ -39,7 +39,7 @@ class Noting:
 def flights(samples=None, clock=None, **settings):
     clock = clock or FastClock()
     rig = Noting(clock, samples)
-    return rig, Flights(rig, WIRING, clock=clock, **settings)
+    return rig, FlightSequence(rig, WIRING, clock=clock, **settings)
 
 
 def u(value):
@@ -124,7 +124,7 @@ def test_a_rig_that_went_on_alone_is_not_followed():
 
     clock = FastClock()
     rig = Numbered(clock, [0, 1, 3])
-    flown = Flights(rig, WIRING, clock=clock)
+    flown = FlightSequence(rig, WIRING, clock=clock)
     flown.begin()
     flown.period(u(0.1))
     with pytest.raises(Fault, match="went on by 1 periods") as found:
@@ -140,7 +140,7 @@ def test_whatever_ends_a_period_leaves_the_rig_at_its_safe_input(error):
 
     before = threading.active_count()
     rig = Failing(FastClock())
-    flown = Flights(rig, WIRING, clock=rig.clock)
+    flown = FlightSequence(rig, WIRING, clock=rig.clock)
     flown.begin()
     with pytest.raises(Fault if isinstance(error, OSError) else error):
         flown.period(u(0.1))

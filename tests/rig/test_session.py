@@ -20,7 +20,7 @@ from dynasindy.rig.session import Knowledge, Session, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Diverged, Pendulum, Signature, Unknown
+from dynasindy.systems import BlackBox, Diverged, Pendulum, Signature
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 COUNT = 2 * np.pi / 4096
@@ -169,7 +169,7 @@ def blind(folder, delay=0.0, unit="rad", inputs=("u",), **settings):
     """Return a session with a pendulum of which nobody knows more than a name and a unit, and its rig."""
     clock = FastClock()
     rig = AngleOnly(Pendulum(), Sensors({"theta": {"resolution": COUNT}}), clock, delay=delay)
-    wiring = Wiring(Unknown({"theta": unit}, inputs).signature, (True,), 0.05)
+    wiring = Wiring(BlackBox({"theta": unit}, inputs).signature, (True,), 0.05)
     return Session(rig, wiring, Guard(**settings), folder, tell=lambda line: None, clock=clock), rig
 
 
@@ -217,7 +217,7 @@ def test_a_log_of_a_rig_known_by_names_says_the_same_in_a_session_and_to_the_com
     session, _ = blind(tmp_path, inputs=pump)
     session.excite(Multisine(1, duration=10, dt=0.05, amplitude=0.3, offset=0.4, seed=0))
     mine = session._source(False).with_rates({"theta": "Omega"})
-    plant, known = Unknown({"theta": "rad"}, pump), {"theta": "Omega"}
+    plant, known = BlackBox({"theta": "rad"}, pump), {"theta": "Omega"}
     theirs = Logged(str(tmp_path / "excitation.csv"), known=known).load(plant, None)
     assert mine.signature.alike(theirs.signature) and theirs.signature.state_names == ("theta", "Omega")
     assert mine.signature.x_scale == pytest.approx(theirs.signature.x_scale)

@@ -9,11 +9,11 @@ from dynasindy.systems import (
     Stops,
     System,
     Tras,
-    flight,
     integrate,
     moved,
-    repeated,
+    repeat_steps,
     rk4,
+    simulate,
     steps_needed,
 )
 
@@ -163,8 +163,8 @@ def test_a_flight_is_its_periods_one_by_one(make, n_u, dtype):
     stops = Stops((0,), (1,), (-0.02,), (0.02,))
     x = 0.02 * torch.randn(5, system.signature.n_x, generator=rng).to(dtype)
     u = 2 * torch.rand(30, 5, n_u, generator=rng).to(dtype) - 1
-    samples, touched = flight(system, x, u, 0.05, 3, stops)
-    wanted, hit = repeated(lambda x, u: integrate(system, x, u, 0.05, 3, stops), x, u)
+    samples, touched = simulate(system, x, u, 0.05, 3, stops)
+    wanted, hit = repeat_steps(lambda x, u: integrate(system, x, u, 0.05, 3, stops), x, u)
     assert samples.shape == (30, 5, 3, system.signature.n_x)
     assert torch.equal(samples, wanted) and torch.equal(touched, hit)
     assert touched.any() and not touched.all()
@@ -173,6 +173,6 @@ def test_a_flight_is_its_periods_one_by_one(make, n_u, dtype):
 def test_a_flight_under_gradients_has_them():
     system = Pendulum()
     u = torch.zeros(4, 1, 1, requires_grad=True)
-    samples, _ = flight(system, torch.zeros(1, system.signature.n_x), u, 0.05, 2)
+    samples, _ = simulate(system, torch.zeros(1, system.signature.n_x), u, 0.05, 2)
     samples[-1, 0, -1, 0].backward()
     assert u.grad is not None and bool((u.grad != 0).all())

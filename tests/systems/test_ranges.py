@@ -4,44 +4,47 @@ import pytest
 import torch
 
 from dynasindy.systems import Signature
-from dynasindy.systems.ranges import drawn, limits, rests, starts
+from dynasindy.systems.ranges import read_equilibria, sample_states, start_ranges, state_limits
 
 SIGNATURE = Signature(("q", "v", "w"), ("m", "m/s", "1"), ("u",), (1.0, 1.0, 1.0))
 
 
 def test_a_limit_is_meant_for_both_sides_of_zero_and_a_start_for_a_value():
-    assert limits(SIGNATURE, {"q": 2.0, "w": [-1, 3.5]}).tolist() == [[-2.0, -math.inf, -1.0], [2.0, math.inf, 3.5]]
-    assert starts(SIGNATURE, {"q": 2.0, "w": [-1, 3.5]}).tolist() == [[2.0, 0.0, -1.0], [2.0, 0.0, 3.5]]
-    assert limits(SIGNATURE, {}).isinf().all()
+    assert state_limits(SIGNATURE, {"q": 2.0, "w": [-1, 3.5]}).tolist() == [
+        [-2.0, -math.inf, -1.0],
+        [2.0, math.inf, 3.5],
+    ]
+    assert start_ranges(SIGNATURE, {"q": 2.0, "w": [-1, 3.5]}).tolist() == [[2.0, 0.0, -1.0], [2.0, 0.0, 3.5]]
+    assert state_limits(SIGNATURE, {}).isinf().all()
 
 
 @pytest.mark.parametrize(
     "given", [{"x": 1.0}, {"q": [1.0]}, {"q": [2.0, 1.0]}, {"q": [0.0, math.inf]}, {"q": math.nan}]
 )
 def test_what_is_no_range_of_a_state_is_refused(given):
-    for build in (limits, starts):
+    for build in (state_limits, start_ranges):
         with pytest.raises(ValueError, match="name one of the states q, v, w, with a value or the two ends of a range"):
             build(SIGNATURE, given)
     with pytest.raises(ValueError, match=r"^task\.bounds has"):
-        limits(SIGNATURE, given, "task.bounds")
+        state_limits(SIGNATURE, given, "task.bounds")
 
 
 def test_states_are_drawn_evenly_between_their_ends():
-    ends, generator = starts(SIGNATURE, {"q": [1.0, 3.0], "v": 0.5}), torch.Generator().manual_seed(0)
-    x = drawn(ends, torch.Size((4000,)), generator)
+    ends, generator = start_ranges(SIGNATURE, {"q": [1.0, 3.0], "v": 0.5}), torch.Generator().manual_seed(0)
+    x = sample_states(ends, torch.Size((4000,)), generator)
     assert x.shape == (4000, 3) and x[:, 1].unique().tolist() == [0.5] and not x[:, 2].any()
     assert float(x[:, 0].mean()) == pytest.approx(2.0, abs=0.05)
     assert float(x[:, 0].var()) == pytest.approx(4 / 12, rel=0.05)  # of a uniform distribution, width^2 / 12
     before = generator.get_state()
-    assert drawn(starts(SIGNATURE, {"q": 1.0}), torch.Size(), generator).tolist() == [1.0, 0.0, 0.0]
+    assert sample_states(start_ranges(SIGNATURE, {"q": 1.0}), torch.Size(), generator).tolist() == [1.0, 0.0, 0.0]
     assert torch.equal(before, generator.get_state())
 
 
 def test_rests_are_a_number_per_state_and_per_input():
-    x, u = rests(SIGNATURE, [{"x": [1.0, 0.0, 2.0], "u": [0.5]}, {"x": [2, 0, 4], "u": [1]}])
+    x, u = read_equilibria(SIGNATURE, [{"x": [1.0, 0.0, 2.0], "u": [0.5]}, {"x": [2, 0, 4], "u": [1]}])
     assert x.tolist() == [[1.0, 0.0, 2.0], [2.0, 0.0, 4.0]] and u.tolist() == [[0.5], [1.0]]
     assert x.dtype == u.dtype == torch.float64
-    assert rests(SIGNATURE, None) is rests(SIGNATURE, []) is None
+    assert read_equilibria(SIGNATURE, None) is read_equilibria(SIGNATURE, []) is None
 
 
 @pytest.mark.parametrize(
@@ -57,4 +60,4 @@ def test_rests_are_a_number_per_state_and_per_input():
 )
 def test_what_is_no_rest_is_refused_with_the_names_of_states_and_inputs(rest):
     with pytest.raises(ValueError, match=r"task\.rests has .* the states q, v, w and one in .* the inputs u$"):
-        rests(SIGNATURE, [{"x": [0.0, 0.0, 0.0], "u": [0.0]}, rest], "task.rests")
+        read_equilibria(SIGNATURE, [{"x": [0.0, 0.0, 0.0], "u": [0.0]}, rest], "task.rests")

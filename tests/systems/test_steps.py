@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Pendulum, Signature, System
-from dynasindy.systems.steps import UNTOLD, Rates, step_of, steps_of
+from dynasindy.systems.steps import UNTOLD, Rates, steps_of, time_step_of
 
 
 def test_a_differential_equation_takes_as_many_steps_as_it_is_told():
@@ -31,9 +31,9 @@ def test_a_function_is_of_a_difference_equation_where_it_says_so():
     def field(x, u):
         return 2 * x
 
-    assert step_of(field) is None and step_of(Pendulum()) is None
+    assert time_step_of(field) is None and time_step_of(Pendulum()) is None
     rates = Rates(field, 0.2)
-    assert step_of(rates) == 0.2 and float(rates(torch.tensor(3.0), torch.zeros(1))) == 6.0
+    assert time_step_of(rates) == 0.2 and float(rates(torch.tensor(3.0), torch.zeros(1))) == 6.0
 
 
 class Tank(System):
@@ -72,10 +72,10 @@ def test_a_plant_with_another_step_is_told_that_the_word_is_taken(build, own):
 
 
 def test_a_plant_is_a_difference_equation_where_its_class_has_a_number():
-    assert step_of(Sampled()) == 0.1 and step_of(Tank()) is None
+    assert time_step_of(Sampled()) == 0.1 and time_step_of(Tank()) is None
 
 
 @pytest.mark.parametrize("step", [True, "0.1", lambda: 0.1])
 def test_what_is_no_number_is_no_step(step):
     with pytest.raises(TypeError, match="step is a word of System"):
-        step_of(Rates(Tank(), step))
+        time_step_of(Rates(Tank(), step))

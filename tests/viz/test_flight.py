@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynasindy.rig import Guard, Wiring
-from dynasindy.rig.shown import Shown
+from dynasindy.rig.log import FlightRecord
 from dynasindy.systems import Signature
 from dynasindy.viz.flight import excitation, flight
 
@@ -14,7 +14,7 @@ SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
 WIRING = Wiring(SIGNATURE, (True, False), 0.1)
 TIME = 0.1 * np.arange(5)
 OUTPUTS = np.stack([np.linspace(0.0, 0.4, 5), np.full(5, np.nan)], -1)
-ENDED = Shown(
+ENDED = FlightRecord(
     ("theta", "level"), ("rad", "m"), TIME, np.tile([0.3, 0.5], (5, 1)), OUTPUTS, np.full((5, 1), 0.2),
     np.ones(5, dtype=bool), 20, "range: theta is 0.5, outside of -0.45 to 0.45",
 )  # fmt: skip

@@ -2,8 +2,8 @@
 
 import pytest
 
-from dynasindy.systems import Unknown
-from dynasindy.systems.reach import PLAIN, Reach, acting
+from dynasindy.systems import BlackBox
+from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling, actuator_units
 
 
 @pytest.mark.parametrize(
@@ -19,10 +19,10 @@ from dynasindy.systems.reach import PLAIN, Reach, acting
     ],
 )
 def test_zero_stays_zero_or_becomes_what_is_said_on_a_rig_as_in_a_log(low, high, given, rest, one, limits):
-    reach = Reach.of(low, high, given)
+    reach = ActuatorScaling.of(low, high, given)
     assert (reach.rest, reach.unit, reach.both) == (rest, one, (rest - one, rest + one))
     assert reach.limits == pytest.approx(limits)
-    signature = Unknown({"h": "m"}, {"pump": {"low": low, "high": high, "rest": given, "unit": "V"}}).signature
+    signature = BlackBox({"h": "m"}, {"pump": {"low": low, "high": high, "rest": given, "unit": "V"}}).signature
     assert signature.in_own_units([0.0])[0] == rest and signature.in_own_units([1.0])[0] == rest + one
     assert signature.in_own_units([limits[0]]) == pytest.approx([low])
     assert signature.input_units == ("V",)
@@ -31,9 +31,9 @@ def test_zero_stays_zero_or_becomes_what_is_said_on_a_rig_as_in_a_log(low, high,
 @pytest.mark.parametrize("rest", [-0.1, 12.1, 1500])
 def test_a_rest_that_the_actuator_does_not_reach_is_refused(rest):
     with pytest.raises(ValueError, match=rf"low 0 to high 12 was given rest {rest:g}, which it does not reach"):
-        Reach.of(0, 12, rest)
+        ActuatorScaling.of(0, 12, rest)
 
 
 def test_what_is_as_in_every_plant_is_left_out():
-    assert acting([PLAIN, PLAIN], ["-", "-"]) == {}
-    assert acting([Reach.of(0, 1)], ["<b>"]) == {"input_limits": ((0.0, 1.0),)}
+    assert actuator_units([PLAIN, PLAIN], ["-", "-"]) == {}
+    assert actuator_units([ActuatorScaling.of(0, 1)], ["<b>"]) == {"input_limits": ((0.0, 1.0),)}

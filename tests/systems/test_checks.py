@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Pendulum, Signature, System, Tras
-from dynasindy.systems.sound import rates, require_plant, shapes
+from dynasindy.systems.checks import rates, require_plant, shapes
 
 FREE = torch.tensor([[-math.inf], [math.inf]])
 

@@ -21,7 +21,7 @@ from dynasindy.systems.base import UNIT, WHOLE
 
 
 @dataclass(frozen=True)
-class Reach:
+class ActuatorScaling:
     """Say what an actuator reaches, in its own unit, and what of it becomes 0 and 1.
 
     Attributes:
@@ -35,7 +35,7 @@ class Reach:
     rest: float
 
     @classmethod
-    def of(cls, low: float, high: float, rest: float | None = None) -> Reach:
+    def of(cls, low: float, high: float, rest: float | None = None) -> ActuatorScaling:
         """Return what lies between two ends; it rests at zero, or at the end next to zero.
 
         Args:
@@ -69,11 +69,11 @@ class Reach:
         return (self.low - self.rest) / self.unit, (self.high - self.rest) / self.unit
 
 
-PLAIN = Reach(-1.0, 1.0, 0.0)
+PLAIN = ActuatorScaling(-1.0, 1.0, 0.0)
 """An input that is in [-1, 1] already."""
 
 
-def acting(found: Sequence[Reach], units: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+def actuator_units(found: Sequence[ActuatorScaling], units: Sequence[str]) -> dict[str, tuple[Any, ...]]:
     """Return what a signature holds of inputs with units of their own; nothing of what is as in every plant.
 
     Args:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.rig.shown import Shown, samples
+from dynasindy.rig.log import FlightRecord, samples
 from dynasindy.systems import Signature
 
 SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
@@ -23,7 +23,7 @@ LOG = """time [s],theta [rad],u [-]
 def flight(tmp_path):
     (tmp_path / "flight_1.csv").write_text(LOG)
     targets = [[1.0, 0.0]] * 4 + [[-1.0, 0.0]] * 4
-    return Shown.of(tmp_path / "flight_1.csv", SIGNATURE, ("theta", "level"), targets)
+    return FlightRecord.of(tmp_path / "flight_1.csv", SIGNATURE, ("theta", "level"), targets)
 
 
 def test_the_last_half_of_each_target_counts(flight):
@@ -52,12 +52,12 @@ def test_samples_are_those_of_the_log_in_the_order_of_the_plant(tmp_path):
 
 def test_a_flight_that_ended_early_is_shown_as_far_as_it_went(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(LOG.splitlines()[:3]))
-    short = Shown.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
+    short = FlightRecord.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
     assert len(short.time) == len(short.references) == 2
     assert short.errors()[0] == pytest.approx(4.0)
     (tmp_path / "none.csv").write_text(LOG.splitlines()[0] + "\n")
     assert "last half of each target, of the 2 periods of 8 that were flown: theta to 4 rad" in short.words()
-    none = Shown.of(tmp_path / "none.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
+    none = FlightRecord.of(tmp_path / "none.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
     assert none.words() == "no period was flown, so there is no error to tell"
 
 
@@ -67,5 +67,5 @@ def test_an_error_below_the_step_of_an_encoder_is_no_number_of_the_plant(tmp_pat
     counts = np.round(-20 * np.exp(-np.arange(120) / 12))  # all of the last half at zero
     log = "\n".join(["time [s],theta [rad],u [-]", *(f"{0.1 * k},{0.01 * c:.2f},0" for k, c in enumerate(counts))])
     (tmp_path / "log.csv").write_text(log)
-    shown = Shown.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[0.01 * off]] * 120)
+    shown = FlightRecord.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[0.01 * off]] * 120)
     assert shown.words() == f"mean error over the last half of each target: theta {said}"

@@ -4,21 +4,21 @@ import pytest
 import torch
 
 from dynasindy.rig.simulated import rehearsal
-from dynasindy.systems import Unknown
+from dynasindy.systems import BlackBox
 
 
 def test_names_units_and_ends_are_those_that_were_given_in_their_order():
-    plant = Unknown({"h1": "cm", "h2": "cm"}, {"pump": [0, 12], "valve": [-1, 1]})
+    plant = BlackBox({"h1": "cm", "h2": "cm"}, {"pump": [0, 12], "valve": [-1, 1]})
     signature = plant.signature
     assert signature.state_names == ("h1", "h2") and signature.state_units == ("cm", "cm")
     assert signature.input_names == ("pump", "valve") and signature.input_units == ()
     assert signature.in_own_units([[0, 0], [1, 1]]).tolist() == [[0, 0], [12, 1]]  # zero is 0 V, as in a log
     assert signature.input_limits == ((0.0, 1.0), (-1.0, 1.0))
-    assert Unknown({"angle": "rad"}, ["motor"]).signature.input_ends == ()
+    assert BlackBox({"angle": "rad"}, ["motor"]).signature.input_ends == ()
 
 
 def test_nobody_knows_how_it_moves():
-    plant = Unknown({"angle": "rad"}, ["motor"])
+    plant = BlackBox({"angle": "rad"}, ["motor"])
     assert not plant.known
     with pytest.raises(RuntimeError, match="nobody knows its equations"):
         plant(torch.zeros(1), torch.zeros(1))
@@ -41,4 +41,4 @@ def test_nobody_knows_how_it_moves():
 )
 def test_what_is_no_rig_is_refused(states, inputs, message):
     with pytest.raises(ValueError, match=message):
-        Unknown(states, inputs)
+        BlackBox(states, inputs)

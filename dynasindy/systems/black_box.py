@@ -8,14 +8,14 @@ from typing import Any
 
 from torch import Tensor
 
+from dynasindy.systems.actuator_scaling import ActuatorScaling, actuator_units
 from dynasindy.systems.base import UNIT, Signature, System
-from dynasindy.systems.reach import Reach, acting
 
 Actuator = Sequence[float] | Mapping[str, Any]
 """The two ends of an actuator, or `low` and `high` with, if wanted, `rest` and `unit`."""
 
 
-class Unknown(System):
+class BlackBox(System):
     """Names and units of a rig; equations are found from its logs, and so are the ranges of its states.
 
     Args:
@@ -39,7 +39,7 @@ class Unknown(System):
             )
         given = inputs if isinstance(inputs, Mapping) else dict.fromkeys(inputs, (-1.0, 1.0))
         made = [_actuator(name, said) for name, said in given.items()]
-        ends = acting([reach for reach, _ in made], [unit for _, unit in made])
+        ends = actuator_units([reach for reach, _ in made], [unit for _, unit in made])
         super().__init__(Signature(tuple(states), tuple(states.values()), tuple(inputs), (1.0,) * len(states), **ends))
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
@@ -54,7 +54,7 @@ class Unknown(System):
         )
 
 
-def _actuator(name: str, given: Actuator) -> tuple[Reach, str]:
+def _actuator(name: str, given: Actuator) -> tuple[ActuatorScaling, str]:
     """Return what an actuator reaches, and its unit.
 
     Raises:
@@ -71,4 +71,4 @@ def _actuator(name: str, given: Actuator) -> tuple[Reach, str]:
             f"system.inputs has {name}: {given}; give the two ends of its actuator, a lower and a higher number, such "
             "as {pump: [0, 12]}, or with more words {pump: {low: 0, high: 12, rest: 0, unit: V}}"
         )
-    return Reach.of(numbers[0], numbers[1], None if rest is None else numbers[2]), str(unit)
+    return ActuatorScaling.of(numbers[0], numbers[1], None if rest is None else numbers[2]), str(unit)

@@ -14,7 +14,7 @@ from dynasindy.systems import System, integrate
 from dynasindy.tasks import Task
 
 
-class Common(TypedDict, total=False):
+class _Common(TypedDict, total=False):
     """Settings that are passed on, by name; see `ControlEnv`."""
 
     batch_size: tuple[int, ...]
@@ -22,7 +22,7 @@ class Common(TypedDict, total=False):
     seed: int
 
 
-class LateEnv(ControlEnv):
+class DelayedEnv(ControlEnv):
     """An environment whose inputs are late; until the first one arrives they are zero.
 
     In a sample within which the input changes, its mean acts, as a model with a delay is fitted. The delay lies behind
@@ -47,7 +47,7 @@ class LateEnv(ControlEnv):
         dt: float = 0.05,
         substeps: int = 1,
         delay: float = 0.0,
-        **common: Unpack[Common],
+        **common: Unpack[_Common],
     ) -> None:
         if not delay >= 0:
             raise ValueError(f"an input delay is {delay} s; allowed is 0 or more")
@@ -58,7 +58,7 @@ class LateEnv(ControlEnv):
         self.past: deque[Tensor] = deque(maxlen=self.whole + 2)
 
     @classmethod
-    def around(cls, env: ControlEnv, delay: float) -> LateEnv:
+    def around(cls, env: ControlEnv, delay: float) -> DelayedEnv:
         """Return an environment whose inputs are late, with the generator of the one without the delay.
 
         Args:
@@ -73,9 +73,9 @@ class LateEnv(ControlEnv):
         late.rng, late.stops, late.left_beyond = env.rng, env.stops, env.left_beyond
         return late
 
-    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> LateEnv:
+    def with_system(self, system: System, dtype: torch.dtype | None = None, seed: int = 0) -> DelayedEnv:
         """Return this environment around another system, in the same flight."""
-        late = LateEnv.around(super().with_system(system, dtype, seed), self.delay)
+        late = DelayedEnv.around(super().with_system(system, dtype, seed), self.delay)
         late.past = self.past
         return late
 
@@ -83,9 +83,9 @@ class LateEnv(ControlEnv):
         """Return an environment around a model, whose inputs act at once."""
         return super().with_system(model, dtype, seed)
 
-    def with_task(self, task: Task, seed: int = 0) -> LateEnv:
+    def with_task(self, task: Task, seed: int = 0) -> DelayedEnv:
         """Return this environment with another task for the same system."""
-        return LateEnv.around(super().with_task(task, seed), self.delay)
+        return DelayedEnv.around(super().with_task(task, seed), self.delay)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         commanded = tensordict["action"]
