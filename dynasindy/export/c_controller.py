@@ -9,17 +9,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import torch
+
 from dynasindy.agents.networks import MLP
 from dynasindy.control import Controller
-from dynasindy.control.files import network
+from dynasindy.control.files import network, require_states
 from dynasindy.export.c_model import Sources, block, field, places, signature_words
-from dynasindy.export.cost import Cost, Sizes, cost
+from dynasindy.export.c_text import fill, identifiers, module_name, number, reach, rows, single
 from dynasindy.export.expressions import formulas
-from dynasindy.export.filter import Filter
-from dynasindy.export.names import identifiers, module_name, number, rows, single
-from dynasindy.export.templates import fill
 from dynasindy.planning.integral import IntegralAction
+from dynasindy.sensing import Observer
+from dynasindy.sensing.observer import NUDGE, UNKNOWN
+from dynasindy.sindy import SindyModel
+from dynasindy.systems import Stops
+from dynasindy.systems.steps import Steps
 
+NO_STEPS = Steps(0.0, 0, False)
 _HEAD = """/* Written from a controller, not by hand. In each period, in this order:
  *
  *   advance, correct   the observer predicts to the time of the measurement, and takes it in
@@ -37,12 +42,10 @@ class ControllerSources(Sources):
     """A controller in C.
 
     Attributes:
-        cost: What a call takes.
         measured: Names of the states that are read in `y`.
         shape: Numbers of states, of inputs and of tracked states.
     """
 
-    cost: Cost
     measured: tuple[str, ...]
     shape: tuple[int, int, int]
 
@@ -62,29 +65,20 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     task, signature = controller.setup.task, controller.signature
     watching = None if controller.observer is None else Filter.of(controller.observer)
     found = None if watching is None else formulas(watching.model)
-    sizes = Sizes(
-        signature.n_x, signature.n_u, task.n_r,
-        *((0, 0, 0, 0, 0) if watching is None else watching.sizes),
-        tuple((w.shape[1], w.shape[0]) for w, _ in _weights(mlp)),
-        controller.integral is not None,
-        *((0, 0) if found is None else (found.flops, len(found.lines))),
-        0 if watching is None else watching.n_stops,
-        task.observe_rate,
-        watching is not None and watching.model.step is not None,
-    )  # fmt: skip
+    weights = _weights(mlp)
     flags, words = _flags(controller), _words(controller, name)
-    text = f'{_HEAD}#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(sizes, name)}\n{_tables(controller)}'
+    text = f'{_HEAD}#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(watching, name)}\n{_tables(controller)}'
     if watching is not None and found is not None:
         flags |= watching.flags
         words |= watching.words
         text += "\n/* ---- The model ---- */\n\n" + field(watching.model, found) + fill("solve.c", {})
         text += fill("flow.c", words, flags) + fill("observer.c", words, flags)
         text += fill("push.c", words, flags) if "pushed" in flags else ""
-    words |= _policy(mlp, flags) | {"widest": sizes.widest}
+    words |= _policy(weights) | {"widest": max(max(w.shape) for w, _ in weights)}
     text += fill("policy.c", words, flags) + fill("controller.c", words, flags)
-    whole, shape = cost(sizes), (signature.n_x, signature.n_u, task.n_r)
-    words |= {"words": block(_told(controller, whole)), **watching_words(controller)}
-    return ControllerSources(name, fill("controller.h", words, flags), text, whole, measured(controller), shape)
+    shape = signature.n_x, signature.n_u, task.n_r
+    words |= {"words": block(_told(controller)), **watching_words(controller)}
+    return ControllerSources(name, fill("controller.h", words, flags), text, measured(controller), shape)
 
 
 def measured(controller: Controller) -> tuple[str, ...]:
@@ -138,11 +132,12 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
     return words
 
 
-def _sizes(s: Sizes, name: str) -> str:
+def _sizes(watching: Filter | None, name: str) -> str:
     """Return the enumerators of sizes."""
     sizes = {"NX": f"{name}_NX", "NU": f"{name}_NU", "NR": f"{name}_NR"}
-    if s.n:
-        sizes |= {"N": f"{name}_N", "M": str(s.m), "MEMORY": f"{name}_MEMORY", "LATE": str(s.memory - 2)}
+    if watching is not None:
+        late = str(watching.late)
+        sizes |= {"N": f"{name}_N", "M": str(len(watching.sensed)), "MEMORY": f"{name}_MEMORY", "LATE": late}
     return enumerators(sizes)
 
 
@@ -174,14 +169,13 @@ def joined(values: Sequence[float]) -> str:
     return ", ".join(number(value) for value in values)
 
 
-def _weights(mlp: MLP) -> list[tuple]:
+def _weights(mlp: MLP) -> list[tuple[torch.Tensor, torch.Tensor]]:
     return [(layer.weight.detach().float().cpu(), layer.bias.detach().float().cpu()) for layer in mlp.layers()]
 
 
-def _policy(mlp: MLP, flags: set[str]) -> dict[str, object]:
+def _policy(weights: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> dict[str, object]:
     """Return the arrays of weights, and the calls that go through the layers."""
     arrays, calls, here, there = [], [], "a", "b"
-    weights = _weights(mlp)
     for k, (w, b) in enumerate(weights):
         n_out, n_in = w.shape
         for letter, values in (("w", w), ("b", b)):
@@ -192,9 +186,9 @@ def _policy(mlp: MLP, flags: set[str]) -> dict[str, object]:
     return {"weights": "\n".join(arrays), "layers": "\n".join(calls), "last": here}
 
 
-def _told(controller: Controller, whole: Cost) -> list[str]:
+def _told(controller: Controller) -> list[str]:
     """Return what the header tells a reader."""
-    signature, seconds = controller.signature, number(controller.dt)
+    signature = controller.signature
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     targets = controller.targets_in_words()
     return [
@@ -202,6 +196,89 @@ def _told(controller: Controller, whole: Cost) -> list[str]:
         "r: references" + (f", planned for {', '.join(targets)}" if targets else ""),
         *(f"    {i}  {n} [{units[n]}]" for i, n in enumerate(controller.outputs)),
         "",
-        f"Period: {seconds} s. {whole.flops} floating-point operations per call, one of <math.h> counted as one.",
-        f"Bytes: {whole.state} of state, {whole.constants} of constants, about {whole.stack} of stack.",
+        f"Period: {number(controller.dt)} s.",
     ]
+
+
+@dataclass(frozen=True)
+class Filter:
+    """What the observer in C is made of.
+
+    Attributes:
+        model: The identified model.
+        sensed: Places of the states that are measured.
+        words: What stands in the gaps of the templates.
+        flags: Which parts of the templates stay.
+        late: Control periods by which inputs and measurements are late together.
+    """
+
+    model: SindyModel
+    sensed: tuple[int, ...]
+    words: dict[str, object]
+    flags: set[str]
+    late: int
+
+    @classmethod
+    def of(cls, observer: Observer) -> Filter:
+        """Return the numbers of an observer.
+
+        Raises:
+            ValueError: Its model is of another kind, its delay too long, or its stops are at states that do not exist.
+        """
+        if not isinstance(observer.model, SindyModel):
+            raise ValueError(
+                f"the observer works on a {type(observer.model).__name__}, which is not written in C; fit a SindyModel"
+            )
+        whole, part = observer.late()
+        late, dt = observer.sensors.delay + whole, observer.dt
+        sensed = tuple(i for i, r in enumerate(observer.variance.tolist()) if r < torch.inf)
+        rest, parts_of, ahead = (observer.steps(s) if s else NO_STEPS for s in (dt - part, part, dt))
+        rest_steps, part_steps = rest.number, max(1, parts_of.number)
+        stops, n_stops = stop_words(observer.stops, observer.n_x)
+        n = len(observer.scale)
+        scale, followers = observer.scale, observer.model.followers
+        words: dict[str, object] = {
+            "n": n,
+            "memory": late + 2,
+            "step": _joined(NUDGE * scale),
+            "strays": _joined((observer.q * scale).square() * dt),
+            "unknown": _joined((UNKNOWN * scale).square()),
+            "sensed": ", ".join(map(str, sensed)),
+            "variance": _joined(observer.variance[list(sensed)]),
+            "followers": "\n".join(f"    s->x[{i}] = s->x[{state}];" for i, state in followers.items()),
+            "pushed": ", ".join(map(str, observer.pushed)),
+            "pushes_word": " and, behind them, of the pushes, which stay" if observer.pushed else "",
+            "whole_scale": _joined(torch.cat([scale[: observer.n_x], torch.ones(observer.model.signature.n_u)])),
+            "late_words": f"{late} periods" + (f" and {part!r} s" if part else ""),
+            "late_index": ", k" if late else "",
+            "part": number(part), "part_steps": part_steps,
+            "rest": number(dt - part), "rest_steps": rest_steps,
+            "substeps": ahead.number,
+            **stops,
+        }  # fmt: skip
+        parts: dict[str, object] = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part}
+        parts |= {"late": late, "difference": observer.model.step is not None}
+        flags = {flag for flag, there in parts.items() if there} | ({"followers"} if followers else set())
+        return cls(observer.model, sensed, words, flags, late)
+
+
+def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
+    """Return the words for stops and how many they are.
+
+    Raises:
+        ValueError: They are at states that do not exist.
+    """
+    if stops is None or not stops.positions:
+        return {}, 0
+    require_states(stops, n_x)
+    return {
+        "n_stops": len(stops.positions),
+        "stop_position": ", ".join(map(str, stops.positions)),
+        "stop_rate": ", ".join(map(str, stops.rates)),
+        "stop_low": ", ".join(map(reach, stops.low)),
+        "stop_high": ", ".join(map(reach, stops.high)),
+    }, len(stops.positions)
+
+
+def _joined(values: torch.Tensor) -> str:
+    return joined(values.tolist())

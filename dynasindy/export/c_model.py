@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dynasindy.export.c_text import comment, identifiers, module_name, number
 from dynasindy.export.expressions import Formulas, right_sides
-from dynasindy.export.names import comment, identifiers, module_name, number
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
@@ -51,9 +51,9 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     """
     name, signature, found = module_name(name), model.signature, right_sides(model)
     kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
-    each = "" if model.step is None else f"A step takes {model.step!r} s, in which the inputs are held. "
+    each = "" if model.step is None else f"A step takes {model.step!r} s, in which the inputs are held."
     late = f"Inputs act {model.delay!r} s after they are given: u is what acts." if model.delay else ""
-    told = block([*signature_words(signature), "", f"{found.flops} floating-point operations per call. {each}{late}"])
+    told = block([*signature_words(signature), *filter(None, [each, late])])
     n_x, n_u = signature.n_x, max(1, signature.n_u)
     arguments = f"const double x[{n_x}], const double u[{n_u}], double {result}[{n_x}]"
     header = (
@@ -74,7 +74,7 @@ def field(model: SindyModel, found: Formulas) -> str:
 
 def helpers(found: Formulas) -> str:
     """Return the functions that formulas call and <math.h> does not have."""
-    return "".join(f"{text}\n" for name, text in _HELPERS.items() if found.calls[name])
+    return "".join(f"{text}\n" for name, text in _HELPERS.items() if name in found.calls)
 
 
 def places(signature: Signature, name: str) -> str:

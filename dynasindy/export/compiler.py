@@ -30,15 +30,19 @@ class Native:
         # A folder of its own each time: a library that is loaded must not be overwritten.
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
             folder = Path(place)
-            for name, text in sources.files().items():
+            size = f"unsigned long size(void);\nunsigned long size(void) {{ return sizeof({sources.name}_state); }}\n"
+            texts = {**sources.files(), "size.c": f'#include "{sources.name}.h"\n{size}'}
+            for name, text in texts.items():
                 (folder / name).write_text(text, encoding="utf-8")
-            loaded = ctypes.CDLL(str(build([folder / f"{sources.name}.c"], folder / f"{sources.name}{SUFFIX}")))
+            units = [folder / f"{sources.name}.c", folder / "size.c"]
+            loaded = ctypes.CDLL(str(build(units, folder / f"{sources.name}{SUFFIX}")))
         self.shape = sources.shape
         self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
         numbers = ctypes.POINTER(ctypes.c_double)
         self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
         self._act.argtypes, self._act.restype = [ctypes.c_void_p, *[numbers] * 4], ctypes.c_int
-        self.state = ctypes.create_string_buffer(sources.cost.state)
+        loaded.size.restype = ctypes.c_ulong
+        self.state = ctypes.create_string_buffer(loaded.size())
         self.reset()
 
     def reset(self) -> None:
@@ -72,9 +76,9 @@ def microseconds(sources: ControllerSources) -> float:
         ValueError: The compiler refuses the sources.
     """
     many = (
-        f'#include "{sources.name}.h"\n\nvoid many(void *s, const double *y, double *u, int n);\n\n'
-        "void many(void *s, const double *y, double *u, int n)\n{\n    while (n--)\n"
-        f"        {sources.name}_act(({sources.name}_state *)s, y, y, y, u);\n}}\n"
+        f'#include "{sources.name}.h"\n\nstatic {sources.name}_state state;\n\n'
+        "void many(const double *y, double *u, int n);\n\nvoid many(const double *y, double *u, int n)\n{\n"
+        f"    while (n--)\n        {sources.name}_act(&state, y, y, y, u);\n}}\n"
     )
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
         for name, text in {**sources.files(), "many.c": many}.items():
@@ -83,11 +87,11 @@ def microseconds(sources: ControllerSources) -> float:
         call = ctypes.CDLL(str(build(units, Path(place) / f"many{SUFFIX}"))).many
     # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
     n = max(sources.shape)
-    state, rest = ctypes.create_string_buffer(sources.cost.state), (ctypes.c_double * n)(*[0.1] * n)
+    rest = (ctypes.c_double * n)(*[0.1] * n)
     u, calls, best = (ctypes.c_double * sources.shape[1])(), 1, 0.0
     while best < 0.02:
         calls *= 4
-        best = min(_timed(call, state, rest, u, ctypes.c_int(calls)) for _ in range(5))
+        best = min(_timed(call, rest, u, ctypes.c_int(calls)) for _ in range(5))
     return 1e6 * best / calls
 
 

@@ -7,19 +7,17 @@ terms share is computed once. Operators are infix, and what is called are `funct
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import dataclass
 
 from torch import Tensor
 
-from dynasindy.export.names import number
+from dynasindy.export.c_text import number
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import InfixWriter
 from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.functions import FORMULA_FUNCTIONS
 from dynasindy.sindy.library import Library
 
-_OPERATOR = re.compile(r" [-+*/] |-(?=square)")
 _CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")
 
 
@@ -30,19 +28,12 @@ class Formulas:
     Attributes:
         lines: Name and formula of each value, in the order in which they are computed.
         results: Formula of dx/dt of each state.
-        calls: How often each of `FORMULA_FUNCTIONS` is called.
-        operations: Number of sums, differences, products and quotients.
+        calls: Which of `FORMULA_FUNCTIONS` are called.
     """
 
     lines: tuple[tuple[str, str], ...]
     results: tuple[str, ...]
-    calls: Counter[str]
-    operations: int
-
-    @property
-    def flops(self) -> int:
-        """Number of operations on floating-point numbers, a call counted as one."""
-        return self.operations + self.calls.total()
+    calls: frozenset[str]
 
     def reads(self, variable: str) -> bool:
         """Whether `x` or `u` occurs."""
@@ -71,8 +62,8 @@ def _written(library: Library, coefficients: Tensor) -> Formulas:
     writer = _FormulaWriter.of(library, coefficients)
     lines = writer.named
     written = [*(text for _, text in lines), *writer.results]
-    calls = Counter(name for text in written for name in _CALL.findall(text))
-    return Formulas(lines, tuple(writer.results), calls, sum(len(_OPERATOR.findall(text)) for text in written))
+    calls = frozenset(name for text in written for name in _CALL.findall(text))
+    return Formulas(lines, tuple(writer.results), calls)
 
 
 class _FormulaWriter(InfixWriter):

@@ -18,13 +18,10 @@ from xml.etree import ElementTree
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.export.c_controller import controller_sources, enumerators, measured
+from dynasindy.export.c_controller import controller_sources, enumerators, measured, stop_words
 from dynasindy.export.c_model import field
+from dynasindy.export.c_text import fill, module_name, number
 from dynasindy.export.expressions import formulas
-from dynasindy.export.filter import stop_words
-from dynasindy.export.fmi_names import answers
-from dynasindy.export.names import module_name, number
-from dynasindy.export.templates import fill
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
@@ -35,6 +32,32 @@ REFERENCES = {2: "unsigned int", 3: "uint32_t"}
 PAST = 1024
 """Largest number of inputs that are on their way to a plant with a delay."""
 _GAP = "TOKEN-OF-THIS-FMU"
+FINE = {
+    2: ("SetDebugLogging", "EnterInitializationMode", "ExitInitializationMode", "Terminate"),
+    3: ("ExitInitializationMode", "EnterStepMode", "Terminate"),
+}
+"""Functions that every FMU has to have, and that change nothing here."""
+_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean", "String")
+ABSENT = {
+    2: (
+        *(f"{way}{kind}" for way in ("Get", "Set") for kind in ("Integer", "Boolean", "String")),
+        *("GetFMUstate", "SetFMUstate", "FreeFMUstate", "SerializedFMUstateSize", "SerializeFMUstate"),
+        *("DeSerializeFMUstate", "GetDirectionalDerivative", "SetRealInputDerivatives", "GetRealOutputDerivatives"),
+        *("CancelStep", "GetStatus", "GetRealStatus", "GetIntegerStatus", "GetBooleanStatus", "GetStringStatus"),
+    ),
+    3: (
+        *(f"{way}{kind}" for way in ("Get", "Set") for kind in (*_TYPES, "Binary", "Clock")),
+        *("GetNumberOfVariableDependencies", "GetVariableDependencies", "SerializedFMUStateSize", "SerializeFMUState"),
+        *("DeserializeFMUState", "GetDirectionalDerivative", "GetAdjointDerivative", "EnterConfigurationMode"),
+        *("ExitConfigurationMode", "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal", "GetShiftFraction"),
+        *("SetIntervalDecimal", "SetIntervalFraction", "SetShiftDecimal", "SetShiftFraction", "EnterEventMode"),
+        *("EvaluateDiscreteStates", "UpdateDiscreteStates", "EnterContinuousTimeMode", "CompletedIntegratorStep"),
+        *("SetTime", "SetContinuousStates", "GetContinuousStateDerivatives", "GetEventIndicators"),
+        *("GetContinuousStates", "GetNominalsOfContinuousStates", "GetNumberOfEventIndicators"),
+        *("GetNumberOfContinuousStates", "GetOutputDerivatives", "ActivateModelPartition"),
+    ),
+}
+"""Those that answer with an error."""
 
 
 @dataclass(frozen=True)
@@ -243,3 +266,9 @@ def _built(unit: _Unit) -> bytes:
 def _xml(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+def answers(version: int) -> str:
+    """Return the C text of these functions."""
+    lines = [f"ANSWER(fmi{version}{name}, OK)" for name in FINE[version]]
+    return "\n".join([*lines, *(f"ANSWER(fmi{version}{name}, ERROR)" for name in ABSENT[version])])

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from dynasindy.control import Controller
-from dynasindy.export.filter import Filter
+from dynasindy.export.c_controller import Filter
 from dynasindy.export.formats import field_of
 from dynasindy.export.onnx_graph import Graph, Value, functions
 from dynasindy.export.onnx_policy import add_policy

@@ -112,14 +112,9 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
 def _c(sources: ControllerSources, folder: Path) -> list[str]:
     for name, text in sources.files().items():
         write_text(folder / name, text)
-    cost = sources.cost
-    size = (
-        f"{cost.flops} floating-point operations per call; bytes: {cost.state} of state, {cost.constants} of "
-        f"constants, about {cost.stack} of stack"
-    )
     timed = f"{microseconds(sources):.3g} us per call on this computer, compiled with -O2" if compiler() else ""
     untimed = "not timed, as there is no C compiler on this computer"
-    return [f"{' and '.join(sources.files())}: {size}; {timed or untimed}"]
+    return [f"{' and '.join(sources.files())}: {timed or untimed}"]
 
 
 def _model(model: SindyModel, folder: Path) -> list[str]:

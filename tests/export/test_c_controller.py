@@ -1,10 +1,11 @@
-"""The controller in C flies plants behind sensors as the one in Python does, and costs what it says."""
+"""The controller in C flies plants behind sensors as the one in Python does."""
 
 import ctypes
 import math
 import os
 import re
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
 from dynasindy.export import controller_sources
+from dynasindy.export.c_controller import Filter, stop_words
+from dynasindy.export.c_text import fill
 from dynasindy.export.compiler import Native
-from dynasindy.export.templates import fill
+from dynasindy.sindy import Oracle
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
-from dynasindy.systems.compiler import SUFFIX, build, compiler
+from dynasindy.systems.compiler import STRICT, SUFFIX, build, compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -313,3 +316,69 @@ def test_the_header_says_once_between_which_ends_an_input_is(pendulum, limits, n
     header = controller_sources(controller).header
     assert header.count(f"0  u [-], from {said}\n") == 1 and "[-1, 1]" not in header and "[0, 1]" not in header
     assert header.count("the plant's u is 12 V times the controller's") == 1
+
+
+@needs_compiler
+@pytest.mark.parametrize("settings", [{}, {"observer": False}, {"integral": {}, "disturbance": False, "delay": 0.0}])
+def test_the_header_tells_the_places_of_names(pendulum, settings, tmp_path):
+    sources = controller_sources(pendulum(**settings), "ctl")
+    text = '#include "ctl.h"\n'
+    text += "int place(void) { return 100 * ctl_x_Omega + 10 * ctl_u_u + ctl_r_theta; }\n"
+    for name, content in {**sources.files(), "shim.c": text}.items():
+        (tmp_path / name).write_text(content)
+    options = ["-Wno-missing-prototypes", *STRICT]
+    library = ctypes.CDLL(str(build([tmp_path / "shim.c", tmp_path / "ctl.c"], tmp_path / "shim.so", options)))
+    assert library.place() == 100
+    assert "theta [rad]" in sources.header and "Period: 0.04 s" in " ".join(sources.header.split())
+
+
+def numbers(words):
+    return [float(word.strip("()")) for word in words.split(", ")]
+
+
+def test_variances_are_those_of_sensors_and_noise(pendulum):
+    found = Filter.of(pendulum().observer)
+    # A state is 1.5 rad wide, its encoder has steps of 0.01 rad and noise of 0.002 rad.
+    assert found.sensed == (0,)
+    assert numbers(found.words["variance"]) == pytest.approx([0.01**2 / 12 + 0.002**2])
+    assert numbers(found.words["strays"]) == pytest.approx(
+        [(0.013 * 1.5) ** 2 * 0.04, (0.021 * 3) ** 2 * 0.04, (0.4 * 3) ** 2 * 0.04]
+    )
+    assert numbers(found.words["unknown"]) == pytest.approx([0.15**2, 0.3**2, 0.3**2])
+    assert found.words["pushed"] == "1" and "of the pushes" in found.words["pushes_word"]
+    assert Filter.of(pendulum(disturbance=False).observer).words["pushes_word"] == ""
+
+
+@pytest.mark.parametrize(
+    ("delay", "late", "part", "steps"),
+    [(0.0, 1, 0.0, (3, 3)), (0.04, 2, 0.0, (3, 6)), (0.07, 2, 0.03, (1 + 2, 2 + 6)), (0.01, 1, 0.01, (2 + 1, 1 + 3))],
+)
+def test_a_delay_is_whole_periods_and_a_rest(pendulum, delay, late, part, steps):
+    found = Filter.of(pendulum(delay=delay).observer)
+    assert found.words["n"] == 3 and found.words["memory"] == late + 2 == found.late + 2
+    of_part, rest, whole = (found.words[f"{name}steps"] for name in ("part_", "rest_", "sub"))
+    period, ahead = rest + bool(part) * of_part, bool(part) * of_part + late * whole
+    assert numbers(found.words["part"]) == pytest.approx([part], abs=1e-12)
+    assert numbers(found.words["rest"]) == pytest.approx([0.04 - part])
+    assert (period, ahead) == steps and ("part" in found.flags) == bool(part)
+
+
+def test_a_model_of_another_kind_is_refused(pendulum):
+    observer = pendulum().observer
+    observer.model = Oracle(observer.model.signature, system=observer.model)
+    with pytest.raises(ValueError, match="works on a Oracle, which is not written in C"):
+        Filter.of(observer)
+
+
+def test_a_stop_may_be_at_one_side_alone():
+    words, count = stop_words(Stops((1,), (0,), (-0.5,), (float("inf"),)), 2)
+    assert count == 1 and words["stop_low"] == "(-0.5)" and words["stop_high"] == "INFINITY"
+    assert stop_words(None, 2) == ({}, 0)
+
+
+@pytest.mark.parametrize("positions", [(7,), (-1,), ("0",)])
+def test_stops_at_states_that_do_not_exist_are_refused(pendulum, positions):
+    controller = pendulum()
+    controller.observer.stops = replace(controller.observer.stops, positions=positions)
+    with pytest.raises(ValueError, match="allowed are whole numbers from 0 to 1"):
+        controller_sources(controller)

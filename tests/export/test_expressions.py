@@ -43,18 +43,13 @@ def test_they_are_the_model(seed):
         assert any(re.search(rf"\b{name}\b", text) for text in rest), "a value that nothing reads"
 
 
-def test_operations_are_counted():
+def test_what_formulas_call_and_read_is_told():
     model = SindyModel(SIGNATURE, ["a", "sin(2 a)", "b c"])
     model.set_coefficients(torch.tensor([[3.0, 0.0], [1.0, 0.0], [0.5, 0.0]]))
     found = formulas(model)
-    # 3 a + sin(2 a) + 0.5 (b c): five products of which sin has one inside, two sums, one call.
-    assert (found.operations, found.calls["sin"], found.flops) == (6, 1, 7)
-    assert found.reads("u") and found.results[1] == "0.0"
+    assert found.calls == {"sin"} and found.reads("u") and found.results[1] == "0.0"
     model.set_coefficients(torch.tensor([[3.0, 0.0], [0.0, 0.0], [0.0, 0.0]]))
-    assert formulas(model).flops == 1 and not formulas(model).reads("u")
-    model.set_coefficients(torch.tensor([[3.0, 0.0], [1.0, 0.0], [0.0, 0.0]]))
-    found = formulas(model)  # 3 a + sin(2 a): two products, a sum and a call
-    assert (found.operations, found.calls["sin"], found.flops) == (3, 1, 4)
+    assert not formulas(model).calls and not formulas(model).reads("u")
 
 
 def test_a_function_of_ones_own_needs_a_formula():

@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import re
 import zipfile
 from xml.etree import ElementTree
 
@@ -11,8 +12,9 @@ import torch
 
 from dynasindy import __version__
 from dynasindy.export import controller_sources, fmu
+from dynasindy.export.c_text import fill
 from dynasindy.export.compiler import Native
-from dynasindy.export.fmu import controller_fmu, plant_fmu
+from dynasindy.export.fmu import ABSENT, FINE, answers, controller_fmu, plant_fmu
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate
 from dynasindy.systems.compiler import compiler
@@ -338,3 +340,17 @@ def test_a_plant_in_discrete_time_moves_by_whole_steps_alone(tmp_path, version, 
         assert plant.get("x_x1") == pytest.approx([x], abs=1e-12)
     assert plant.step(now, 0.05) == ERROR and plant.step(now, 0.15) == ERROR
     assert plant.get("x_x1") == pytest.approx([x], abs=1e-12)
+
+
+COUNTS = {2: 44 - 10, 3: 75}
+"""Functions in the headers of the standards; of FMI 2 those for model exchange alone are left out, as it allows."""
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_each_function_of_the_standard_is_there_once(version):
+    words = {"version": version, "reference": "unsigned", "token": "t", "answers": answers(version)}
+    text = fill("fmi.c", words) + fill(f"fmi{version}.c", words)
+    written = re.findall(rf"^(?:EXPORT .*?\b|ANSWER\(|NOTHING\()(fmi{version}\w+)", text, re.M)
+    assert len(written) == len(set(written)) == COUNTS[version]
+    assert len({*FINE[version], *ABSENT[version]}) == len(FINE[version]) + len(ABSENT[version])
+    assert f"fmi{version}DoStep" in written and "ANSWER(fmi" in text

@@ -1,12 +1,13 @@
-"""Names, words and numbers of files stay names, words and numbers."""
+"""Names, words and numbers of files stay names, words and numbers, also in templates that they are filled into."""
 
 import math
 import re
+from importlib import resources
 
 import numpy as np
 import pytest
 
-from dynasindy.export.names import comment, identifiers, module_name, number, reach, rows, single
+from dynasindy.export.c_text import comment, fill, identifiers, module_name, number, reach, rows, single
 
 
 def test_identifiers_are_of_ascii_letters_and_differ():
@@ -56,3 +57,25 @@ def test_rows_hold_every_element_once():
     lines = rows([str(k) for k in range(100)], width=30)
     assert [int(word) for word in lines.replace(",", " ").split()] == list(range(100))
     assert max(map(len, lines.splitlines())) <= 36 and not lines.endswith(",")
+
+
+@pytest.fixture
+def template(monkeypatch, tmp_path):
+    (tmp_path / "c").mkdir()
+    monkeypatch.setattr(resources, "files", lambda package: tmp_path)
+    return tmp_path / "c" / "t.c"
+
+
+def test_lines_stay_where_their_flags_are_set(template):
+    template.write_text("a\n@if x\nb\n@if y\nc\n@end\n@end\n@if !x\nd\n@if y\ne\n@end\n@end\nf\n")
+    assert fill("t.c", {}).split() == ["a", "d", "f"]
+    assert fill("t.c", {}, {"x"}).split() == ["a", "b", "f"]
+    assert fill("t.c", {}, {"x", "y"}).split() == ["a", "b", "c", "f"]
+    assert fill("t.c", {}, {"y"}).split() == ["a", "d", "e", "f"]
+
+
+def test_a_word_that_looks_like_a_gap_opens_none(template):
+    template.write_text("@one@ @two@\n")
+    assert fill("t.c", {"one": "@two@\n@if x", "two": 2}) == "@two@\n@if x 2\n"
+    with pytest.raises(KeyError, match="two"):
+        fill("t.c", {"one": 1})

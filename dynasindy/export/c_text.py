@@ -1,14 +1,16 @@
-"""Names, words and numbers of files as parts of other languages: none of them can become code, or end a comment.
+"""Names, words and numbers as parts of other languages, and the templates of C that they are filled into.
 
-Names of states and units come from files that anybody wrote. An identifier is made of letters and digits alone, a
-comment holds neither end nor beginning of a comment, and a number is a number before it is written.
+Names of states and units come from files that anybody wrote: none of them can become code, or end a comment. An
+identifier is made of letters and digits alone, a comment holds neither end nor beginning of one, and a number is a
+number before it is written.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
+from importlib import resources
 
 import numpy as np
 
@@ -83,3 +85,31 @@ def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
             line = ""
         line += f"{word}, "
     return "\n".join(indent + text for text in [*lines, line.rstrip().rstrip(",")])
+
+
+def fill(name: str, words: Mapping[str, object], flags: Collection[str] = ()) -> str:
+    """Return the text of a template with its gaps filled.
+
+    `@word@` is replaced, and lines between `@if flag` and `@end` stay where the flag is set. What is filled in is not
+    looked at again, so that words of a file cannot open gaps of their own.
+
+    Args:
+        name: File in `dynasindy/export/c`.
+        words: What stands for each `@word@`.
+        flags: Which `@if` are true; `@if !flag` is true where the flag is not set.
+
+    Raises:
+        KeyError: A gap has no word.
+    """
+    text = resources.files("dynasindy.export").joinpath("c", name).read_text(encoding="utf-8")
+    kept: list[str] = []
+    shown = [True]
+    for line in text.splitlines():
+        if line.startswith("@if "):
+            flag = line.split()[1]
+            shown.append(shown[-1] and (flag.lstrip("!") in flags) != flag.startswith("!"))
+        elif line == "@end":
+            shown.pop()
+        elif shown[-1]:
+            kept.append(re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), line))
+    return "\n".join(kept) + "\n"
