@@ -56,7 +56,7 @@ from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
-from dynasindy.planning.plan_settings import rests_of, unheld
+from dynasindy.planning.plan_settings import find_task_equilibria, unheld
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -276,7 +276,7 @@ def forecast(
         sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
     else:
         policy = acting(policy, env)
-    rests = rests_of(env)
+    rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
         own = replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)

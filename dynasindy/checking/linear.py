@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.checking.loop import Loop
-from dynasindy.planning.linear_model import Equilibria
+from dynasindy.planning.linear_model import EquilibriumSolver
 from dynasindy.progress import report_progress
 
 NUDGE = 1e-5
@@ -123,7 +123,7 @@ def guess(loop: Loop, r: Tensor, say: Say = _unheard) -> Tensor:
     x, u = torch.zeros(len(r), n_x, dtype=torch.float64), torch.zeros(len(r), n_u, dtype=torch.float64)
     x[:, loop.task.outputs] = r
     try:
-        found = Equilibria(loop.plant.model, loop.task.output_names)
+        found = EquilibriumSolver(loop.plant.model, loop.task.output_names)
     except ValueError:
         return loop.at(x, u)
     for k, target in enumerate(r):

@@ -11,7 +11,7 @@ from torch.quasirandom import SobolEngine
 
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import known_ranges
-from dynasindy.planning.equilibria import PERIOD, find_rests
+from dynasindy.planning.equilibria import PERIOD, find_equilibria
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.angles import turn_of
 from dynasindy.systems.base import Signature
@@ -114,7 +114,7 @@ def _held_within(
     usual = high - low
     points = SobolEngine(len(places), scramble=True, seed=0).draw(POINTS).double()
     for _ in range(DRAWN_IN):
-        rests = find_rests(model, places, low + (high - low) * points, start, period, limits)
+        rests = find_equilibria(model, places, low + (high - low) * points, start, period, limits)
         if not len(rests) or bool((high - low < LEAST * usual).any()):
             return None
         if not len(rests.unheld):

@@ -43,8 +43,8 @@ _STEP = 1e-5
 
 
 @dataclass(frozen=True)
-class Rests:
-    """Rests of a model, one per reference, and its linearisation there.
+class Equilibria:
+    """Equilibria of a model, one per reference, and its linearisation there.
 
     Attributes:
         targets: Values of the tracked states, `(n, n_r)`.
@@ -75,9 +75,9 @@ class Rests:
         return int((self.targets - self.targets.mean(0)).square().sum(-1).argmin())
 
 
-def find_rests(
+def find_equilibria(
     system: System, outputs: Sequence[int], targets: Tensor, start: Tensor, dt: float, limits: Tensor | None = None
-) -> Rests:
+) -> Equilibria:
     """Return the rests that some references have; those without one, or beyond the limits of inputs, are left out.
 
     Args:
@@ -102,7 +102,7 @@ def between(
     start: Tensor,
     given: tuple[Tensor, Tensor],
     limits: Tensor,
-) -> Rests:
+) -> Equilibria:
     """Return the rests of some references that follow from those that are known, without a search.
 
     Between the known ones they are quadratic in the tracked states where there are enough of them, else linear; a
@@ -134,10 +134,10 @@ def between(
     a, b = slopes(system, x, u)
     good = ((u >= limits[0] - 1e-6) & (u <= limits[1] + 1e-6)).all(-1)
     moved = states_that_matter(system, places, start)
-    return Rests(targets[good], x[good], u[good], a[good], b[good], moved, targets[~good], u[~good])
+    return Equilibria(targets[good], x[good], u[good], a[good], b[good], moved, targets[~good], u[~good])
 
 
-def _found(search: _Search, targets: Tensor, left: float) -> Rests:
+def _found(search: _Search, targets: Tensor, left: float) -> Equilibria:
     centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
     first = search.solve(centre.expand(STARTS, -1), search.guesses())
     good = (search.left(first, centre.expand(STARTS, -1)) < left) & search.inside(first, centre.expand(STARTS, -1))
@@ -149,7 +149,7 @@ def _found(search: _Search, targets: Tensor, left: float) -> Rests:
     a, b = slopes(search.system, x, u)
     good = rests & search.inside(found, targets) & a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
     needed = u.where(rests.unsqueeze(-1), torch.nan)
-    return Rests(targets[good], x[good], u[good], a[good], b[good], search.moved, targets[~good], needed[~good])
+    return Equilibria(targets[good], x[good], u[good], a[good], b[good], search.moved, targets[~good], needed[~good])
 
 
 def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

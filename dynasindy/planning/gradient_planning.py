@@ -21,12 +21,12 @@ from dynasindy.agents import TD3, Actor
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
-from dynasindy.planning.equilibria import Rests
+from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.gate import Bound
-from dynasindy.planning.imitation import Begun, Improved, arrives, hold, improve, rewards
-from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, pace_of, rests_of
+from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, improve, rewards
+from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.planner import Planned, Planner
-from dynasindy.planning.randomization import Margin, Members, Variation, Varied
+from dynasindy.planning.randomization import GainMargin, ModelEnsemble, RandomizedSystem, Variation
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged, Signature, System
@@ -49,14 +49,14 @@ class Episodes:
 
     def __init__(self, planner: GradientPlanning) -> None:
         self.planner = planner
-        self.margin: Margin | None = None
+        self.margin: GainMargin | None = None
         self.rows = references(planner.env, planner.rollouts, planner.rng)
         self.rows.kept = True
         self.system: System = planner.env.system
         if planner.others:
-            self.system = Members([self.system, *planner.others])
+            self.system = ModelEnsemble([self.system, *planner.others])
         if planner.variation.parameters:
-            self.system = Varied(self.system, planner.variation.parameters, planner.rollouts)
+            self.system = RandomizedSystem(self.system, planner.variation.parameters, planner.rollouts)
             self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
@@ -71,7 +71,7 @@ class Episodes:
         # A state that never moved says nothing of its range.
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 
-    def vary(self, margin: Margin | None) -> None:
+    def vary(self, margin: GainMargin | None) -> None:
         """Let the inputs of every episode be late, and of a strength of their own, from now on.
 
         Args:
@@ -99,7 +99,7 @@ class Episodes:
         if rows.late is not None and (delays := planner.variation.delays(len(new), planner.rng)) is not None:
             rows.late = delays.where(new.unsqueeze(-1), rows.late)
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
-        if isinstance(self.system, Varied):
+        if isinstance(self.system, RandomizedSystem):
             self.system.draw(new, planner.rng)
 
     def _starts(self, x: Tensor, lost: Tensor) -> Tensor:
@@ -240,18 +240,18 @@ class GradientPlanning(Planner):
         report_progress("planning")
         if (actor := _network(self.agent.policy)) is not self.network:
             self.network.load_state_dict(actor.state_dict())
-        rests, was_afar = rests_of(self.env), self.pace.afar
-        self.pace = pace = dataclasses.replace(pace_of(self.env, rests, self.finest), **self.given)
+        rests, was_afar = find_task_equilibria(self.env), self.pace.afar
+        self.pace = pace = dataclasses.replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
         rows, late = self.held_out, None if rests is None else self.variation.ends(len(self.held_out.x))
         rows.reach, rows.strength, rows.late = episodes.rows.reach, None, late
-        begun = Begun(-math.inf)
+        begun = WarmStart(-math.inf)
         if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = self._held(rests)
         elif rests is not None and pace.held:
-            begun = Begun(self.test())  # a policy that holds the plant is given up for a better one only
+            begun = WarmStart(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
         if begun.afar or was_afar:
@@ -262,7 +262,7 @@ class GradientPlanning(Planner):
             rows.late = None
             best = begun.score if begun.afar else self.test()
         elif rests is not None:
-            episodes.vary(margin := Margin.of(self.env, rests, pace.margin))
+            episodes.vary(margin := GainMargin.of(self.env, rests, pace.margin))
             if margin is not None:
                 rows.strength = margin.ends(rows.params)
                 best = self.test() if best > -math.inf else best
@@ -289,7 +289,7 @@ class GradientPlanning(Planner):
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
             raise self._diverged(done, made, episodes.diverged, finite, lr)
-        improved = Improved(best, 0, 0)
+        improved = Improvement(best, 0, 0)
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
         self._deploy()
@@ -324,7 +324,7 @@ class GradientPlanning(Planner):
         whole = imagine(self.env, self.env.system, flown, rows, task.max_steps)
         return rewards(self.env, rows, whole).mean().item()
 
-    def _held(self, rests: Rests) -> Begun:
+    def _held(self, rests: Equilibria) -> WarmStart:
         """Let the policy begin as a law that holds the plant: a regulator that bears late inputs, or ways from afar.
 
         Ways from afar are timed for the inputs of the model, and are asked for first.

@@ -29,10 +29,10 @@ import torch
 from torch import Tensor, nn
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Rests
+from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
-from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, Paths
+from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, TrajectoryLibrary
 from dynasindy.planning.trajectory_search import cross_entropy
 from dynasindy.progress import track
 from dynasindy.tasks import Tracking
@@ -58,7 +58,7 @@ class Law(Protocol):
 
 
 @dataclass(frozen=True)
-class Begun:
+class WarmStart:
     """How a policy begins.
 
     Attributes:
@@ -75,14 +75,14 @@ class Begun:
 
 
 def hold(
-    network: nn.Module, env: ControlEnv, rests: Rests, score: Callable[[Network], float], rng: torch.Generator
-) -> Begun:
+    network: nn.Module, env: ControlEnv, rests: Equilibria, score: Callable[[Network], float], rng: torch.Generator
+) -> WarmStart:
     """Let a policy begin as the best of some laws, if that earns more than the policy as it is.
 
     Args:
         network: Policy, observations to inputs; trained in place.
         env: Imagined environment.
-        rests: Rests of its model.
+        rests: Equilibria of its model.
         score: What a policy earns in the model.
         rng: Source of starts, references and batches.
     """
@@ -93,27 +93,27 @@ def hold(
     earned: dict[float, Law] = {score(law): law for law in regulators if law is not None}
     afar, imagined = False, 0
     if earned and not arrives(earned[max(earned)], env, rests, rng):
-        paths, imagined = Paths.of(env, rests, rng)
+        paths, imagined = TrajectoryLibrary.of(env, rests, rng)
         if paths is not None and (scored := score(paths)) > max(earned):
             afar, earned[scored] = True, paths
     if not earned or max(earned) <= best:
-        return Begun(best, imagined=imagined)
+        return WarmStart(best, imagined=imagined)
     lessons = FROM_AFAR if afar else REGULATED
     imitate(network, earned[max(earned)], env, rng, lessons)
     if (imitated := score(network)) > best:
-        return Begun(imitated, afar, imagined, math.prod(lessons))
+        return WarmStart(imitated, afar, imagined, math.prod(lessons))
     network.load_state_dict(before)
-    return Begun(best, False, imagined, math.prod(lessons))
+    return WarmStart(best, False, imagined, math.prod(lessons))
 
 
 @torch.no_grad()
-def arrives(pilot: Network, env: ControlEnv, rests: Rests, rng: torch.Generator) -> bool:
+def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Generator) -> bool:
     """Return whether a policy brings every imagined episode to rest; of a moving reference nothing is asked.
 
     Args:
         pilot: Policy, observations to inputs.
         env: Imagined environment.
-        rests: Rests of its model.
+        rests: Equilibria of its model.
         rng: Source of starts and references.
     """
     task, batch = env.task, torch.Size((ROWS,))
@@ -215,7 +215,7 @@ about which few ways tell."""
 
 
 @dataclass(frozen=True)
-class Improved:
+class Improvement:
     """What came of it.
 
     Attributes:
@@ -237,7 +237,7 @@ def improve(
     rng: torch.Generator,
     periods: int,
     rounds: int,
-) -> Improved:
+) -> Improvement:
     """Improve a policy by ways that earn more than its own; it is left as the best that it was.
 
     Args:
@@ -276,7 +276,7 @@ def improve(
         if now > best:
             best, weights = now, copy.deepcopy(network.state_dict())
     network.load_state_dict(weights)
-    return Improved(best, imagined, updates)
+    return Improvement(best, imagined, updates)
 
 
 class Floor:

@@ -67,7 +67,7 @@ def told_by_time(rates: Tensor, step: float) -> Tensor:
     return torch.where(factors.abs() > GONE, factors, GONE).log() / step
 
 
-class Equilibria:
+class EquilibriumSolver:
     """Where a system rests with its outputs at given values: f(x, u) = 0, by Newton's method.
 
     Args:

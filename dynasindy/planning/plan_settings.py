@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Rests, between, find_rests, growth, slopes
+from dynasindy.planning.equilibria import Equilibria, between, find_equilibria, growth, slopes
 from dynasindy.planning.linear_model import modes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
 from dynasindy.tasks import Tracking
@@ -94,7 +94,7 @@ class PlanSettings:
         )
 
 
-def rests_of(env: ControlEnv) -> Rests | None:
+def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
     """Return the rests of a model over the references of its task; None of a task that tracks none."""
     task = env.task
     if not isinstance(task, Tracking):
@@ -104,15 +104,15 @@ def rests_of(env: ControlEnv) -> Rests | None:
     targets = _targets(task, generator)
     if task.rests is not None:
         return between(env.system, task.outputs, targets, start, task.rests, task.input_limits)
-    return find_rests(env.system, task.outputs, targets, start, env.dt, task.input_limits)
+    return find_equilibria(env.system, task.outputs, targets, start, env.dt, task.input_limits)
 
 
-def pace_of(env: ControlEnv, rests: Rests | None, finest: int = 1) -> PlanSettings:
+def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int = 1) -> PlanSettings:
     """Return the settings that suit a model.
 
     Args:
         env: Imagined environment.
-        rests: Rests of the model; None where its task tracks no reference, and so tells no place to linearise at.
+        rests: Equilibria of the model; None where its task tracks no reference, and so tells no place to linearise at.
         finest: Runge-Kutta steps of the plant per control period, which then serve the model, too.
     """
     if rests is None:
@@ -160,8 +160,8 @@ def settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> fl
         u: Inputs there, `(n, n_u)`.
         share: Share of a step within which outputs have settled.
     """
-    rests, weights = rests_of(env), Weights()
-    if rests is None or not len(rests) or pace_of(env, rests).held:
+    rests, weights = find_task_equilibria(env), Weights()
+    if rests is None or not len(rests) or choose_plan_settings(env, rests).held:
         return 0.0
     assert isinstance(env.task, Tracking)
     moved, k, extents = rests.moved, rests.middle(), torch.full((len(rests.moved),), math.inf, dtype=torch.float64)
@@ -188,12 +188,12 @@ def _narrow(task: Tracking) -> str:
     return f"an input may use {100 * share:.2g} % of its range only" if share < NARROW else ""
 
 
-def unheld(env: ControlEnv, rests: Rests) -> str:
+def unheld(env: ControlEnv, rests: Equilibria) -> str:
     """Say how many targets no input in its range holds in the model, and what one would take; empty if all are held.
 
     Args:
         env: Imagined environment, whose task tracks references.
-        rests: Rests of its model.
+        rests: Equilibria of its model.
     """
     if not len(rests.unheld):
         return ""

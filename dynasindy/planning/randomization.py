@@ -22,14 +22,14 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Rests
+from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.systems import Altered, System
 from dynasindy.tasks import Tracking
 
 
 @dataclass(frozen=True)
-class Strength:
+class InputStrength:
     """How strong the inputs of imagined episodes are.
 
     Attributes:
@@ -45,7 +45,7 @@ class Strength:
     limits: Tensor | None = None
     along: Callable[[Tensor, Tensor], Tensor] | None = None
 
-    def at(self, params: Tensor, t: Tensor) -> Strength:
+    def at(self, params: Tensor, t: Tensor) -> InputStrength:
         """Return the same about what holds references with parameters `(rows, n_r, 5)` at times `(rows, 1)` [s]."""
         return self if self.along is None else replace(self, rest=self.along(params, t))
 
@@ -64,7 +64,7 @@ class Strength:
             return self.factor
         return self.factor * ((acting > self.limits[0]) & (acting < self.limits[1]))
 
-    def where(self, new: Tensor, fresh: Strength) -> Strength:
+    def where(self, new: Tensor, fresh: InputStrength) -> InputStrength:
         """Return the strengths with those of the rows that are new, bool `(rows,)`, taken from others."""
         mask = new.unsqueeze(-1)
         factor, rest = (
@@ -73,7 +73,7 @@ class Strength:
         return replace(self, factor=factor, rest=rest, along=self.along or fresh.along)
 
 
-class Margin:
+class GainMargin:
     """Draws how strong inputs are.
 
     Args:
@@ -89,24 +89,24 @@ class Margin:
         self.limits = ends if bool(ends.isfinite().any()) else None
 
     @classmethod
-    def of(cls, env: ControlEnv, rests: Rests | None, share: float) -> Margin | None:
+    def of(cls, env: ControlEnv, rests: Equilibria | None, share: float) -> GainMargin | None:
         """Return the margin of a model; None where none is asked for, or nothing rests or is regulated."""
         if not share or rests is None or (regulator := Regulator.of(env, rests, Weights())) is None:
             return None
         assert isinstance(env.task, Tracking)
         return cls(regulator, env.task, share)
 
-    def draw(self, params: Tensor, rng: torch.Generator) -> Strength:
+    def draw(self, params: Tensor, rng: torch.Generator) -> InputStrength:
         """Return strengths between the ends, each input's its own, for episodes with task parameters `(rows, ...)`."""
         rest = self._rest(params, torch.zeros(len(params), 1))
         factor = 1 + self.share * (2 * torch.rand(rest.shape, generator=rng) - 1)
-        return Strength(factor, rest, self.limits, self._along(params))
+        return InputStrength(factor, rest, self.limits, self._along(params))
 
-    def ends(self, params: Tensor) -> Strength:
+    def ends(self, params: Tensor) -> InputStrength:
         """Return strengths to test a policy with: the weakest, that of the model, and the strongest, in turn."""
         rest = self._rest(params, torch.zeros(len(params), 1))
         turn = torch.arange(len(rest)).remainder(3).sub(1).unsqueeze(-1)
-        return Strength((1 + self.share * turn).expand_as(rest), rest, self.limits, self._along(params))
+        return InputStrength((1 + self.share * turn).expand_as(rest), rest, self.limits, self._along(params))
 
     def _rest(self, params: Tensor, t: Tensor) -> Tensor:
         return self.regulator.rest(self.task.reference(params, t).float())[1]
@@ -150,7 +150,7 @@ class Variation:
         return self.late * (torch.arange(rows) // 3 % 2).unsqueeze(-1).float() if self.late else None
 
 
-class Members(System):
+class ModelEnsemble(System):
     """Several models of one plant, each for an equal share of the rows: no policy can exploit the errors of one.
 
     Args:
@@ -172,7 +172,7 @@ class Members(System):
         return torch.cat([model(*share) for model, share in zip(self.models, shares)], -2)
 
 
-class Varied(Altered):
+class RandomizedSystem(Altered):
     """A system in as many versions as there are rows: dx = (1 + g) f(x, (1 + h) u).
 
     States whose rate is another state (angles) keep their equation.

@@ -20,7 +20,7 @@ from scipy.linalg import solve_discrete_are
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Rests
+from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.linear_model import zero_order_hold
 from dynasindy.tasks import Tracking
 
@@ -63,13 +63,13 @@ class Regulator:
 
     Args:
         task: What the observations are of.
-        rests: Rests of the model.
+        rests: Equilibria of the model.
         weights: Weights of the quadratic cost.
         squares: Weight of each squared state, `(n_x,)`.
         solved: Solution of the Riccati equation in those states.
     """
 
-    def __init__(self, task: Tracking, rests: Rests, weights: Weights, squares: Tensor, solved: Solved) -> None:
+    def __init__(self, task: Tracking, rests: Equilibria, weights: Weights, squares: Tensor, solved: Solved) -> None:
         self.task, self.weights, self.slowest, self.moved = task, weights, solved.slowest, rests.moved
         n_x, moved = len(rests.moved), rests.moved
         self.squares = torch.diag(squares.where(moved, 0.0)).float()
@@ -85,7 +85,7 @@ class Regulator:
         self.rests, self.box = through.float(), box.float()
 
     @classmethod
-    def of(cls, env: ControlEnv, rests: Rests, weights: Weights) -> Regulator | None:
+    def of(cls, env: ControlEnv, rests: Equilibria, weights: Weights) -> Regulator | None:
         """Return the regulator of the model at the middle of its rests; None without one, or where none holds it."""
         if not len(rests):
             return None

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from dynasindy.agents.traced import Layers, Traced, by_hand, trace
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.randomization import Strength
+from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import System, integrate
 
 Network = Callable[[Tensor], Tensor]
@@ -63,7 +63,7 @@ class Rows:
     t: Tensor
     reach: Tensor | None = None
     kept: bool = False
-    strength: Strength | None = None
+    strength: InputStrength | None = None
     late: Tensor | None = None
 
 

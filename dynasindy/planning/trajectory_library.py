@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Rests
+from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import sensitivities
-from dynasindy.planning.trajectory_search import POPULATION, ROUNDS, Way, roll, search
+from dynasindy.planning.trajectory_search import POPULATION, ROUNDS, Trajectory, roll, search
 
 STARTS = 24
 """Starts from which ways are searched."""
@@ -39,7 +39,7 @@ AROUND = 0.1
 """Distance from the ways at which imagined episodes begin [ranges of the states]."""
 
 
-class Paths:
+class TrajectoryLibrary:
     """The law, read from observations.
 
     Args:
@@ -55,14 +55,14 @@ class Paths:
         self.scale = torch.tensor(regulator.task.signature.x_scale)
 
     @classmethod
-    def of(cls, env: ControlEnv, rests: Rests, rng: torch.Generator) -> tuple[Paths | None, int]:
+    def of(cls, env: ControlEnv, rests: Equilibria, rng: torch.Generator) -> tuple[TrajectoryLibrary | None, int]:
         """Return the law of a model, and the control periods that were imagined for it.
 
         There is none where no regulator holds the model, or no way leads to where one does.
 
         Args:
             env: Imagined environment.
-            rests: Rests of its model.
+            rests: Equilibria of its model.
             rng: Source of starts and signals.
         """
         regulator = Regulator.of(env, rests, WEIGHTS)
@@ -71,7 +71,7 @@ class Paths:
         batch = torch.Size((STARTS,))
         x, params = env.task.initial_state(batch, rng).float(), env.task.sample(batch, rng)
         reference = env.task.reference(params, torch.zeros(STARTS, 1)).float()
-        caught, imagined = caught_ways(env, regulator, x, params, reference, rng)
+        caught, imagined = find_caught_trajectories(env, regulator, x, params, reference, rng)
         ways = [(way, reference[i]) for i, way in caught.items()]
         if not ways:
             return None, imagined
@@ -102,9 +102,9 @@ class Paths:
         return x + AROUND * self.scale * torch.randn(x.shape, generator=rng)
 
 
-def caught_ways(
+def find_caught_trajectories(
     env: ControlEnv, regulator: Regulator, x: Tensor, params: Tensor, reference: Tensor, rng: torch.Generator
-) -> tuple[dict[int, Way], int]:
+) -> tuple[dict[int, Trajectory], int]:
     """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined.
 
     Some starts have no way.
@@ -118,7 +118,7 @@ def caught_ways(
         rng: Source of the signals.
     """
     nothing = x.new_zeros(0, env.system.signature.n_u)
-    found = {i: Way(x[i : i + 1], nothing) for i in _caught(env, regulator, x, reference)}
+    found = {i: Trajectory(x[i : i + 1], nothing) for i in _caught(env, regulator, x, reference)}
     imagined = 0
     for periods in (length for length in LENGTHS if length <= env.task.max_steps):
         left = [i for i in range(len(x)) if i not in found]
@@ -131,7 +131,7 @@ def caught_ways(
         for k in rank[:TRIED]:
             here = states[k, torch.arange(len(left))]
             for j in _caught(env, regulator, here, reference[left]):
-                found.setdefault(left[j], Way(ways[j].states[: k[j] + 1], ways[j].inputs[: k[j]]))
+                found.setdefault(left[j], Trajectory(ways[j].states[: k[j] + 1], ways[j].inputs[: k[j]]))
     return found, imagined
 
 
@@ -145,7 +145,9 @@ def _caught(env: ControlEnv, regulator: Regulator, x: Tensor, reference: Tensor)
     return [int(i) for i in torch.stack(last).all(0).nonzero().squeeze(-1)]
 
 
-def _along(env: ControlEnv, regulator: Regulator, way: Way, reference: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _along(
+    env: ControlEnv, regulator: Regulator, way: Trajectory, reference: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return points, inputs, gains and values of the rest and of a way, all counted from the rest."""
     x_e, u_e = regulator.rest(reference)
     gain, value = regulator.gain, regulator.cost

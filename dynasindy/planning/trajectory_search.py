@@ -36,7 +36,7 @@ OUTSIDE = 1e3
 
 
 @dataclass(frozen=True)
-class Way:
+class Trajectory:
     """One start's best signal, and where it leads.
 
     Attributes:
@@ -49,7 +49,7 @@ class Way:
 
 
 @torch.no_grad()
-def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.Generator) -> list[Way]:
+def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.Generator) -> list[Trajectory]:
     """Return the best way that was found from each start.
 
     Args:
@@ -69,7 +69,7 @@ def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.
     found = cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng)
     inputs = signal(found, periods, env.task.limit)
     states = roll(env, x, inputs)
-    return [Way(states[:, i], inputs[:, i]) for i in range(n)]
+    return [Trajectory(states[:, i], inputs[:, i]) for i in range(n)]
 
 
 @torch.no_grad()

@@ -31,7 +31,7 @@ from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.evaluation.table import markdown, over_seeds
 from dynasindy.export.formats import field_of
 from dynasindy.planning.integral import IntegralAction
-from dynasindy.planning.linear_model import Equilibria, jacobians
+from dynasindy.planning.linear_model import EquilibriumSolver, jacobians
 from dynasindy.safe_io import Row, append_rows, read_rows, write_rows, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import System
@@ -125,7 +125,7 @@ class Lqi:
         import control
 
         signature = system.signature
-        self.dt, self.equilibria = dt, Equilibria(system, OUTPUTS)
+        self.dt, self.equilibria = dt, EquilibriumSolver(system, OUTPUTS)
         self.outputs = self.equilibria.outputs
         home = torch.zeros(len(OUTPUTS), dtype=torch.float64)
         a, b = jacobians(system, *self.equilibria.state_and_input(home, self.equilibria.home))
@@ -182,7 +182,7 @@ def nmpc_plan(system: System, dt: float, **more: Any) -> Any:
     """Return what do-mpc is to plan for, with the states in which a rotor rests as a hint; see `nmpc.Plan`."""
     from benchmarks.nmpc import Plan, monomials
 
-    signature, equilibria = system.signature, Equilibria(system, OUTPUTS)
+    signature, equilibria = system.signature, EquilibriumSolver(system, OUTPUTS)
     targets = torch.cartesian_prod(*(torch.linspace(-0.5, 0.5, 7, dtype=torch.float64) for _ in OUTPUTS))
     rests = equilibria.state_and_input(targets, equilibria(targets))[0].numpy()
     basis = np.array([monomials(row) for row in targets.tolist()])

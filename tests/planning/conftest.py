@@ -8,7 +8,7 @@ from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.plan_settings import rests_of
+from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.systems import Signature, System
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -78,6 +78,6 @@ def inverted():
         outputs = ("theta",), ("Omega",)
         task = Tracking(plant.signature, RandomStep(**ends), *outputs, reward, max_steps, **ends, start=start)
         env = ControlEnv(plant, task, 0.05, 1)
-        return env, rests_of(env)
+        return env, find_task_equilibria(env)
 
     return make

@@ -8,7 +8,7 @@ import torch
 from dynasindy.agents import TD3
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.gradient_planning import Episodes, references
-from dynasindy.planning.randomization import Margin
+from dynasindy.planning.randomization import GainMargin
 
 
 @torch.no_grad()
@@ -26,7 +26,7 @@ def test_an_episode_keeps_its_strength_until_it_begins_anew(inverted):
     planner = planner_of(env)
     episodes = Episodes(planner)
     assert episodes.rows.strength is None
-    episodes.vary(Margin.of(planner.env, rests, 0.1))
+    episodes.vary(GainMargin.of(planner.env, rests, 0.1))
     before = episodes.rows.strength
     lost = torch.arange(16) < 5
     episodes.end = torch.full((16, 1), torch.inf)
@@ -35,7 +35,7 @@ def test_an_episode_keeps_its_strength_until_it_begins_anew(inverted):
     assert torch.equal(after.factor[5:], before.factor[5:]) and torch.equal(after.rest[5:], before.rest[5:])
     assert bool((after.factor[:5] != before.factor[:5]).all())
     # The new ones rest where their own targets do.
-    rest = Margin.of(planner.env, rests, 0.1).ends(episodes.rows.params).rest
+    rest = GainMargin.of(planner.env, rests, 0.1).ends(episodes.rows.params).rest
     assert torch.equal(after.rest, rest)
 
 

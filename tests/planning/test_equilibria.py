@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.planning.equilibria import between, find_rests, growth, slopes
+from dynasindy.planning.equilibria import between, find_equilibria, growth, slopes
 from dynasindy.systems import Pendulum, Signature, System
 
 
@@ -23,7 +23,7 @@ class Cart(System):
 
 def test_a_pendulum_rests_where_its_torque_balances_gravity():
     targets = torch.tensor([[-0.8], [0.1], [0.9]])
-    rests = find_rests(Pendulum(), [0], targets, torch.zeros(2), 0.05)
+    rests = find_equilibria(Pendulum(), [0], targets, torch.zeros(2), 0.05)
     torch.testing.assert_close(rests.x, torch.cat([targets, torch.zeros(3, 1)], -1).double(), atol=1e-6, rtol=0)
     torch.testing.assert_close(rests.u, 9.81 / 12.0 * torch.sin(targets.double()), atol=1e-6, rtol=0)
     wanted = torch.tensor([[0.0, 1.0], [-9.81 * math.cos(0.1), -0.5]], dtype=torch.float64)
@@ -35,8 +35,8 @@ def test_a_pendulum_rests_where_its_torque_balances_gravity():
 def test_a_target_beyond_the_inputs_has_no_rest():
     strong, weak = Pendulum(), Pendulum(max_torque=5.0)
     targets = torch.tensor([[0.2], [1.2]])  # the second takes 9.1 N m
-    assert len(find_rests(strong, [0], targets, torch.zeros(2), 0.05)) == 2
-    rests = find_rests(weak, [0], targets, torch.zeros(2), 0.05)
+    assert len(find_equilibria(strong, [0], targets, torch.zeros(2), 0.05)) == 2
+    rests = find_equilibria(weak, [0], targets, torch.zeros(2), 0.05)
     assert rests.targets.tolist() == [[pytest.approx(0.2)]] and rests.unheld.tolist() == [[pytest.approx(1.2)]]
     assert rests.needed.tolist() == [[pytest.approx(9.81 * math.sin(1.2) / 5.0)]]
 
@@ -55,7 +55,7 @@ class Propeller(System):
 @pytest.mark.parametrize(("low", "high", "sign"), [(0.1, 0.9, 1.0), (-0.9, -0.1, -1.0)])
 def test_rests_have_inputs_between_their_ends(low, high, sign):
     targets = torch.tensor([[0.2], [0.5], [0.9]])  # 0.9 takes an input of 0.9387
-    rests = find_rests(Propeller(), [0], targets, torch.zeros(2), 0.05, torch.tensor([[low], [high]]))
+    rests = find_equilibria(Propeller(), [0], targets, torch.zeros(2), 0.05, torch.tensor([[low], [high]]))
     wanted = sign * (9.0 * torch.sin(targets[:2].double()) / 8.0).sqrt()
     torch.testing.assert_close(rests.u, wanted, atol=1e-6, rtol=0)
     assert rests.unheld.tolist() == [[pytest.approx(0.9)]]
@@ -74,7 +74,7 @@ class Hours(System):
 
 def test_a_plant_of_hours_rests_no_sooner_than_one_of_seconds():
     targets = torch.tensor([[0.2], [1.2]])  # under u = 1, 4.1 N m lack: a ten-thousandth of a range a second
-    slow = find_rests(Hours(), [0], targets, torch.zeros(2), 0.05 * 3600.0)
+    slow = find_equilibria(Hours(), [0], targets, torch.zeros(2), 0.05 * 3600.0)
     assert slow.unheld.tolist() == [[pytest.approx(1.2)]]
     torch.testing.assert_close(slow.u, torch.tensor([[9.81 * math.sin(0.2) / 5.0]]).double(), atol=1e-6, rtol=0)
 
@@ -90,11 +90,11 @@ def test_a_drift_is_no_rest_however_short_the_period_is(dt):
         def forward(self, x, u):
             return 0.2 + u.square()
 
-    assert not len(find_rests(Drifting(), [0], torch.tensor([[0.1]]), torch.zeros(1), dt))
+    assert not len(find_equilibria(Drifting(), [0], torch.tensor([[0.1]]), torch.zeros(1), dt))
 
 
 def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_obstacle():
-    rests = find_rests(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
+    rests = find_equilibria(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
     assert rests.moved.tolist() == [False, True, False] and len(rests) == 2
     torch.testing.assert_close(3 * (rests.u[:, 0] + 0.5 * rests.u[:, 1]), torch.tensor([0.08, 0.72]).double())
 

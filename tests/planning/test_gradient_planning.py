@@ -298,7 +298,7 @@ def test_by_default_inputs_are_up_to_30_percent_weaker_or_stronger_and_late_in_o
 def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small, monkeypatch):
     env, agent, replay = setting()
     planner = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), held=True, margin=0.3)
-    monkeypatch.setattr(gradient_planning, "hold", lambda *given: gradient_planning.Begun(-1.0, afar=True))
+    monkeypatch.setattr(gradient_planning, "hold", lambda *given: gradient_planning.WarmStart(-1.0, afar=True))
     seen, update = [], planner._update
     planner._update = lambda episodes, optimizer: (seen.append(episodes.rows), update(episodes, optimizer))[1]
     planner.plan()
@@ -315,7 +315,7 @@ def test_ways_from_afar_are_asked_for_in_time_and_regulators_hold_late_inputs(se
         asked.append((planner.held_out.late is not None, weights(network), torch.rand(1, generator=rng).item()))
         with torch.no_grad():
             next(network.parameters()).add_(1.0)
-        return gradient_planning.Begun(-1.0, afar=afar)
+        return gradient_planning.WarmStart(-1.0, afar=afar)
 
     monkeypatch.setattr(gradient_planning, "hold", hold)
     planner.plan()

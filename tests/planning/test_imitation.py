@@ -9,7 +9,7 @@ from torch import nn
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.imitation import arrives, hold, imitate
-from dynasindy.planning.plan_settings import rests_of
+from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -83,7 +83,7 @@ def test_what_has_run_away_has_not_arrived():
     reward = TrackingReward((4.0,), rate_weight=0.0)
     task = Tracking(plant.signature, RandomStep([0.0], [0.0]), ("x",), (), reward, 120)
     env = ControlEnv(plant, task, 0.05, 1)
-    rests = rests_of(env)
+    rests = find_task_equilibria(env)
     law = Regulator.of(env, rests, Weights())
     assert arrives(law, env, rests, torch.Generator().manual_seed(0))
     assert not arrives(lambda o: torch.ones(*o.shape[:-1], 1), env, rests, torch.Generator().manual_seed(0))

@@ -5,14 +5,14 @@ import pytest
 import torch
 from scipy.signal import cont2discrete
 
-from dynasindy.planning.linear_model import Equilibria, jacobians, modes, zero_order_hold
+from dynasindy.planning.linear_model import EquilibriumSolver, jacobians, modes, zero_order_hold
 from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
 
 OUTPUTS = ("alpha_a", "alpha_p")
 
 
 def linear_xi():
-    equilibria = Equilibria(Xi(), OUTPUTS)
+    equilibria = EquilibriumSolver(Xi(), OUTPUTS)
     return jacobians(Xi(), *equilibria.state_and_input(torch.zeros(2), equilibria.home))
 
 
@@ -40,7 +40,7 @@ def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its
         def forward(self, x, u):
             return -2 * x + 3 * u
 
-    equilibria = Equilibria(Box(), ["x"])
+    equilibria = EquilibriumSolver(Box(), ["x"])
     reference = torch.tensor([[0.3]])
     x, u = equilibria.state_and_input(reference, equilibria(reference))
     assert float(x) == pytest.approx(0.3) and float(u) == pytest.approx(0.2)
@@ -56,7 +56,7 @@ def test_an_integrator_with_two_inputs_is_held_exactly():
 def test_equilibria_of_xi_are_those_known():
     known = {-0.5: (-0.157, -0.131), -0.25: (-0.139, 0.044), 0.0: (-0.122, 0.210), 0.4: (-0.100, 0.432)}
     reference = torch.tensor([[0.3, pitch] for pitch in known])
-    equilibria = Equilibria(Xi(), OUTPUTS)
+    equilibria = EquilibriumSolver(Xi(), OUTPUTS)
     x, u = equilibria.state_and_input(reference, equilibria(reference))
     torch.testing.assert_close(u.float(), torch.tensor(list(known.values())), atol=1e-3, rtol=0)
     torch.testing.assert_close(x[:, :2], reference.double())
@@ -65,7 +65,7 @@ def test_equilibria_of_xi_are_those_known():
 @pytest.mark.parametrize("system", [Tras(), Xi()])
 def test_a_system_stays_at_its_equilibrium(system):
     reference = torch.rand(3, 4, 2) - 0.5
-    equilibria = Equilibria(system, OUTPUTS)
+    equilibria = EquilibriumSolver(system, OUTPUTS)
     x, u = equilibria.state_and_input(reference, equilibria(reference))
     assert x.shape == (3, 4, 6)
     scale = torch.tensor(system.signature.x_scale)
@@ -74,7 +74,7 @@ def test_a_system_stays_at_its_equilibrium(system):
 
 def test_a_moving_equilibrium_moves_at_its_rate_and_in_nothing_else():
     system, reference, rate = Tras(), torch.tensor([[0.1, -0.3], [0.0, 0.2]]), torch.tensor([[0.05, 0.02], [-0.1, 0.0]])
-    equilibria = Equilibria(system, OUTPUTS)
+    equilibria = EquilibriumSolver(system, OUTPUTS)
     x, u = equilibria.state_and_input(reference, equilibria(reference, drift=equilibria.moving(rate)))
     dx = system(x, u) / torch.tensor(system.signature.x_scale)
     torch.testing.assert_close(dx[:, :2], rate.double(), atol=1e-8, rtol=0)
@@ -84,7 +84,7 @@ def test_a_moving_equilibrium_moves_at_its_rate_and_in_nothing_else():
 
 def test_pendulum_is_held_against_gravity():
     system = Pendulum()
-    equilibria = Equilibria(system, ("theta",))
+    equilibria = EquilibriumSolver(system, ("theta",))
     angles = torch.tensor([[-0.5], [0.3]])
     _, u = equilibria.state_and_input(angles, equilibria(angles))
     assert (u[0] / u[1]).item() == pytest.approx(np.sin(-0.5) / np.sin(0.3), rel=1e-5)
@@ -92,12 +92,12 @@ def test_pendulum_is_held_against_gravity():
 
 def test_as_many_outputs_as_inputs_are_asked_for():
     with pytest.raises(ValueError, match=r"outputs \['alpha_a'\] are 1 and inputs are 2; name one output"):
-        Equilibria(Tras(), ("alpha_a",))
+        EquilibriumSolver(Tras(), ("alpha_a",))
 
 
 def test_reference_out_of_reach_is_refused():
     with pytest.raises(ValueError, match="does not rest with its outputs at"):
-        Equilibria(Tras(), OUTPUTS)(torch.tensor([[0.0, float("nan")]]))
+        EquilibriumSolver(Tras(), OUTPUTS)(torch.tensor([[0.0, float("nan")]]))
 
 
 @pytest.mark.parametrize("steps", [1, 3])

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning.randomization import Margin
+from dynasindy.planning.randomization import GainMargin
 from dynasindy.planning.rollout import Rows, imagine
 
 
@@ -16,7 +16,7 @@ def params(*targets):
 
 def test_inputs_at_rest_hold_the_target_whatever_their_strength(inverted):
     env, rests = inverted()
-    strength = Margin.of(env, rests, 0.2).draw(params(-0.3, 0.0, 0.25), torch.Generator().manual_seed(0))
+    strength = GainMargin.of(env, rests, 0.2).draw(params(-0.3, 0.0, 0.25), torch.Generator().manual_seed(0))
     # theta'' = 4 sin(theta) + 6 u
     wanted = [-4.0 / 6.0 * math.sin(target) for target in (-0.3, 0.0, 0.25)]
     assert strength.rest.flatten().tolist() == pytest.approx(wanted, abs=1e-3)
@@ -28,7 +28,7 @@ def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted)
     env, rests = inverted()
     moving = params(*[0.1] * 6)
     moving[::2, :, 1:] = torch.tensor([0.2, 2.5, 0.0, 1.0])
-    strength = Margin.of(env, rests, 0.3).ends(moving)
+    strength = GainMargin.of(env, rests, 0.3).ends(moving)
 
     def hold(observation):
         """Return what holds the reference of this moment."""
@@ -40,12 +40,12 @@ def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted)
     targets[4:, ::2] = -0.1
     wanted = -4.0 / 6.0 * torch.sin(targets)
     torch.testing.assert_close(flown.applied[..., 0], wanted, atol=1e-3, rtol=0)
-    assert Margin.of(env, rests, 0.3).ends(params(0.1, 0.2)).along is None
+    assert GainMargin.of(env, rests, 0.3).ends(params(0.1, 0.2)).along is None
 
 
 def test_strengths_fill_the_share_evenly_and_go_no_further(inverted):
     env, rests = inverted()
-    many = Margin.of(env, rests, 0.2).draw(params(*[0.1] * 4000), torch.Generator().manual_seed(1)).factor
+    many = GainMargin.of(env, rests, 0.2).draw(params(*[0.1] * 4000), torch.Generator().manual_seed(1)).factor
     assert 0.8 <= many.min() < 0.801 and 1.199 < many.max() <= 1.2
     # Of a uniform distribution of half width w: mean 1, deviation w / sqrt(3).
     assert many.mean().item() == pytest.approx(1.0, abs=0.006)
@@ -54,25 +54,25 @@ def test_strengths_fill_the_share_evenly_and_go_no_further(inverted):
 
 def test_a_policy_is_tested_with_the_weakest_the_model_s_and_the_strongest_inputs(inverted):
     env, rests = inverted()
-    ends = Margin.of(env, rests, 0.2).ends(params(*[0.1] * 6)).factor.flatten().tolist()
+    ends = GainMargin.of(env, rests, 0.2).ends(params(*[0.1] * 6)).factor.flatten().tolist()
     assert ends == pytest.approx([0.8, 1.0, 1.2, 0.8, 1.0, 1.2])
 
 
 def test_there_is_no_margin_where_none_is_asked_for_and_where_nothing_is_regulated(inverted):
     env, rests = inverted()
-    assert Margin.of(env, rests, 0.0) is None and Margin.of(env, None, 0.1) is None
+    assert GainMargin.of(env, rests, 0.0) is None and GainMargin.of(env, None, 0.1) is None
     dead, none = inverted(pull=0.0)
-    assert Margin.of(dead, none, 0.1) is None
+    assert GainMargin.of(dead, none, 0.1) is None
 
 
 def test_a_one_sided_input_stays_one_sided_whatever_its_strength(inverted):
     """A pump of 0 to 12 V holds by a tenth of it: 20 % stronger it would draw 0.24 V where it is off."""
     env, rests = inverted()
-    whole = Margin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
+    whole = GainMargin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
     assert whole.limits is None
     assert float(whole.acting(torch.zeros(3, 1)).min()) == pytest.approx(-0.2 * 4 / 6 * math.sin(0.15), abs=1e-4)
     env.task = env.task.with_input_limits([[0.0], [1.0]])
-    pump = Margin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
+    pump = GainMargin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
     assert float(pump.rest[0]) == pytest.approx(4 / 6 * math.sin(0.15), abs=1e-3)
     assert float(pump.acting(torch.zeros(3, 1)).min()) == 0.0
     # A plant that is more sensitive to the whole of its input is as likely as before.

@@ -7,7 +7,7 @@ import torch
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, pace_of, rests_of, settles
+from dynasindy.planning.plan_settings import SUBSTEPS, PlanSettings, choose_plan_settings, find_task_equilibria, settles
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -27,7 +27,7 @@ class Linear(System):
 def pace(plant, dt=0.05, low=(-0.5,), high=(0.5,), outputs=("x",), rates=("v",)):
     task = Tracking(plant.signature, RandomStep(low, high), outputs, rates, TrackingReward((4.0,)), low=low, high=high)
     env = ControlEnv(plant, task, dt, 1)
-    return pace_of(env, rests_of(env))
+    return choose_plan_settings(env, find_task_equilibria(env))
 
 
 @pytest.mark.parametrize("plant", [Tras, Xi])
@@ -97,7 +97,7 @@ def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(l
     given = {"low": (0.9,), "high": (2.0,)}
     task = Tracking(plant.signature, RandomStep(*given.values()), ("x",), ("v",), TrackingReward((4.0,)), **given)
     env = ControlEnv(plant, task.with_input_limits([limits[:1], limits[1:]]), 0.05, 1)
-    found = pace_of(env, rests_of(env))
+    found = choose_plan_settings(env, find_task_equilibria(env))
     assert found.held == little == ("an input may use 20 % of its range" in found.why)
 
 
@@ -126,7 +126,7 @@ def test_one_input_that_may_do_little_is_enough_to_begin_as_a_regulator(limits, 
     reward = TrackingReward((4.0, 4.0))
     task = Tracking(plant.signature, RandomStep(*given.values()), ("x", "y"), ("v", "w"), reward, **given)
     env = ControlEnv(plant, task.with_input_limits(limits), 0.05, 1)
-    found = pace_of(env, rests_of(env))
+    found = choose_plan_settings(env, find_task_equilibria(env))
     assert found.held == little == ("an input may use 20 % of its range" in found.why)
 
 
@@ -160,8 +160,8 @@ def test_the_settings_are_told_in_a_line(settings, words):
 def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     plant = Linear(4.0, 0.0, 1.0)  # which runs away: with targets it would be held
     env = ControlEnv(plant, settle(plant.signature))
-    assert rests_of(env) is None
-    found = pace_of(env, None, 5)
+    assert find_task_equilibria(env) is None
+    found = choose_plan_settings(env, None, 5)
     assert found == PlanSettings(100, 3e-3, 400, 8, 5, why="the task has no references")
     assert not found.held
 
@@ -212,7 +212,7 @@ def test_the_fate_of_a_deviation_of_a_difference_equation_is_told_by_what_a_step
         (1.0, 1.0, "without control a deviation hardly changes in an episode;"),
     ):
         env = mapped(a, b)
-        found = pace_of(env, rests_of(env))
+        found = choose_plan_settings(env, find_task_equilibria(env))
         assert found.why.startswith(told) and found.held == (abs(a) > 1)
         assert found.substeps == 1  # whose steps are its own, however fast it is
 
@@ -238,6 +238,6 @@ def test_rests_that_are_given_are_taken_instead_of_searched_ones():
     given = [{"x": [-0.5, 0.0], "u": [0.3]}, {"x": [0.5, 0.0], "u": [-0.3]}]
     for rests, share in ((None, -0.5), (given, -0.6)):
         task = Tracking(plant.signature, RandomStep(*box), ["x"], ["v"], TrackingReward((4.0,)), rests=rests)
-        found = rests_of(ControlEnv(plant, task, 0.05, 1))
+        found = find_task_equilibria(ControlEnv(plant, task, 0.05, 1))
         assert len(found) > 10
         torch.testing.assert_close(found.u, share * found.targets, atol=1e-5, rtol=0)

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning import Variation, Varied
-from dynasindy.planning.randomization import Members
+from dynasindy.planning import RandomizedSystem, Variation
+from dynasindy.planning.randomization import ModelEnsemble
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Tras, Xi, integrate
 
@@ -19,14 +19,14 @@ def states(rows):
 
 
 def test_no_variation_leaves_the_system():
-    varied = Varied(Xi(), 0.0, 5)
+    varied = RandomizedSystem(Xi(), 0.0, 5)
     varied.draw(ALL, torch.Generator().manual_seed(0))
     x, u = states(5)
     torch.testing.assert_close(varied(x, u), Xi()(x, u))
 
 
 def test_rates_and_inputs_are_scaled_by_row_and_angles_stay_integrals_of_their_rates():
-    plant, varied = Xi(), Varied(Xi(), 0.1, 5)
+    plant, varied = Xi(), RandomizedSystem(Xi(), 0.1, 5)
     varied.draw(ALL, torch.Generator().manual_seed(0))
     x, u = states(5)
     dx = varied(x, u)
@@ -38,7 +38,7 @@ def test_rates_and_inputs_are_scaled_by_row_and_angles_stay_integrals_of_their_r
 
 
 def test_only_marked_rows_are_drawn_anew():
-    varied = Varied(Xi(), 0.1, 5)
+    varied = RandomizedSystem(Xi(), 0.1, 5)
     rng = torch.Generator().manual_seed(0)
     varied.draw(ALL, rng)
     before = varied.gain.clone()
@@ -50,8 +50,8 @@ def test_only_marked_rows_are_drawn_anew():
 
 def test_each_member_moves_its_share_of_the_rows():
     x, u = states(5)
-    torch.testing.assert_close(Members([Xi()])(x, u), Xi()(x, u))
-    moved = Members([Xi(), Tras()])(x, u)
+    torch.testing.assert_close(ModelEnsemble([Xi()])(x, u), Xi()(x, u))
+    moved = ModelEnsemble([Xi(), Tras()])(x, u)
     torch.testing.assert_close(moved, torch.cat([Xi()(x[:3], u[:3]), Tras()(x[3:], u[3:])]))
 
 
@@ -63,7 +63,7 @@ def test_members_of_a_difference_equation_move_by_its_steps():
         models[-1].library = models[-1].library.with_step(0.5)
         models[-1].set_coefficients(torch.tensor([[a - 1], [1.0]], dtype=torch.float64) / 0.5)
     x, u = torch.tensor([[1.0], [-2.0]] * 2).double(), torch.tensor([[0.5], [0.0]] * 2).double()
-    found = integrate(Members(models), x, u, 1.0, 1)[0]
+    found = integrate(ModelEnsemble(models), x, u, 1.0, 1)[0]
     assert found.flatten().tolist() == pytest.approx([0.56, -0.72, 0.46, -0.32])
 
 
@@ -76,7 +76,7 @@ def test_impossible_variations_are_refused(wrong):
 
 
 def test_versions_fill_their_ranges_evenly_on_both_sides_and_apart():
-    varied = Varied(Xi(), 0.2, 4000)
+    varied = RandomizedSystem(Xi(), 0.2, 4000)
     varied.draw(torch.ones(4000, dtype=torch.bool), torch.Generator().manual_seed(0))
     for drawn in ((varied.gain - 1)[:, 2:] / 0.2, (varied.input_gain - 1) / 0.2):
         # Uniform in [-1, 1]: mean 0, variance 1/3; four thousand draws leave a hundredth.
@@ -92,7 +92,7 @@ def test_versions_fill_their_ranges_evenly_on_both_sides_and_apart():
 def test_the_versions_are_those_of_the_generator():
     drawn = []
     for seed in (0, 0, 1):
-        varied = Varied(Xi(), 0.2, 5)
+        varied = RandomizedSystem(Xi(), 0.2, 5)
         varied.draw(ALL, torch.Generator().manual_seed(seed))
         drawn.append(varied.gain)
     assert torch.equal(drawn[0], drawn[1]) and not torch.equal(drawn[0], drawn[2])
@@ -110,4 +110,4 @@ def test_one_episode_of_two_is_late_by_as_much_as_may_be():
 def test_members_keep_the_stops_of_the_model():
     model = Xi()
     model.stops = Tras().stops
-    assert Members([model, Xi()]).stops == Tras().stops
+    assert ModelEnsemble([model, Xi()]).stops == Tras().stops

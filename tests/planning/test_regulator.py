@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.linalg import expm, solve_discrete_are
 
-from dynasindy.planning.plan_settings import rests_of
+from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator, Weights, regulated, riccati
 
 
@@ -89,7 +89,7 @@ def test_a_state_that_stays_for_ever_leaves_a_law_for_the_others():
 def test_a_difference_equation_is_regulated_as_the_map_that_it_is(mapped, dt, a, b):
     """x[k+1] = -0.6 x[k] + u[k], every step of 0.5 s; two of its steps are 0.36 x + 0.4 u, which nothing alternates."""
     env = mapped(-0.6, 1.0, dt)
-    law = Regulator.of(env, rests_of(env), Weights(outputs=2.0, inputs=3.0))
+    law = Regulator.of(env, find_task_equilibria(env), Weights(outputs=2.0, inputs=3.0))
     # p = q + a^2 p - (a b p)^2 / (r + b^2 p) with q = 2 over the square of a target range of 1, and r = 3.
     half = (3 * (1 - a**2) - 2 * b**2) / (2 * b**2)
     p = -half + math.sqrt(half**2 + 6 / b**2)

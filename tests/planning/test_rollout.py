@@ -8,7 +8,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.randomization import Strength
+from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
 from dynasindy.systems.pendulum import Pendulum
@@ -57,7 +57,7 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits):
         env, network, rows, 0.0 if late is None else late, factor, rest, limits or (-math.inf, math.inf)
     )
     ends = None if limits is None else torch.tensor(limits).unsqueeze(-1).expand(2, 2)
-    rows.strength = Strength(factor, rest, ends) if strong else None
+    rows.strength = InputStrength(factor, rest, ends) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     window = imagine(env, env.system, network, rows, STEPS)
@@ -125,7 +125,7 @@ def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
     unrolled(env, network, rows, factor=factor, rest=rest)
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    rows.kept, rows.strength = True, Strength(factor, rest)
+    rows.kept, rows.strength = True, InputStrength(factor, rest)
     window = imagine(env, env.system, network, rows, STEPS)
     assert window.layers is not None
     torch.testing.assert_close(window.applied, rest + factor * (window.actions - rest))

@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import trajectory_library, trajectory_search
-from dynasindy.planning.plan_settings import rests_of
+from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
-from dynasindy.planning.trajectory_library import NEARNESS, WEIGHTS, Paths, _along, caught_ways
+from dynasindy.planning.trajectory_library import NEARNESS, WEIGHTS, TrajectoryLibrary, _along, find_caught_trajectories
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -34,7 +34,7 @@ def setting(pull=6.0, start=math.pi):
     start = {"theta": [start - 0.05, start + 0.05]}
     task = Tracking(plant.signature, RandomStep([0.0], [0.0]), ("theta",), ("Omega",), reward, 120, start=start)
     env = ControlEnv(plant, task, 0.05, 1)
-    return env, rests_of(env)
+    return env, find_task_equilibria(env)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -50,7 +50,7 @@ def few():
 @pytest.fixture(scope="module")
 def swing(few):
     env, rests = setting()
-    law, imagined = Paths.of(env, rests, torch.Generator().manual_seed(0))
+    law, imagined = TrajectoryLibrary.of(env, rests, torch.Generator().manual_seed(0))
     assert imagined >= 6 * 256 * 30 * (20 + 40)  # starts, signals, rounds, and at least two lengths
     return env, law
 
@@ -95,7 +95,7 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
     regulator = Regulator.of(env, rests, WEIGHTS)
     x, reference = torch.tensor([[0.9, 0.0]]), torch.zeros(1, 1)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
-    way = caught_ways(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0][0]
+    way = find_caught_trajectories(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0][0]
     assert len(way.inputs) > 3
     _, _, gains, values = _along(env, regulator, way, reference[0])
     assert len(gains) == len(way.inputs) + 1
@@ -119,7 +119,7 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
 
 def test_a_plant_that_nothing_lifts_has_no_ways():
     env, rests = setting(pull=0.02)
-    assert Paths.of(env, rests, torch.Generator().manual_seed(0))[0] is None
+    assert TrajectoryLibrary.of(env, rests, torch.Generator().manual_seed(0))[0] is None
 
 
 def test_a_start_that_the_regulator_catches_needs_no_way():
@@ -127,7 +127,7 @@ def test_a_start_that_the_regulator_catches_needs_no_way():
     regulator = Regulator.of(env, rests, WEIGHTS)
     x, reference = torch.tensor([[0.02, 0.0]]), torch.zeros(1, 1)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
-    ways, imagined = caught_ways(env, regulator, x, params, reference, torch.Generator())
+    ways, imagined = find_caught_trajectories(env, regulator, x, params, reference, torch.Generator())
     assert list(ways) == [0] and len(ways[0].inputs) == 0 and imagined == 0
 
 
