@@ -16,7 +16,7 @@ from dynasindy.rig.base import Array, Wiring
 from dynasindy.systems import Signature
 
 
-def column_headings(wiring: Wiring) -> list[str]:
+def log_headings(wiring: Wiring) -> list[str]:
     """Return the headings of a log: time, the states that are measured, and the inputs, each with its unit."""
     signature = wiring.signature
     states = zip(signature.state_names, signature.state_units, wiring.seen, strict=True)
@@ -45,7 +45,7 @@ class Log:
         except FileExistsError as error:
             raise ValueError(f"{path} exists already; give another folder, so that no log is lost") from error
         self._writer = csv.writer(self._file)
-        self._writer.writerow(column_headings(wiring))
+        self._writer.writerow(log_headings(wiring))
 
     def add(self, t: float, y: Array, u: Array) -> None:
         """Write what was measured at a time and the inputs applied from then on; what is missing stays empty."""
@@ -161,7 +161,7 @@ def samples(path: Path, signature: Signature) -> tuple[Array, Array, Array]:
     """
     with path.open(newline="", encoding="utf-8") as file:
         headings, *rows = list(csv.reader(file))
-    names = [column_headings.partition(" [")[0] for column_headings in headings]
+    names = [log_headings.partition(" [")[0] for log_headings in headings]
     whole = [[float(cell) if cell else np.nan for cell in row] for row in rows if len(row) == len(names)]
     columns = np.array(whole).reshape(-1, len(names))
     table, missing = dict(zip(names, columns.T, strict=True)), np.full(len(columns), np.nan)

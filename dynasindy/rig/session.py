@@ -25,7 +25,7 @@ from dynasindy.excitation import Excitation
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
-from dynasindy.rig.log import LAST, FlightRecord, column_headings
+from dynasindy.rig.log import LAST, FlightRecord, log_headings
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Diverged, Signature
@@ -180,7 +180,7 @@ class Session:
         for path in sorted(self.folder.glob(f"{kind}*.csv"), key=lambda path: (len(path.stem), path.stem)):
             with path.open(newline="", encoding="utf-8") as file:
                 first, *rows = list(csv.reader(file)) or [[]]
-            if first != (wanted := column_headings(self.wiring)):
+            if first != (wanted := log_headings(self.wiring)):
                 raise ValueError(
                     f"{path} has the columns {', '.join(first)}, and this rig {', '.join(wanted)}; give another folder"
                 )
