@@ -190,7 +190,7 @@ def nmpc_plan(system: System, dt: float, **more: Any) -> Any:
     fitted = {name: np.linalg.lstsq(basis, rests[:, signature.state_index(name)], rcond=None)[0] for name in free}
     hint = {name: of.tolist() for name, of in fitted.items()}
     guess = {name: of[0] for name, of in hint.items()}
-    settings = {"hint": hint, "guess": guess, "dt": dt} | more
+    settings: dict[str, Any] = {"hint": hint, "guess": guess, "dt": dt} | more
     return Plan(signature.state_names, signature.input_names, signature.x_scale, OUTPUTS, RATES, **settings)
 
 

@@ -205,8 +205,8 @@ def read_cases(path: Path) -> dict[str, Case]:
         return float(eval(value, dict(NAMES))) if isinstance(value, str) else value
 
     def _case(facts: dict[str, Any]) -> Case:
-        names = ("states", "rates", "let", "words", "known")
-        given = {name: tuple(of) if name == "words" else of for name, of in facts.items() if name in names}
+        names = ("states", "rates", "let", "known", "words")
+        given: dict[str, Any] = {name: facts[name] for name in names if name in facts}
         log = _number(facts["log"])
         given |= {name: _number(facts[name]) for name in ("targets", "flight", "start", "loop") if name in facts}
         if "inputs" in facts:
