@@ -38,22 +38,22 @@ import torch
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
-from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
+from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.evaluation.equations import found_in_model
+from dynasindy.evaluation.equations import describe_model
 from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.forecast import Forecast, predict
-from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.horizons import forecast_errors
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.forecast_errors import forecast_errors
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.evaluation.period import as_planned, other_period, suited_period
+from dynasindy.evaluation.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.evaluation.symptoms import resolution, resolutions_by, samples_of, step_of
 from dynasindy.evaluation.targets import require_radians
-from dynasindy.evaluation.verdict import beyond, doubts, unlogged, unmoved
+from dynasindy.evaluation.tracking_criteria import WITHIN
+from dynasindy.evaluation.verdict import beyond, doubts, uncontrolled_outputs, unlogged
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.plan_settings import find_task_equilibria, unheld
@@ -119,7 +119,7 @@ def read(
     for given in (states, inputs):
         columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
     files = str(path) if isinstance(path, str | Path) else list(map(str, path))
-    source = Source.of(Logged(files, columns[0], columns[1], time, dt).recording(None), validation_share)
+    source = Source.of(LoggedData(files, columns[0], columns[1], time, dt).recording(None), validation_share)
     return replace(source, notes=tuple(map(as_arguments, source.notes)))
 
 
@@ -167,7 +167,7 @@ def identify(
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
     source, rates, added = with_missing_rates(build, log, known)
     source = source.with_rates(rates)
-    require_known(source.training, source.signature, rates, partial(_read_scaled, log.signature))
+    require_consistent_rates(source.training, source.signature, rates, partial(_read_scaled, log.signature))
     model = build(signature=source.signature, known=rates)
     for line in (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source))):
         if tell is None:
@@ -176,7 +176,7 @@ def identify(
             tell(line)
     found = fit_log(model, source)
     if tell is not None:
-        for line in found_in_model(found.model, found.report):
+        for line in describe_model(found.model, found.report):
             tell(f"found: {line}")
     return found.model
 
@@ -218,7 +218,7 @@ def plan(
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
-    if still := unmoved(model, task.output_names):
+    if still := uncontrolled_outputs(model, task.output_names):
         raise ValueError(still)
     if log is not None:
         log = log.with_states_of(model)
@@ -362,7 +362,7 @@ def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     channels, exact, columns = {}, True, samples_of(data)
     told = map(resolution, columns) if model.step is None else resolutions_by(model, data).tolist()
     for name, column, finest in zip(names, columns, told, strict=True):
-        step = step_of(column)
+        step = sensor_resolution(column)
         seen = not math.isnan(finest)
         exact &= seen and finest < 1e-6 * model.signature.x_scale[names.index(name)]
         if seen:

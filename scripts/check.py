@@ -25,12 +25,11 @@ STOPPED = "stopped.json"
 def main(cfg: DictConfig) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
     import torch
+    from dynasindy.checking.check_verdict import in_figures, in_short, unstable_targets
 
-    from dynasindy.checking import Loop, Plant, Settings, check, verdict
-    from dynasindy.checking.findings import in_lines
-    from dynasindy.checking.plant import step_for
-    from dynasindy.checking.record import record
-    from dynasindy.checking.verdict import in_figures, in_short, lost
+    from dynasindy.checking import ClosedLoop, Plant, Settings, check, check_verdict
+    from dynasindy.checking.closed_loop import step_for
+    from dynasindy.checking.verdict import check_record, in_lines
     from dynasindy.export.write import Exported
     from dynasindy.progress import say, track
     from dynasindy.safe_io import add_to_json, write_json
@@ -50,7 +49,7 @@ def main(cfg: DictConfig) -> None:
     )
     folder = output_folder(run, "check", cfg.folder)
     step = step_for(given.model, given.controller.setup, given.step)
-    loop = Loop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
+    loop = ClosedLoop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
     kept: list[Check] = []  # what was found until now, the latest last
     try:
         found = check(loop, settings, kept.append)
@@ -58,8 +57,8 @@ def main(cfg: DictConfig) -> None:
         if not kept:
             raise
         raise Stopped(_keep(kept[-1], folder / STOPPED), getattr(stop, "signal", 2)) from stop
-    findings = verdict(found)
-    write_json(folder / "check.json", record(found, findings))
+    findings = check_verdict(found)
+    write_json(folder / "check.json", check_record(found, findings))
     (folder / STOPPED).unlink(missing_ok=True)
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
@@ -73,18 +72,18 @@ def main(cfg: DictConfig) -> None:
         in_short(found, findings),
         f"Files: {folder}",
     )
-    if bool(lost(found).any()):
+    if bool(unstable_targets(found).any()):
         sys.exit(1)
 
 
 def _keep(found: "Check", file: Path) -> str:
     """Write what was found until a check was stopped, and say so in one line."""
-    from dynasindy.checking import verdict
-    from dynasindy.checking.record import record
+    from dynasindy.checking import check_verdict
+    from dynasindy.checking.verdict import check_record
     from dynasindy.safe_io import write_json
 
-    findings = verdict(found)
-    write_json(file, record(found, findings))
+    findings = check_verdict(found)
+    write_json(file, check_record(found, findings))
     weak = [each.name for each in findings if each.weak]
     of_them = f"weak in {', '.join(weak)}" if weak else "none of them weak"
     count = f"{len(findings)} finding{'s' * (len(findings) > 1)}"

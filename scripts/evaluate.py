@@ -14,7 +14,7 @@ def main(cfg: DictConfig) -> None:
     from schema import check
 
     from dynasindy.evaluation.scenarios import evaluate
-    from dynasindy.evaluation.summary import beyond_targets, heading, save_evaluation, summarise, to_text
+    from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
     from dynasindy.planning.integral import IntegralAction
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
             animate(result, out / f"{scenario.name}.{cfg.animation}")
-        table = to_text(summarise(result), heading(result), result.units, result.told_steady_seconds, width())
+        table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
         say(table, *beyond_targets(result), "")
     say(f"Figures, tables and trajectories: {out}")
 

@@ -22,8 +22,8 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from dynasindy.evaluation.before_fit import before_fit, plants_with
-    from dynasindy.evaluation.identification import identify
-    from dynasindy.evaluation.written import to_words, write
+    from dynasindy.evaluation.identification import identify_source
+    from dynasindy.evaluation.identification_report import to_words, write_identification
     from dynasindy.progress import report_progress, say, width
 
     torch.set_num_threads(cfg.threads)
@@ -41,10 +41,10 @@ def main(cfg: DictConfig) -> None:
     before = before_fit(model, source)
     if told := [*told, *before.lines]:
         say(*told)
-    found = identify(model, source, cfg.horizons, cfg.actuators)
+    found = identify_source(model, source, cfg.horizons, cfg.actuators)
     known = plants_with(source.signature) if source.logged and system is None else []
     source = found.source
-    write(found, source, folder, told)
+    write_identification(found, source, folder, told)
     draw(found, source, folder, list(cfg.formats))
     steps = [following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)]
     steps += [with_ends(HydraConfig.get().overrides.task, source.ends)] if source.ends else []
@@ -62,8 +62,8 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     """
     if found.quiet and not found.predicts:
         return "a log in which the inputs move further, by the same command; this one tells too little to plan on"
-    from dynasindy.evaluation.before_fit import known_word
-    from dynasindy.evaluation.period import nearest_period
+    from dynasindy.evaluation.before_fit import rate_setting
+    from dynasindy.evaluation.period import closest_period
     from dynasindy.evaluation.targets import targets_like
 
     job, logged, told = HydraConfig.get(), found.source.logged, cfg.plant.get("known") or {}
@@ -72,11 +72,11 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
         others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
         return f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"
     if set(rates) - set(told):
-        return f"{with_rates(words, known_word(rates))}  # identifies again, with the rates that the log lacks"
+        return f"{with_rates(words, rate_setting(rates))}  # identifies again, with the rates that the log lacks"
     does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
     keys = ("outputs", "low", "high")
     given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-    period = nearest_period(found.source)
+    period = closest_period(found.source)
     if targets := targets_like(found.source, rates.values(), given, found.model, period):
         units = dict(zip(found.source.signature.state_names, found.source.signature.state_units, strict=True))
         named = [str(name) for name in given["outputs"] or targets["outputs"]]
@@ -92,7 +92,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
     import torch
 
     from dynasindy import viz
-    from dynasindy.evaluation.written import anew
+    from dynasindy.evaluation.identification_report import describe_restarts
 
     training, validation = source.training, source.validation
     shown, against = ("log", "the log") if source.logged else ("plant", "the plant")
@@ -109,7 +109,8 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
             validation.x_next,
             found.predicted,
             source.signature,
-            f"Free-running prediction of data that the fit did not see{anew(validation)}, against {against}",
+            f"Free-running prediction of data that the fit did not see{describe_restarts(validation)}, "
+            f"against {against}",
             validation.segment,
             shown,
         ),

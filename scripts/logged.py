@@ -19,11 +19,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
-from dynasindy.evaluation.held import WITHIN
-from dynasindy.evaluation.period import PERIOD, nearest_period, sampled_in_words, suited_period
-from dynasindy.evaluation.quiet import quiet_targets
+from dynasindy.evaluation.period import PERIOD, closest_period, sampled_in_words, suited_period
+from dynasindy.evaluation.signal_resolution import describe_low_signal_targets
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
+from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
@@ -69,7 +69,7 @@ def prepared(cfg: DictConfig) -> Prepared:
         parts["task"](signature=given.signature if given else source.signature)
         if given is None:  # one that is given has its own library
             parts["world_model"](signature=source.signature)
-        quiet = quiet_targets(source.training, source.signature, targets)
+        quiet = describe_low_signal_targets(source.training, source.signature, targets)
         require_radians(source, targets)
         told = [in_words(source.signature, targets), *told, *filter(None, [quiet and f"note: {quiet}"])]
     return Prepared(planning, source, parts, told)
@@ -123,7 +123,7 @@ def _asked(cfg: DictConfig, source: Source | None) -> tuple[float | None, list[s
     words = HydraConfig.get().overrides.task
     if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
         return None, []
-    dt = nearest_period(source, cfg.env.dt)
+    dt = closest_period(source, cfg.env.dt)
     if source is None or dt == cfg.env.dt:
         return dt, []
     return dt, [f"note: {sampled_in_words(dt, cfg.env.dt, source.training.dt)}"]

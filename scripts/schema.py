@@ -13,7 +13,7 @@ from omegaconf.errors import InterpolationKeyError, InterpolationResolutionError
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.sindy.functions import register_formula
@@ -122,7 +122,7 @@ class Keys(TypedDict):
     evaluation: Evaluating
     checkpoint: Every
     scenario: Scenario
-    data: Logged | Simulated
+    data: LoggedData | Simulated
     level: Level
     dt: Annotated[float, "a time > 0"]
     targets: list[list[float]] | None

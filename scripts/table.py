@@ -16,7 +16,7 @@ def main() -> None:
                 return
             if len(sys.argv) != 2:
                 raise ValueError(f"give one folder, that of a sweep: {called('table')} runs/SWEEP")
-            from dynasindy.evaluation.table import sweep_table
+            from dynasindy.evaluation.statistics import sweep_table
             from dynasindy.progress import say
 
             say(sweep_table(Path(sys.argv[1])))

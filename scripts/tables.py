@@ -16,9 +16,8 @@ from pathlib import Path
 
 import torch
 
-from dynasindy.evaluation.ablation import Level, read_rows, to_markdown
-from dynasindy.evaluation.statistics import interquartile_mean
-from dynasindy.evaluation.table import over_seeds
+from dynasindy.evaluation.ablation import Level, read_ablation, to_markdown
+from dynasindy.evaluation.statistics import interquartile_mean, over_seeds
 from dynasindy.safe_io import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -41,7 +40,7 @@ def pages() -> dict[Path, str]:
         for file, text in texts.items()
         if BLOCK.search(text)
     }
-    return found | {RESULTS / "ablation.md": to_markdown(read_rows(RESULTS / "ablation.csv"), Level())}
+    return found | {RESULTS / "ablation.md": to_markdown(read_ablation(RESULTS / "ablation.csv"), Level())}
 
 
 def main() -> None:

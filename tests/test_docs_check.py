@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.checking import Settings, check, verdict
+from dynasindy.checking import Settings, check, check_verdict
 
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "check.md").read_text()
@@ -44,6 +44,6 @@ def test_half_the_step_gives_the_same_margin(monkeypatch):
     gains = []
     for step in (names["step"], names["step"] / 2):
         found = check(loop(controller, plant(names["model"], controller.dt, step)), settings)
-        assert verdict(found)
+        assert check_verdict(found)
         gains.append([each.gain for each in found.margins[0]])
     assert gains[0] == pytest.approx(gains[1], rel=1e-3)

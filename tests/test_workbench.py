@@ -15,7 +15,7 @@ import dynasindy
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.data.csv import Recording
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
@@ -34,7 +34,7 @@ WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
 @pytest.fixture(scope="module")
 def path(tmp_path_factory, write_log):
     """Write a log of the pendulum, whose angle is read by an encoder and whose rate by nobody."""
-    data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     file = tmp_path_factory.mktemp("log") / "log.csv"
     return write_log(file, ["theta [rad]", "u"], (data.x[:, :1] / COUNT).round() * COUNT, data.u)
 
@@ -160,7 +160,7 @@ STILL = Scenario("step", Step([[0.2]]), seconds=30.0)
 def exact():
     """Return a log at 50 Hz without noise."""
     u = Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.02)
-    return Source.of(Recording(record(Pendulum(), u, 0.02), Pendulum().signature))
+    return Source.of(Recording(record_plant(Pendulum(), u, 0.02), Pendulum().signature))
 
 
 @pytest.fixture(scope="module")
@@ -290,7 +290,7 @@ def test_a_rate_that_is_known_needs_no_column(path, log, model):
 
 def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, write_log):
     """6 V rest, and 6 V more turn the pendulum with 12 rad/s^2, which is what 1 does in [-1, 1]."""
-    data = record(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = write_log(tmp_path / "log.csv", ["angle [rad]", "motor [V]"], data.x[:, :1], 6 + 6 * data.u)
     log = dynasindy.read(path, inputs={"motor": {"name": "motor", "unit": "V", "low": 0, "high": 12, "rest": 6}})
     words = ["1", "motor", "angle", "angle_rate", "sin(angle)"]

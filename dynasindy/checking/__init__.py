@@ -1,9 +1,8 @@
 """What a model says of a controller before it touches metal: stability, margins, worst cases, recovery, noise."""
 
 from dynasindy.checking.check import Check, Settings, check
-from dynasindy.checking.findings import Thresholds
-from dynasindy.checking.loop import Loop
-from dynasindy.checking.plant import Plant
-from dynasindy.checking.verdict import verdict
+from dynasindy.checking.check_verdict import check_verdict
+from dynasindy.checking.closed_loop import ClosedLoop, Plant
+from dynasindy.checking.verdict import Thresholds
 
-__all__ = ["Check", "Loop", "Plant", "Settings", "Thresholds", "check", "verdict"]
+__all__ = ["Check", "ClosedLoop", "Plant", "Settings", "Thresholds", "check", "check_verdict"]

@@ -11,13 +11,31 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.flights import AWAY, Flights, Plane, fly, gone, recovery
-from dynasindy.checking.flown import Flown, flown, rubs
-from dynasindy.checking.linear import RESTS, Array, Rest, guess, rest
-from dynasindy.checking.loop import Loop
-from dynasindy.checking.margins import Margins, margins
-from dynasindy.checking.noise import noise_gain
-from dynasindy.checking.swings import Swings, swings, unmoved
+from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.linear_loop import (
+    RESTS,
+    Array,
+    Margins,
+    RestingLoop,
+    find_rest,
+    guess_rest,
+    loop_margins,
+    noise_gain,
+)
+from dynasindy.checking.simulation import (
+    AWAY,
+    LargeSignalMargins,
+    LimitCycles,
+    LoopSimulation,
+    Plane,
+    diverged_rows,
+    find_limit_cycles,
+    has_dry_friction,
+    large_signal_margins,
+    no_limit_cycles,
+    recovery_plane,
+    simulate_loop,
+)
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
 from dynasindy.progress import report_progress, track
 from dynasindy.systems import ranges
@@ -114,21 +132,21 @@ class Check:
         left: What is not looked at yet, in words; the fields that it would fill are empty.
     """
 
-    loop: Loop
+    loop: ClosedLoop
     settings: Settings
     targets: Tensor
     begin: Tensor
-    rest: Rest
+    rest: RestingLoop
     margins: list[list[Margins]]
     noise: list[Array | None]
     sensors: Array
     resolution: Array
-    steps: Flights
-    drawn: Flights | None
+    steps: LoopSimulation
+    drawn: LoopSimulation | None
     spread: Spread
     planes: list[Plane]
-    swings: Swings
-    flown: Flown | None
+    swings: LimitCycles
+    flown: LargeSignalMargins | None
     left: tuple[str, ...] = ()
 
     @property
@@ -163,7 +181,7 @@ class Check:
         if self.drawn is None:
             return 0
         y = self.drawn.x[..., self.drawn.outputs]
-        return int(gone(y, self.targets[self.farthest], self.reach, self.loop.dt).sum())
+        return int(diverged_rows(y, self.targets[self.farthest], self.reach, self.loop.dt).sum())
 
     def beginning(self, written: Callable[[str], str] = str) -> str:
         """Return in words where steps begin; `written` says how the name of a state is written."""
@@ -177,7 +195,7 @@ class Check:
         return self.rest.still & torch.from_numpy(self.rest.linear.radius < 1)
 
 
-def check(loop: Loop, settings: Settings, keep: Callable[[Check], object] | None = None) -> Check:
+def check(loop: ClosedLoop, settings: Settings, keep: Callable[[Check], object] | None = None) -> Check:
     """Look at a loop.
 
     Args:
@@ -201,12 +219,12 @@ def check(loop: Loop, settings: Settings, keep: Callable[[Check], object] | None
     return found
 
 
-def _begun(loop: Loop, settings: Settings) -> Check:
+def _begun(loop: ClosedLoop, settings: Settings) -> Check:
     """Return where the loop rests, and nothing else yet."""
     targets, signature = settings.targets, loop.signature
     count, n_r, n_u, seconds = len(targets), loop.task.n_r, signature.n_u, float(settings.seconds or 0.0)
     report_progress(RESTS, 0, count, "targets")
-    found = rest(loop, targets, seconds=seconds)
+    found = find_rest(loop, targets, seconds=seconds)
     begin = _begin(loop, settings, settings.middle)
     none, no_x, no_u = (torch.zeros(shape).double() for shape in ((count, 0), (0, 2, signature.n_x), (0, 1, n_u)))
     return Check(
@@ -219,18 +237,18 @@ def _begun(loop: Loop, settings: Settings) -> Check:
         [None for _ in targets],
         _stated(loop),
         _resolved(loop),
-        Flights(no_x, no_u, targets[:0], loop.task.outputs, loop.dt, loop.task.input_limits),
+        LoopSimulation(no_x, no_u, targets[:0], loop.task.outputs, loop.dt, loop.task.input_limits),
         None,
         Spread([], none, none.unsqueeze(-1).expand(count, 0, n_r), 0),
         [],
-        unmoved(count, n_r, n_u, seconds),
+        no_limit_cycles(count, n_r, n_u, seconds),
         None,
         tuple(STAGES),
     )
 
 
 def _swinging(found: Check) -> dict[str, Any]:
-    return {"swings": swings(found.loop, found.targets, found.stable, found.seconds, found.begin)}
+    return {"swings": find_limit_cycles(found.loop, found.targets, found.stable, found.seconds, found.begin)}
 
 
 def _bearing(found: Check) -> dict[str, Any]:
@@ -238,13 +256,13 @@ def _bearing(found: Check) -> dict[str, Any]:
     stable = found.stable.tolist()
     rows = [found.rest.linear.row(k) if ok else None for k, ok in enumerate(stable)]
     told = track("margins", rows, len(rows), "targets")
-    both = [([], None) if row is None else (margins(row), noise_gain(row)) for row in told]
+    both = [([], None) if row is None else (loop_margins(row), noise_gain(row)) for row in told]
     return {"margins": [each for each, _ in both], "noise": [each for _, each in both]}
 
 
 def _stepping(found: Check) -> dict[str, Any]:
     begin = found.begin.expand(len(found.targets), -1)
-    return {"steps": fly(found.loop, begin, found.targets, found.seconds)}
+    return {"steps": simulate_loop(found.loop, begin, found.targets, found.seconds)}
 
 
 def _others(found: Check) -> Variants:
@@ -262,19 +280,19 @@ def _recovering(found: Check) -> dict[str, Any]:
     """Start around the middle of the target range, which is none of an even number of targets along an output."""
     settings, r = found.settings, found.middle.unsqueeze(0)
     held = torch.isclose(found.targets, r, atol=0.0).all(-1).nonzero().flatten()
-    home = found.rest.select(held) if len(held) else rest(found.loop, r, seconds=found.seconds)
+    home = found.rest.select(held) if len(held) else find_rest(found.loop, r, seconds=found.seconds)
     x = home.z[0, found.loop.parts["x"]]
-    return {"planes": recovery(found.loop, x, r[0], settings.reach, settings.grid, found.seconds)}
+    return {"planes": recovery_plane(found.loop, x, r[0], settings.reach, settings.grid, found.seconds)}
 
 
 def _flying(found: Check) -> dict[str, Any]:
     """Fly from rest at each target to the opposite one; a single target is flown to from where steps begin."""
     loop, targets, good = found.loop, found.targets[found.stable], found.stable
-    if not len(targets) or not rubs(loop.plant.model):
+    if not len(targets) or not has_dry_friction(loop.plant.model):
         return {"flown": None}
     x = found.rest.z[good][:, loop.parts["x"]]
     x = x if len(targets) > 1 else found.begin.expand_as(x)
-    return {"flown": flown(loop, x, targets.flip(0), found.seconds)}
+    return {"flown": large_signal_margins(loop, x, targets.flip(0), found.seconds)}
 
 
 STAGES: dict[str, Callable[[Check], dict[str, Any]]] = {
@@ -288,20 +306,20 @@ STAGES: dict[str, Callable[[Check], dict[str, Any]]] = {
 """What is looked at once it is known where the loop rests, one after the other, and what fills fields of a check."""
 
 
-def _farthest(loop: Loop, targets: Tensor, begin: Tensor) -> int:
+def _farthest(loop: ClosedLoop, targets: Tensor, begin: Tensor) -> int:
     return int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
 
 
-def _begin(loop: Loop, settings: Settings, middle: Tensor) -> Tensor:
+def _begin(loop: ClosedLoop, settings: Settings, middle: Tensor) -> Tensor:
     """Return the state in which steps begin, `(n_x,)`."""
     ends = ranges.start_ranges(loop.signature, settings.start).double()
     low, high = ranges.state_limits(loop.signature, settings.bounds)
     if settings.start or bool(((low <= 0) & (high >= 0)).all()):
         return ends.mean(0)
-    return guess(loop, middle.unsqueeze(0))[0, loop.parts["x"]]
+    return guess_rest(loop, middle.unsqueeze(0))[0, loop.parts["x"]]
 
 
-def _stated(loop: Loop) -> Array:
+def _stated(loop: ClosedLoop) -> Array:
     """Return the standard deviation of the noise that the file states; 0 where a state is seen as it is, or not."""
     if loop.observer is None:
         return np.zeros(loop.signature.n_x)
@@ -309,17 +327,17 @@ def _stated(loop: Loop) -> Array:
     return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
 
 
-def _resolved(loop: Loop) -> Array:
+def _resolved(loop: ClosedLoop) -> Array:
     if loop.observer is None:
         return np.zeros(loop.signature.n_x)
     return loop.observer.sensors.resolution(loop.signature).numpy()
 
 
-def _drawn(found: Check, others: Variants) -> Flights | None:
+def _drawn(found: Check, others: Variants) -> LoopSimulation | None:
     if not others.draws:
         return None
     farthest = found.targets[found.farthest]
     start = found.begin.expand(others.draws, -1)
     plants = found.loop.varied(others.coefficients[: others.draws])
     phase = "steps of plants that differ from the model"
-    return fly(plants, start, farthest.expand(others.draws, -1), found.seconds, phase)
+    return simulate_loop(plants, start, farthest.expand(others.draws, -1), found.seconds, phase)

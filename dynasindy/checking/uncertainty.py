@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.linear import Array, Rest, rest
-from dynasindy.checking.loop import Loop
-from dynasindy.checking.settling import settling
+from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.linear_loop import Array, RestingLoop, find_rest, settling
 from dynasindy.progress import report_progress, track
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import change_of
@@ -137,7 +136,7 @@ class Spread:
         return self.error.amax(0) if len(self.error) else self.error.new_zeros(self.error.shape[1:])
 
 
-def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: float = 20.0) -> Spread:
+def spread(loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Variants, seconds: float = 20.0) -> Spread:
     """Let loops with other plants, and the same controller, rest at each target.
 
     Args:
@@ -157,7 +156,7 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
     for k, target in enumerate(several):
         start = nominal.select(torch.full((count,), k))
         say = partial(_said, k, len(r))
-        found = rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, say)
+        found = find_rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, say)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
         rests.append(np.concatenate([found.z.numpy(), nominal.z[k : k + 1].numpy()]))
@@ -166,7 +165,7 @@ def spread(loop: Loop, r: Tensor, nominal: Rest, changed: Variants, seconds: flo
     return Spread(changed.labels, radii, errors, changed.draws, changed.how, closing)
 
 
-def _closing(loop: Loop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, seconds: float) -> Tensor:
+def _closing(loop: ClosedLoop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, seconds: float) -> Tensor:
     """Return in which time the end of steps between opposite targets is closed, `(n_targets, n + 1)` [s]."""
     first, periods = loop.parts["x"].start, max(1, round(seconds / loop.dt))
     outputs, ways = [first + place for place in loop.task.outputs], (r.flip(0) - r).numpy()

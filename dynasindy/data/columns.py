@@ -9,10 +9,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from dynasindy.data.clock import CLOCK, clock_of
-from dynasindy.data.survey import Survey, survey
+from dynasindy.data.headings import ColumnSummary, guessed, summarise_columns
 from dynasindy.data.table import MAP, split_unit
 from dynasindy.data.units import with_units
-from dynasindy.data.unnamed import guessed
 from dynasindy.text import did_you_mean
 
 
@@ -67,7 +66,7 @@ def infer(
         ValueError: no heading is that of a state, none that of an input, one that is named does not exist, or an input
             holds words.
     """
-    look = survey(Path(path))
+    look = summarise_columns(Path(path))
     clock = clock_of(look.headings, time)
     given = {heading: split_unit(heading) for heading in look.numeric}
     others = {
@@ -115,7 +114,7 @@ def _names(named: Collection[str]) -> set[str]:
     return {split_unit(name)[0] for name in named}
 
 
-def _empty(look: Survey, clock: str) -> list[str]:
+def _empty(look: ColumnSummary, clock: str) -> list[str]:
     """Return the names of columns, other than the time, below whose heading stands nothing, or NaN alone."""
     names = [split_unit(h)[0] for h in look.headings if h and h not in {*look.numeric, *look.worded, clock}]
     return [name for name in names if name != clock]
@@ -147,7 +146,7 @@ def _left_out(
 
 def _lacking(
     path: str,
-    look: Survey,
+    look: ColumnSummary,
     clock: str,
     states: Sequence[str],
     inputs: Sequence[str],

@@ -209,7 +209,7 @@ def misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) ->
     return [m for m in found if pairs.get(m.state) == m.rate and m.state not in wrong]
 
 
-def require_known(
+def require_consistent_rates(
     data: Transitions, signature: Signature, known: Mapping[str, str], mend: Callable[[Mismatch], str]
 ) -> None:
     """Refuse rates that are known and cannot be those of their states, for their equations are taken as exact.

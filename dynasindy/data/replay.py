@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.data.sound import require_finite, sound, unsound
+from dynasindy.data.finite_checks import is_finite, non_finite, require_finite_rollout
 from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
@@ -90,8 +90,8 @@ class CheckedWriter(TensorDictRoundRobinWriter):
                 f"The {self.name} storage takes exactly its {len(self.keys)} keys; "
                 f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
             )
-        if not sound(data, self.keys):
-            wrong = next(key for key in self.keys if unsound(key, data).any())
+        if not is_finite(data, self.keys):
+            wrong = next(key for key in self.keys if non_finite(key, data).any())
             raise ValueError(
                 f"The {self.name} storage takes finite rows; {_words([wrong])} holds NaN or infinity; "
                 "leave such rows out."
@@ -164,7 +164,7 @@ class DynaReplay:
         writer = self.real.writer
         assert isinstance(writer, CheckedWriter)
         rows = rollout.select(*writer.keys, strict=False).reshape(-1)
-        require_finite(rows)
+        require_finite_rollout(rows)
         if not self.real.storage.initialized:
             self._require_memory(rows)
         self.real.extend(rows)

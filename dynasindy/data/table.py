@@ -9,6 +9,7 @@ from array import array
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import TextIO
@@ -16,8 +17,26 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.dates import ALLOWED, seconds_of_date
 from dynasindy.text import did_you_mean
+
+DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:\d{2}.*))?")
+"""A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
+ALLOWED = "2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05"
+"""Dates that are read, for messages."""
+
+
+def seconds_of_date(text: str) -> float:
+    """Return the seconds of a date with its time of day, by ISO 8601 or with points; NaN of what is none."""
+    text = text.strip()
+    if found := DAY_FIRST.fullmatch(text):
+        day, month, year, hour, rest = found.groups()
+        text = f"{year}-{month:0>2}-{day:0>2}T{hour or '0':0>2}{rest or ':00'}"
+    try:
+        date = datetime.fromisoformat(text)
+    except ValueError:
+        return math.nan
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()  # else summer time would leave a gap
+
 
 MAP = "correct the column map (data.time, data.states, data.inputs)"
 SEPARATORS = ",;\t"
@@ -69,7 +88,7 @@ def read_table(path: Path, names: Sequence[str]) -> Table:
             )
         lines.append(line)
         texts = [row[k] if k < len(row) else "" for k in columns]
-        numbers = list(map(number, texts))
+        numbers = list(map(parse_number, texts))
         if texts and math.isnan(numbers[0]):
             numbers[0] = seconds_of_date(texts[0])
             dated = dated or not math.isnan(numbers[0])
@@ -124,7 +143,7 @@ def named_by(name: str, headings: Sequence[str]) -> list[str]:
     return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
 
 
-def number(text: str) -> float:
+def parse_number(text: str) -> float:
     """Return a number, NaN for what is none; a comma that is left in a value is that of a decimal."""
     try:
         return float(text.replace(",", "."))
@@ -156,7 +175,7 @@ def rows_of(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list
     headings = [field.strip() for field in fields]
     if not any(headings):
         raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
-    if all(not math.isnan(number(heading)) for heading in headings):
+    if all(not math.isnan(parse_number(heading)) for heading in headings):
         names = ",".join(["time", *(f"x{k}" for k in range(1, len(headings) - 1)), "u"][: len(headings)])
         raise ValueError(
             f"{path} has numbers in line {line}, where headings are wanted; allowed is a CSV file with a line of "
@@ -203,8 +222,8 @@ def _below_a_title(path: Path) -> int:
         separator = max(SEPARATORS, key=line.count)
         words, values = ([part.strip() for part in text.split(separator)] for text in (line, below))
         title = [part for part in lines[0].split(separator) if part.strip()]
-        wordy = all(math.isnan(number(word)) for word in words)
-        if len(words) == len(values) > 1 and wordy and any(not math.isnan(number(value)) for value in values):
+        wordy = all(math.isnan(parse_number(word)) for word in words)
+        if len(words) == len(values) > 1 and wordy and any(not math.isnan(parse_number(value)) for value in values):
             return k + 1 if len(title) < len([word for word in words if word]) else 0
     return 0
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.data.recording import measured
+from dynasindy.data.rollout_data import measurements_and_inputs
 from dynasindy.dyna.components import Components, PlantComponents
 from dynasindy.dyna.local_model import LocalModel, fit_local_model
 from dynasindy.envs import ControlEnv
@@ -258,7 +258,7 @@ class RegulatedExcitation:
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]
-            parts.sensing.observer.lean(found.model, [measured(tried) for tried in tries])
+            parts.sensing.observer.lean(found.model, [measurements_and_inputs(tried) for tried in tries])
             self.ends = _free_ends(found, parts)
 
     def _regulates(self, found: LocalModel, parts: PlantComponents) -> bool:

@@ -10,13 +10,13 @@ from typing import Any
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.evaluation.before_fit import before_fit
-from dynasindy.evaluation.equations import found_in_model
+from dynasindy.evaluation.equations import describe_model
 from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.forecast import Forecast
-from dynasindy.evaluation.held import WITHIN
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.summary import beyond_targets, heading, restless, summarise, to_text
+from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text
+from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.progress import say, width
 from dynasindy.safe_io import write_json
 from dynasindy.sensing import Sensors
@@ -73,7 +73,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     if told := before_fit(built, source).lines:
         say(*told)
     found = fit_log(built, source)
-    seen = found_in_model(found.model, found.report)
+    seen = describe_model(found.model, found.report)
     say(found.report.to_text(), *(f"found: {line}" for line in seen), *found.hidden)
     return found.model
 
@@ -99,7 +99,7 @@ def report(model: SindyModel, prediction: Forecast) -> str:
     """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
     lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
     if prediction.shown is not None:
-        title = f"{heading(prediction.shown)}, {prediction.place}"
+        title = f"{evaluation_title(prediction.shown)}, {prediction.place}"
         shown = prediction.shown
         told = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
         lines += [told, *beyond_targets(shown), *restless(shown), ""]

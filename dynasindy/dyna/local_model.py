@@ -18,7 +18,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from dynasindy.data.recording import transitions
+from dynasindy.data.rollout_data import transitions
 from dynasindy.dyna.components import PlantComponents
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import polynomial

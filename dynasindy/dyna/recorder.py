@@ -26,11 +26,10 @@ from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.verdict import distrusted, judge_run
-from dynasindy.evaluation.drawn import drawn
-from dynasindy.evaluation.equations import late
-from dynasindy.evaluation.held import WITHIN, Held, held
+from dynasindy.evaluation.equations import describe_delay
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
+from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_tracking, representative_episode
 from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
@@ -128,7 +127,7 @@ class Recorder(Callback):
         self.cost = cost
         if isinstance(report, FitReport):
             delay = getattr(self.parts.world_model, "delay", 0.0)
-            found = f"found: {late(delay)}\n" if delay else ""
+            found = f"found: {describe_delay(delay)}\n" if delay else ""
             write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n{found}")
             self.said = False
         fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
@@ -177,7 +176,7 @@ class Recorder(Callback):
             What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
-        shown = drawn(final)
+        shown = representative_episode(final)
         metrics = {
             **settings,
             "episodes": len(self.rows),
@@ -221,10 +220,10 @@ class Recorder(Callback):
         observer = None if sensing is None else sensing.observer
         save(Controller(self.parts.agent.deployed, setup, observer), self.folder / NAME)
 
-    def _held(self, final: Evaluation) -> Held:
+    def _held(self, final: Evaluation) -> TrackingCriteria:
         start = final.trajectory["state"][0, 0]
         system = self.plant.system if self.plant.system.known else self.parts.model_env.system
-        return held(final, states_that_matter(system, final.columns, start))
+        return judge_tracking(final, states_that_matter(system, final.columns, start))
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.data.recording import Logged, measured, transitions
+from dynasindy.data.rollout_data import LoggedPeriods, measurements_and_inputs, transitions
 from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
@@ -137,7 +137,7 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     adds, take_back = _adds(parts, settings), parts.world_model.kept()
-    logged = Logged(rollout, parts.model_env.log_dt) if adds else None
+    logged = LoggedPeriods(rollout, parts.model_env.log_dt) if adds else None
     before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
     report: object
     try:
@@ -188,7 +188,7 @@ def _observe(parts: Components, newest: TensorDictBase) -> None:
         return
     rows = parts.replay.real_in_order()
     newest = rows[int((rows["step_count"].squeeze(-1) == 0).nonzero().max()) :]
-    estimates = parts.sensing.observer.learn(*measured(newest))
+    estimates = parts.sensing.observer.learn(*measurements_and_inputs(newest))
     parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))
 
 

@@ -15,10 +15,10 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
-from dynasindy.evaluation.equations import late
-from dynasindy.evaluation.held import WITHIN
+from dynasindy.evaluation.equations import describe_delay
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
+from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.progress import Progress, width
 from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
 from dynasindy.systems import Diverged
@@ -219,7 +219,7 @@ def report(metrics: dict[str, Any], folder: Path) -> str:
     cost = metrics["cost"]
     lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
     if metrics.get("delay"):
-        lines[-1:] = [f"  {late(metrics['delay'])}", ""]
+        lines[-1:] = [f"  {describe_delay(metrics['delay'])}", ""]
     if (file := folder / IDENTIFICATION).is_file():
         which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
         lines[-1:] = [f"{which}: {file}", ""]

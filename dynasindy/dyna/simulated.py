@@ -10,8 +10,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from dynasindy.data.recording import transitions
-from dynasindy.data.simulated import before_leaving, disturb, observed, record
+from dynasindy.data.rollout_data import before_leaving, disturb, observed, record_plant, transitions
 from dynasindy.dyna.components import PlantComponents
 from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restarts
 from dynasindy.envs import ControlEnv
@@ -165,7 +164,7 @@ class Simulated:
         words = ("in the excitation", "in the validation, under random inputs,")
         for k, (moved, what) in enumerate(zip((signal, unseen), words, strict=True)):
             inputs = moved.samples(dt)
-            data = record(system, inputs, dt, self.substeps, self._start(system, self.seed + k))
+            data = record_plant(system, inputs, dt, self.substeps, self._start(system, self.seed + k))
             if k == 0 and len(data) < len(inputs):
                 notes.append(f"{len(inputs) - len(data)} samples that touched a stop were left out")
             data, gone = before_leaving(data, system.signature, self.bounds or {}, what)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dynasindy.evaluation.held import LOST, WITHIN, of_what
+from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, error_reference
 
 HARDLY = 0.01
 """Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
@@ -36,7 +36,7 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
 
     Args:
         metrics: What a run ends with: `scenario`, the summaries `untrained` and `evaluation`, each with a
-            `return`, None where it is not finite, and `held`, see `dynasindy.evaluation.held`; and the number of its
+            `return`, None where it is not finite, and `held`, see `evaluation.tracking_criteria`; and the number of its
             `episodes`, without which there is no `gate.csv`.
         within: Mean absolute error at the end that is asked for, in ranges of targets.
     """
@@ -101,7 +101,7 @@ def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable:
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
         missed |= not (share <= within and worst <= LOST * within)
-        range_ = of_what(name, held.get("turned", ()))
+        range_ = error_reference(name, held.get("turned", ()))
         told.append(f"{name} {_percent(share)} {range_} on average, {_percent(worst)} at worst")
     lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
     if not told:

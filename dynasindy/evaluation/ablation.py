@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dynasindy import safe_io
-from dynasindy.evaluation.table import OVER_SEEDS, markdown, over_seeds, overrides
+from dynasindy.evaluation.statistics import OVER_SEEDS, markdown, over_seeds, overrides
 from dynasindy.safe_io import DamagedFileError, read_cells, read_json, reading, write_text
 
 Row = dict[str, str | float | None]
@@ -101,8 +101,8 @@ def gather(root: Path, results: Path, level: Level) -> list[Row]:
     rows = _merged(before, [row for row, _ in runs])
     with reading(results / TABLE):
         text = to_markdown(rows, level)
-    write_rows(results / CURVES, _merged(curves_before, [line for _, lines in runs for line in lines]))
-    write_rows(results / TABLE, rows)
+    write_ablation(results / CURVES, _merged(curves_before, [line for _, lines in runs for line in lines]))
+    write_ablation(results / TABLE, rows)
     write_text(results / "ablation.md", text)
     return rows
 
@@ -188,7 +188,7 @@ def errors_in_words(metrics: Mapping[str, Any]) -> str:
     return " / ".join(f"{word} {units[name]}" for name, word in words.items()) or "of no output"
 
 
-def read_rows(path: Path) -> list[Row]:
+def read_ablation(path: Path) -> list[Row]:
     """Read a table, numbers as numbers and empty cells as None; no file is an empty table."""
     if not path.exists():
         return []
@@ -197,7 +197,7 @@ def read_rows(path: Path) -> list[Row]:
         return [{key: _value(key, cell) for key, cell in zip(header, row)} for row in rows]
 
 
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
+def write_ablation(path: Path, rows: Sequence[Row]) -> None:
     """Write a table whole, with the columns of all rows, and at once."""
     columns = list(dict.fromkeys(column for row in rows for column in row))
     cells = [{k: f"{v:.7g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]
@@ -207,7 +207,7 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 def _read_table(path: Path) -> list[Row]:
     try:
         with reading(path):
-            rows = read_rows(path)
+            rows = read_ablation(path)
             for row in rows:
                 _key(row)  # what it lacks is told here
     except DamagedFileError as error:
@@ -247,7 +247,7 @@ def _commit(folder: Path) -> str:
 
 def _curve(folder: Path) -> list[dict[str, float | None]]:
     """Return the evaluated rows of a run's `progress.csv`."""
-    rows = [{key: _number(value) for key, value in row.items()} for row in read_rows(folder / "progress.csv")]
+    rows = [{key: _number(value) for key, value in row.items()} for row in read_ablation(folder / "progress.csv")]
     return [row for row in rows if row["evaluated_return"] is not None]
 
 

@@ -108,13 +108,13 @@ def missing_rates(model: SindyModel, lacking: Lacking) -> list[str]:
         its = "its rate, which is" if len(new) == 1 else "their rates, which are"
         lines.append(
             f"hint: what {' and '.join(new)} will do depends on {its} no state yet. Give "
-            f"'{known_word(lacking.shown)}': a column of that name is read as the rate; where there is none, the rate "
+            f"'{rate_setting(lacking.shown)}': a column of that name is read as the rate; without one, the rate "
             "is estimated"
         )
     return lines + [
         f"hint: of {name} only sin({name}) and cos({name}) are tried, and no forces that {name} turns, as no state is "
         f"in rad/s. If a torque moves {name}, give its rate in rad/s, or "
-        f"'{known_word({**given, name: f'{name}_rate'})}' if none was logged"
+        f"'{rate_setting({**given, name: f'{name}_rate'})}' if none was logged"
         for name in lacking.with_angles
         if name not in lacking.shown
     ]
@@ -145,7 +145,7 @@ def with_missing_rates(
     its, are = ("its rate", "It is") if len(found) == 1 else ("their rates", "They are")
     told = (
         f"note: what {' and '.join(found)} will do depends on {its}, which the log lacks. {are} estimated with the "
-        f"model, as if '{known_word(found)}' had been given; 'plant.known={{}}' leaves that out"
+        f"model, as if '{rate_setting(found)}' had been given; 'plant.known={{}}' leaves that out"
     )
     return replace(source.with_rates(found), notes=source.notes), found, [told]
 
@@ -192,7 +192,7 @@ def _name_of_rate(name: str, signature: Signature) -> str:
     return rate
 
 
-def known_word(known: Mapping[str, str]) -> str:
+def rate_setting(known: Mapping[str, str]) -> str:
     """Return the word of the command line that says which state is the rate of which."""
     return f"plant.known={{{', '.join(f'{name}: {rate}' for name, rate in known.items())}}}"
 

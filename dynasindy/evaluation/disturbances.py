@@ -25,7 +25,7 @@ SHARE = 1e-3
 
 
 @runtime_checkable
-class Told(Protocol):
+class SizedDisturbance(Protocol):
     """A disturbance that says how large it is."""
 
     def words(self) -> str:

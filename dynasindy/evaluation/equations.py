@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynasindy.evaluation.before_fit import known_word
+from dynasindy.evaluation.before_fit import rate_setting
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity, read_nonlinearity
@@ -23,7 +23,7 @@ TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
-def late(delay: float) -> str:
+def describe_delay(delay: float) -> str:
     """Say how late the inputs act.
 
     Args:
@@ -32,7 +32,7 @@ def late(delay: float) -> str:
     return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else format_duration(delay)} late"
 
 
-def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[str]:
+def describe_model(model: SindyModel, report: FitReport | None = None) -> list[str]:
     """Say what of delay, dry friction, springs, dead zones and saturations is in the equations.
 
     Args:
@@ -44,7 +44,7 @@ def found_in_model(model: SindyModel, report: FitReport | None = None) -> list[s
     names, lines = model.signature.state_names, []
     told = None if report is None else report.told_apart()
     if model.delay and (report is None or _sure(model.delay, report)):
-        lines.append(late(model.delay))
+        lines.append(describe_delay(model.delay))
     of_rate = rate_states(model.library, model.constraints)
     for i in range(len(names)):
         clear = model.coefficients[:, i] != 0
@@ -85,7 +85,7 @@ def bend_hint(bend: InputNonlinearity, model: SindyModel) -> str:
     """
     names = model.signature.state_names
     known = {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
-    words = " ".join(["plant.library=dead_zone", *([f"'{known_word(known)}'"] if known else [])])
+    words = " ".join(["plant.library=dead_zone", *([f"'{rate_setting(known)}'"] if known else [])])
     return (
         f"hint: what the equations leave over looks like a {bend.kind}, as if {bend_in_words(bend, model)}, about: "
         f"{words} fits such bends of the inputs beside linear functions"

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.evaluation.equations import hidden_states
-from dynasindy.evaluation.horizons import LOST, ForecastErrors, forecast_errors
+from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.progress import report_progress, reporting_as

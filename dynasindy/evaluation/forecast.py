@@ -11,8 +11,8 @@ from typing import Any
 import torch
 
 from dynasindy.envs import ControlEnv, DelayedEnv
-from dynasindy.evaluation.held import LOST, WITHIN, Held, held, of_what
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
+from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, error_reference, judge_tracking
 from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
@@ -27,7 +27,7 @@ class Forecast:
     """Flights of a controller on several models of one plant.
 
     Attributes:
-        flights: What each model shows, see `dynasindy.evaluation.held`; None for one that ran away.
+        flights: What each model shows, see `dynasindy.evaluation.tracking_criteria`; None for one that ran away.
         shown: The evaluation on the first model that did not run away, for figures; None if all did.
         own: Whether the model is the one that was planned on, which promises nothing of the plant.
         within: Mean absolute error at the end that is asked for, in target ranges.
@@ -42,7 +42,7 @@ class Forecast:
         period: What speaks for another control period, and which to try; empty if nothing does.
     """
 
-    flights: tuple[Held | None, ...]
+    flights: tuple[TrackingCriteria | None, ...]
     shown: Evaluation | None = None
     own: bool = False
     within: float = WITHIN
@@ -61,8 +61,8 @@ class Forecast:
     @property
     def controlled(self) -> bool:
         """Whether the controller holds every model as near as is asked for, and nothing speaks against the models."""
-        held = all(flight is not None and not flight.away for flight in self.flights)
-        return not self._missed and held and not self.doubts
+        judge_tracking = all(flight is not None and not flight.away for flight in self.flights)
+        return not self._missed and judge_tracking and not self.doubts
 
     @property
     def promised(self) -> bool:
@@ -111,7 +111,7 @@ class Forecast:
             beyond = f", after it overshot by {over:.2g} % of the step" if over > OVERSHOT else ""
             step = 100 * self.resolved.get(name, 0.0)
             hidden = f" (its sensor resolves {step:.2g} %, and cannot show what is less)" if min(shares) < step else ""
-            average = f"{name} {ends} {of_what(name, flown[0].turned)} on average{hidden}"
+            average = f"{name} {ends} {error_reference(name, flown[0].turned)} on average{hidden}"
             told.append(f"{average}, {worst:.2g} % at worst{beyond}")
         lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
@@ -128,7 +128,7 @@ class Forecast:
         end = "the end" if self.seconds is None else f"the end of flights of {format_duration(self.seconds)}"
         return f"{start}: {verdict}: errors at {end}: {'; '.join([*told, *lost])}"
 
-    def _advice(self, flown: Sequence[Held]) -> str:
+    def _advice(self, flown: Sequence[TrackingCriteria]) -> str:
         """Say what may help where nothing runs away."""
         if self.unheld:
             return f"{self.unheld}: give a smaller range of targets, or log and use more of the inputs' range"
@@ -175,7 +175,7 @@ def predict(
         sensing: Sensors and observer through which the policy sees a plant.
         within: Mean absolute error at the end that is asked for, in target ranges.
     """
-    flights: list[Held | None] = []
+    flights: list[TrackingCriteria | None] = []
     errors: list[float] = []
     overshoot: dict[str, float] = {}
     shown: Evaluation | None = None
@@ -191,7 +191,7 @@ def predict(
             continue
         shown = shown or result
         start = result.trajectory["state"][0, 0]
-        flights.append(held(result, states_that_matter(model, result.columns, start)))
+        flights.append(judge_tracking(result, states_that_matter(model, result.columns, start)))
         errors.append(_whole(result))
         over = result.metrics["overshoot"].nanmedian(0).values.nan_to_num(0.0).tolist() if result.columns else []
         overshoot = {

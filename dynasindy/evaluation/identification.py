@@ -11,17 +11,17 @@ from typing import Any
 
 from torch import Tensor
 
+from dynasindy.data.actuator_scaling import acting_as, with_actuator_ranges
 from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
-from dynasindy.data.ends import acting_as, with_ends
-from dynasindy.data.rates import Mismatch, require_known, unit_of_rate
+from dynasindy.data.headings import row_counter
+from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
-from dynasindy.data.unnamed import counted
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.fitted import FAILURES, fit_log
-from dynasindy.evaluation.horizons import ForecastErrors, begun, forecast_errors
-from dynasindy.evaluation.quiet import heard, quiet_states, too_quiet
+from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
+from dynasindy.evaluation.signal_resolution import describe_low_signals, low_signal_states, resolved_errors
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
 from dynasindy.progress import report_progress, reporting_as
@@ -38,7 +38,7 @@ ExcitationBuilder = Callable[..., Excitation]
 
 
 @dataclass(frozen=True)
-class Logged:
+class LoggedData:
     """Take data from a CSV file; the last part of it is kept for validation.
 
     Attributes:
@@ -116,7 +116,7 @@ class Logged:
             return self.time
         given = [each for each in (self.states, self.inputs) if each]
         named = [_heading(n, each[n] if isinstance(each, Mapping) else n) for each in given for n in each]
-        return counted(Path(self._files[0]), self.time, [split_unit(heading)[0] for heading in named])
+        return row_counter(Path(self._files[0]), self.time, [split_unit(heading)[0] for heading in named])
 
     def _columns(self, plant: Signature | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         if plant is None:
@@ -129,7 +129,7 @@ class Logged:
             n: Column("" if n in rates and n not in names else n, unit)
             for n, unit in zip(plant.state_names, plant.state_units, strict=True)
         }
-        return dict(states), with_ends(given[1] or {n: n for n in plant.input_names}, headings, plant)
+        return dict(states), with_actuator_ranges(given[1] or {n: n for n in plant.input_names}, headings, plant)
 
     def _read_off(self, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return what is mapped, what is listed, or else what the headings say."""
@@ -182,7 +182,7 @@ class Logged:
             return f"give {as_words(columns, {*explicit, wrong.rate})}"
 
         try:
-            require_known(recording.transitions, recording.signature, self.known or {}, _mend)
+            require_consistent_rates(recording.transitions, recording.signature, self.known or {}, _mend)
         except ValueError as error:
             raise ValueError(f"{', '.join(self._files)}: {error}") from None
 
@@ -218,11 +218,11 @@ class Identified:
     @property
     def quiet(self) -> str:
         """Which states the data are too quiet to tell of, and what to move; empty where there are none."""
-        return too_quiet(self.source.training, self.source.signature, self._rates())
+        return describe_low_signals(self.source.training, self.source.signature, self._rates())
 
     def heard(self) -> ForecastErrors | None:
         """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
-        return heard(self.forecasts, quiet_states(self.source.training, self._rates()))
+        return resolved_errors(self.forecasts, low_signal_states(self.source.training, self._rates()))
 
     @property
     def predicts(self) -> bool:
@@ -233,7 +233,7 @@ class Identified:
         return set(rate_states(self.model.library, self.model.constraints))
 
 
-def identify(
+def identify_source(
     model: SindyModel, source: Source, horizons: Sequence[float] | None = None, actuators: bool = True
 ) -> Identified:
     """Fit a model and predict the validation data: open loop, and from many start times.
@@ -261,7 +261,7 @@ def identify(
         found, acting = _undelayed(bare, given.training, found)
     report_progress("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
-    predicted = open_loop(model, begun(model, validation))
+    predicted = open_loop(model, with_start_states(model, validation))
     missing = validation.x_next.isnan().all(0).tolist()
     seen = [(name, i) for i, (name, gaps) in enumerate(zip(names, missing, strict=True)) if not gaps]
     errors = {"open_loop_nrmse": nrmse(predicted, validation)}

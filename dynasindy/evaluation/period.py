@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import known_ranges
+from dynasindy.evaluation.verdict import logged_input_ranges
 from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
@@ -65,7 +65,7 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
     """
     if log is None and model.step:
         return _chosen(model.step, "the step of the model")
-    usual, step = nearest_period(log), log.training.dt if log else 0.0
+    usual, step = closest_period(log), log.training.dt if log else 0.0
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
     pace = _Pace.of(model, x, u, task.outputs)
     longest = pace.longest
@@ -130,7 +130,7 @@ def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Trackin
     if log is None:
         return task
     data = log.with_states_of(model).training
-    return task.as_logged(typical(data, model), known_ranges(model, data.u))
+    return task.as_logged(typical(data, model), logged_input_ranges(model, data.u))
 
 
 def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tensor, Tensor]:
@@ -234,7 +234,7 @@ def sampled_in_words(seconds: float, wanted: float, step: float) -> str:
     return f"the control period is {seconds:g} s and not env.dt={wanted:g}, as the log is sampled every {step:g} s"
 
 
-def nearest_period(log: Source | None, wanted: float | None = None) -> float:
+def closest_period(log: Source | None, wanted: float | None = None) -> float:
     """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
 
     Of two that are as near it is the shorter; without a log it is the one wanted. If none is wanted, it is 0.05 s, or

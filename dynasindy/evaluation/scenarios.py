@@ -17,10 +17,10 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.data.sound import require_finite, sound_rollout
+from dynasindy.data.finite_checks import is_finite_rollout, require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
-from dynasindy.evaluation.disturbances import SensorNoise, Told
+from dynasindy.evaluation.disturbances import SensorNoise, SizedDisturbance
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory
 from dynasindy.progress import report_progress
@@ -265,7 +265,7 @@ def evaluate(
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
-    words = tuple(each.words() for each in disturbing if isinstance(each, Told))
+    words = tuple(each.words() for each in disturbing if isinstance(each, SizedDisturbance))
     return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
 
@@ -311,11 +311,11 @@ def _run(
         parts.append(part)
     report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
-    if "measurement" in set(trajectory.keys()) or not sound_rollout(trajectory):
+    if "measurement" in set(trajectory.keys()) or not is_finite_rollout(trajectory):
         in_time = trajectory.transpose(0, 1).reshape(-1)
         where = f"evaluation in scenario '{scenario.name}'"
         _require_fine(calm, in_time, where)
-        require_finite(in_time, where)
+        require_finite_rollout(in_time, where)
     return trajectory if sensing is None else unveiled(trajectory)
 
 

@@ -110,7 +110,7 @@ class Source:
         Raises:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
-        if not alike_ends(self.signature, model.signature):
+        if not same_input_ranges(self.signature, model.signature):
             mine, theirs = (_reached(signature) for signature in (self.signature, model.signature))
             raise ValueError(
                 f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
@@ -125,7 +125,7 @@ class Source:
         return replace(source, signature=model.signature, training=training, validation=validation)
 
 
-def alike_ends(first: Signature, second: Signature) -> bool:
+def same_input_ranges(first: Signature, second: Signature) -> bool:
     """Tell whether two plants have inputs with the same ends, up to the digits in which a note tells them.
 
     Args:

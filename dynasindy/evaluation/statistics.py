@@ -1,15 +1,18 @@
-"""Statistics over seeds: interquartile mean and stratified bootstrap intervals.
+"""Statistics over seeds, and Markdown tables of runs: interquartile means with stratified bootstrap intervals."""
 
-Source: Agarwal et al., *Deep Reinforcement Learning at the Edge of the Statistical Precipice*, NeurIPS 2021.
+from __future__ import annotations
 
-The resampling is ours and not `scipy.stats.bootstrap`: that draws other random numbers, by which published intervals of
-five seeds change in their third digit, one end from 10.3 to 10.7 episodes, and it refuses a single seed.
-"""
-
-from collections.abc import Callable
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
+
+from dynasindy.safe_io import escape_markdown, read_json, reading
+from dynasindy.text import format_duration
 
 Statistic = Callable[[Tensor], Tensor]
 """Reduces the last dimension."""
@@ -64,3 +67,147 @@ def bootstrap_interval(
     tail = (1.0 - confidence) / 2.0
     low, high = torch.quantile(estimates, torch.tensor([tail, 1.0 - tail], dtype=torch.double), dim=-1)
     return low.to(scores), high.to(scores)
+
+
+HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
+FEWEST = 3
+"""Seeds from which on an interval says something; fewer are shown one by one."""
+SWEEP = (
+    "setting",
+    "seeds",
+    "real steps (plant time)",
+    "return, untrained",
+    "return, trained",
+    "steady-state error, per axis{}",
+    "RMSE, per axis{}",
+    "wall time of a run [s]",
+)
+OVER_SEEDS = (
+    "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
+    "each."
+)
+"""What the figures of `over_seeds` are."""
+ORDER, AXES = "Values of single seeds stand in the order of the seeds.", "A slash parts the axes."
+"""How a cell with several values is read."""
+
+
+def sweep_table(folder: Path) -> str:
+    """Return a Markdown table of a sweep, a row per setting, over its seeds, below lines that say what its figures are.
+
+    Args:
+        folder: Folder of the sweep, whose runs are named `number_key-value__key-value` by Hydra; or of an ablation or a
+            part of it, in which a run lies in `system/experiment/setting/key-value/seed_N`.
+
+    Raises:
+        FileNotFoundError: No run of the folder has ended, or it is one run.
+        DamagedFileError: What a run wrote cannot be read.
+    """
+    if (folder / "metrics.json").is_file():
+        raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for file in sorted(folder.rglob("metrics.json")):
+        if (file.parent / "report.txt").is_file():  # a fit by identify.py, which flew nothing
+            continue
+        setting = _setting(file.parent.relative_to(folder))
+        with reading(file):
+            _row(setting, [run := read_json(file)])
+        groups.setdefault(setting, []).append(run)
+    if not groups:
+        raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
+    with reading(folder):  # whose runs may not have the same figures
+        units = {_units(run) for runs in groups.values() for run in runs}
+        shared = units.pop() if len(units) == 1 else ""  # plants may differ in them
+        table = markdown(
+            [head.format(shared) for head in SWEEP],
+            [_row(setting, _in_order(runs), not shared) for setting, runs in sorted(groups.items())],
+        )
+        several = any(len(_of_axes(run, "rmse")) > 1 for runs in groups.values() for run in runs)
+        return "\n".join([OVER_SEEDS, f"{ORDER} {AXES}" if several else ORDER, "", table])
+
+
+def _in_order(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the runs of a setting in the order of their seeds; by their folders, the tenth job is before the ninth."""
+    return sorted(runs, key=lambda run: run.get("seed") or 0)
+
+
+def _setting(place: Path) -> str:
+    """Return the setting of a run in words, all but its seed, from the folders that lead to it in that of its sweep."""
+    words = [word for part in place.parts for word in overrides(re.sub(r"^\d+(_|$)", "", part))]
+    return " ".join(word for word in words if not re.match(r"seed[=_]", word))
+
+
+def overrides(name: str) -> list[str]:
+    """Return what a folder was named after, `["key=value", ...]`: `key-value__key-value` or `key=value,key=value`."""
+    words = [word for word in re.split(r"__|,", name) if word]
+    # No key holds a dash, but a value may: 1e-3.
+    return [word if "=" in word else word.replace("-", "=", 1) for word in words]
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown, without a final line break; a cell ends and begins nothing but itself."""
+    lines = (header, ["---"] * len(header), *rows)
+    return "\n".join(
+        "| " + " | ".join(escape_markdown(cell).replace("|", r"\|") for cell in cells) + " |" for cells in lines
+    )
+
+
+def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") -> str:
+    """Return the interquartile mean over seeds and the 95 % interval of its bootstrap, `middle [low, high]`.
+
+    Fewer than three seeds give no interval: each stands for itself, `first, second`.
+
+    Args:
+        values: A number per seed; it may be infinite.
+        digits: Significant digits.
+        infinite: Word for infinity.
+    """
+    scores = torch.tensor(list(values), dtype=torch.float64).nan_to_num(posinf=HUGE)
+    if len(scores) < FEWEST:
+        return ", ".join(_short(score, digits, infinite) for score in scores.tolist())
+    numbers = (interquartile_mean(scores), *bootstrap_interval(scores.unsqueeze(-1)))
+    middle, low, high = (_short(n.item(), digits, infinite) for n in numbers)
+    return f"{middle} [{low}, {high}]"
+
+
+def _short(value: float, digits: int, infinite: str) -> str:
+    if value > 1e-3 * HUGE:
+        return infinite
+    # What rounds up to a power of ten would be written as 1e+03.
+    return f"{value:.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}"
+
+
+def _row(setting: str, runs: Sequence[dict[str, Any]], with_units: bool = False) -> list[str]:
+    cost, unit = runs[0]["cost"], _units(runs[0]) if with_units else ""
+    return [
+        f"`{setting or 'default'}`",
+        str(len(runs)),
+        f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
+        _finite([run["untrained"]["return"] for run in runs]),
+        _finite([run["evaluation"]["return"] for run in runs]),
+        _axes(runs, "steady_state_error") + unit,
+        _axes(runs, "rmse") + unit,
+        _finite([run["cost"]["wall_seconds"] for run in runs]),
+    ]
+
+
+def _units(run: Mapping[str, Any]) -> str:
+    """Return the unit of all axes of a run, or one for each, as it stands behind a name or a figure."""
+    units = [*run.get("units", {"": "rad"}).values()]
+    return f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]"
+
+
+def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:
+    names = _of_axes(runs[0], metric)
+    return " / ".join(_finite([run["evaluation"][name] for run in runs]) for name in names)
+
+
+def _of_axes(run: Mapping[str, Any], metric: str) -> list[str]:
+    """Return the names of a metric in an evaluation, one per axis."""
+    return [key for key in run["evaluation"] if key.startswith(f"{metric}/")]
+
+
+def _finite(values: Sequence[float | None]) -> str:
+    """Return the figure over seeds, or how many runs have no number: leaving them out would flatter the setting."""
+    found = [value for value in values if value is not None and math.isfinite(value)]
+    missing = len(values) - len(found)
+    return f"not finite in {missing} of {len(values)}" if missing else over_seeds(found)

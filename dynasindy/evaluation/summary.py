@@ -7,9 +7,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.safe_io import write_csv, write_json
 from dynasindy.systems import Signature
 from dynasindy.text import SECONDS, duration_unit, format_duration
@@ -96,7 +96,7 @@ def beyond_targets(evaluation: Evaluation) -> list[str]:
     return lines
 
 
-def heading(evaluation: Evaluation) -> str:
+def evaluation_title(evaluation: Evaluation) -> str:
     """Return what a table of an evaluation was measured on; errors and returns compare at equal lengths only.
 
     It says what disturbs the plant and by how much, when it does, and that steps are judged before.
@@ -206,7 +206,7 @@ def save_evaluation(evaluation: Evaluation, folder: Path, row: int | None = None
         The files.
     """
     figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
-    row = drawn(evaluation).row if row is None else row
+    row = representative_episode(evaluation).row if row is None else row
     record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
     write_json(figures, record)
     signature = evaluation.signature

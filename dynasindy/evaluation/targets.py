@@ -10,7 +10,7 @@ import torch
 from torch.quasirandom import SobolEngine
 
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import known_ranges
+from dynasindy.evaluation.verdict import logged_input_ranges
 from dynasindy.planning.equilibria import PERIOD, find_equilibria
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.angles import turn_of
@@ -106,7 +106,7 @@ def _held_within(
     signature, data = model.signature, source.training
     places = [signature.state_index(name) for name in ends]
     own = torch.tensor(signature.input_limits or ((-1.0, 1.0),) * signature.n_u, dtype=torch.float64)
-    known = known_ranges(model, data.u)  # of inputs that the equations are linear in all is known
+    known = logged_input_ranges(model, data.u)  # of inputs that the equations are linear in all is known
     tried = [known.get(name, (-1.0, 1.0)) for name in signature.input_names]
     limits = torch.tensor(tried, dtype=torch.float64).maximum(own[:, :1]).minimum(own[:, 1:]).mT
     start = data.x.double().nanmedian(0).values.nan_to_num(0.0)

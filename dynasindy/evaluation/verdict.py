@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.horizons import LOST, ForecastErrors
-from dynasindy.evaluation.symptoms import closed_loop, samples_of, saturated, step_of
+from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors
+from dynasindy.evaluation.recording_diagnostics import closed_loop, samples_of, saturated, sensor_resolution
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Factor, Feature
 from dynasindy.systems.base import Signature
@@ -156,7 +156,7 @@ def unresolved(forecasts: ForecastErrors, signature: Signature) -> Tensor:
     return forecasts.model > torch.maximum(RESOLVED * forecasts.resolution.to(small), small)
 
 
-def known_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, float]]:
+def logged_input_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, float]]:
     """Return the ends of what a log has tried, and a little room, of each input that equations are not linear in.
 
     Beyond these a model only guesses: where inputs were never negative, a thrust that turns round with its propeller
@@ -223,7 +223,7 @@ def unlogged(model: SindyModel, logged: Tensor, targets: Mapping[str, tuple[floa
     return lines
 
 
-def unmoved(model: SindyModel, outputs: Sequence[str]) -> str:
+def uncontrolled_outputs(model: SindyModel, outputs: Sequence[str]) -> str:
     """Say which outputs no input moves in the equations, be it through other states; empty if all are moved."""
     names, moved = model.signature.state_names, set(model.signature.input_names)
     read = {
@@ -251,7 +251,7 @@ def beyond(model: SindyModel, logged: Tensor, flown: Tensor) -> list[str]:
         flown: Inputs of flights, `(M, n_u)`.
     """
     lines, names = [], model.signature.input_names
-    for name, (low, high) in known_ranges(model, logged).items():
+    for name, (low, high) in logged_input_ranges(model, logged).items():
         column = flown[:, names.index(name)]
         least, most = float(column.min()), float(column.max())
         if least < low - ROUNDED or most > high + ROUNDED:
@@ -310,11 +310,11 @@ def _fine(forecasts: ForecastErrors, seen: Sequence[int]) -> list[int]:
     return [i for i in seen if float(ours[i]) <= RESOLVED * float(forecasts.resolution[i])]
 
 
-def found_in_data(data: Transitions, signature: Signature) -> list[str]:
+def describe_data(data: Transitions, signature: Signature) -> list[str]:
     """Say what the sensors and the inputs of a log show: steps, saturation, a controller."""
     lines = []
     for name, unit, column in zip(signature.state_names, signature.state_units, samples_of(data), strict=True):
-        if step := step_of(column):
+        if step := sensor_resolution(column):
             coarse = step > COARSE * float(np.ptp(column[~np.isnan(column)]))
             more = (
                 "; standard errors take it that the sensor rounds: one that cuts off reads half a step too low, "

@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from dynasindy.evaluation.symptoms import step_of
+from dynasindy.evaluation.recording_diagnostics import sensor_resolution
 from dynasindy.rig.base import Array, Wiring
 from dynasindy.systems import Signature
 
@@ -141,7 +141,7 @@ class FlightRecord:
             return "no period was flown, so there is no error to tell"
         told = []
         for k, (name, unit, error) in enumerate(zip(self.names, self.units, self.errors().tolist(), strict=True)):
-            step = step_of(self.outputs[:, k])
+            step = sensor_resolution(self.outputs[:, k])
             if not np.isfinite(error):
                 told.append(f"{name} was not measured")
             elif error < step:

@@ -18,9 +18,9 @@ from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.equations import LATE
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.evaluation.source import Source, alike_ends
+from dynasindy.evaluation.source import Source, same_input_ranges
 from dynasindy.excitation import Excitation
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Clock, Rig, Wiring
@@ -285,7 +285,7 @@ class Session:
                     f"the controller reads {name} in {units[0]}, and the rig sends it in {units[1]}; give the same "
                     "unit to both, or plan a controller from logs of this rig"
                 )
-        if mine.input_ends and not alike_ends(mine, theirs):
+        if mine.input_ends and not same_input_ranges(mine, theirs):
             raise ValueError(
                 f"-1 and 1 of {', '.join(mine.input_names)} are {_ends(mine)} on the rig, and {_ends(theirs)} for the "
                 "controller; give the same ends to both"
@@ -320,7 +320,7 @@ class Session:
         logs, notes, useless = [], [], []
         for path in (*self.logs("excitation"), *self.logs("flight")):
             try:
-                log = Source.of(Logged(str(path), columns, inputs, dt=self.wiring.dt).recording(signature), 0)
+                log = Source.of(LoggedData(str(path), columns, inputs, dt=self.wiring.dt).recording(signature), 0)
             except ValueError as error:
                 useless.append(str(error))
                 continue

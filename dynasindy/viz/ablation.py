@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.ablation import SHARE, Level, Row, read_rows
+from dynasindy.evaluation.ablation import SHARE, Level, Row, read_ablation
 from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import FAMILIES, named
 from dynasindy.viz.learning import average_rewards, draw_bands, single
@@ -101,7 +101,7 @@ def draw_ablation(
     Returns:
         The files.
     """
-    rows = read_rows(results / "ablation_curves.csv")
+    rows = read_ablation(results / "ablation_curves.csv")
     files = []
     for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
         lines, case = list(group), file_name(f"{system}_{experiment}", "plant and experiment")

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
 from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
-from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.progress import track
 from dynasindy.safe_io import replace_file, write_bytes
 from dynasindy.text import duration_unit
@@ -166,7 +166,7 @@ def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds:
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
     write = _write_gif if path.suffix == ".gif" else _write_mp4
-    row = drawn(evaluation).row if row is None else row
+    row = representative_episode(evaluation).row if row is None else row
     pictures = track("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     write(pictures, path, every * dt / speed)
     return path

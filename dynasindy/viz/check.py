@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from dynasindy.checking import Check, Thresholds
-from dynasindy.checking.flights import TOLERANCE, gone
-from dynasindy.checking.margins import broken, frequencies
+from dynasindy.checking.linear_loop import frequencies, open_loop
+from dynasindy.checking.simulation import TOLERANCE, diverged_rows
 from dynasindy.systems import Signature
 from dynasindy.text import format_duration
 from dynasindy.viz.style import (
@@ -88,7 +88,7 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
     if stable and signature.n_u:
         rows = [found.rest.linear.row(k) for k in stable]
-        curves = {_target(found, k): broken(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)}
+        curves = {_target(found, k): open_loop(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)}
         title = "\n".join(["Loop opened at each input", *_left_out(found)])
         figures["nyquist"] = nyquist(curves, signature.input_names, limits.disk, title)
     figures["steps"] = _steps(found, limits)
@@ -225,7 +225,7 @@ def steps(
     seconds = array(dt * np.arange(y.shape[1]))
     targets, reach = np.array([[each.target, each.reach] for each in tracked]).T
     near = np.isfinite(y) & (np.abs(y - targets) <= reach)
-    stays = ~gone(torch.from_numpy(y), torch.from_numpy(targets), torch.from_numpy(reach), dt).numpy()
+    stays = ~diverged_rows(torch.from_numpy(y), torch.from_numpy(targets), torch.from_numpy(reach), dt).numpy()
     looks = _looks(stays, how)
     for i, (axis, output) in enumerate(zip(axes, tracked, strict=False)):
         axis.axhline(output.target, color=BLACK, linestyle="--", linewidth=1.2, label="target")

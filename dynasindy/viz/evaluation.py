@@ -7,8 +7,8 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.viz.response import error_fan, step_response, tracking
 from dynasindy.viz.style import ORANGE, legend_above, save_all, spelt, styled
 
@@ -41,7 +41,7 @@ def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> d
     Titles say which episode is shown, what disturbed it, and where it was flown, unless on the plant.
     """
     where = f" {place}" if place else ""
-    shown = drawn(evaluation)
+    shown = representative_episode(evaluation)
     row, name = shown.row, evaluation.scenario
     disturbed = (words.removeprefix(f"{name}: ") for words in evaluation.disturbances)  # which the name says already
     scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, disturbed)])

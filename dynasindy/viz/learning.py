@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.statistics import bootstrap_interval, interquartile_mean
-from dynasindy.evaluation.table import FEWEST
+from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
 from dynasindy.viz.controllers import looks
 from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, name_single, panels, styled
 

@@ -27,8 +27,7 @@ from dynasindy.dyna.components import Components
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
-from dynasindy.evaluation.statistics import interquartile_mean
-from dynasindy.evaluation.table import markdown, over_seeds
+from dynasindy.evaluation.statistics import interquartile_mean, markdown, over_seeds
 from dynasindy.export.formats import field_of
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.linear_model import EquilibriumSolver, jacobians

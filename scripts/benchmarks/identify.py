@@ -28,7 +28,7 @@ from benchmarks.pysindy_regression import (
     stlsq,
 )
 from benchmarks.textbook_systems import cramer_rao
-from dynasindy.data.simulated import disturb, record, record_all
+from dynasindy.data.rollout_data import disturb, record_plant, record_plants
 from dynasindy.excitation import Chirp, Excitation, HeldRandom
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -104,7 +104,7 @@ def xi_recording(seconds: float, dt: float, seed: int) -> Transitions:
 def xi_recordings(seconds: float, dt: float, seeds: Iterable[int]) -> list[Transitions]:
     """Record it for several seeds side by side."""
     signals = [HeldRandom(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
-    return record_all(Xi(), torch.stack([signal.samples(dt) for signal in signals]), dt, round(dt / 0.001))
+    return record_plants(Xi(), torch.stack([signal.samples(dt) for signal in signals]), dt, round(dt / 0.001))
 
 
 def noise_free(seconds: float, dt: float, goal: float, seeds: int) -> list[Row]:
@@ -197,7 +197,7 @@ def open_loop_errors(model: SindyModel, states: Tensor, inputs: Tensor) -> Tenso
 
 def rig(plant: System, library: str, excitation: Excitation, goal: str) -> list[Row]:
     """Identify a first-principles plant from 20 s and predict unseen episodes open loop."""
-    data = record(plant, excitation.samples(0.01), 0.01, 10)
+    data = record_plant(plant, excitation.samples(0.01), 0.01, 10)
     model = SindyModel(plant.signature, library, Regression("bic", tolerance=1e-4), Refinement(), known=KNOWN)
     model.fit(data)
     states, inputs = episodes(plant)
@@ -327,7 +327,7 @@ def _fitted(plant: System, library: str, amplitude: tuple[float, float]) -> Sind
         Refinement("one_step" if library == "paper_table" else "integral"),
         KNOWN,
     )
-    model.fit(record(plant, Chirp(2, 10.0, amplitude=amplitude, offset=(-0.11, 0.25)).samples(0.01), 0.01, 2))
+    model.fit(record_plant(plant, Chirp(2, 10.0, amplitude=amplitude, offset=(-0.11, 0.25)).samples(0.01), 0.01, 2))
     return model
 
 

@@ -34,7 +34,7 @@ from dynasindy.dyna.excite import interact
 from dynasindy.dyna.folder import check_settings, claimed, clear
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.gym import GymControl
-from dynasindy.evaluation.ablation import Level, gather, read_rows
+from dynasindy.evaluation.ablation import Level, gather, read_ablation
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.evaluation.summary import Summary, summarise
 from dynasindy.excitation import Chirp
@@ -141,7 +141,7 @@ def is_finished(folder: Path, job: Job) -> bool:
         json.loads((folder / "metrics.json").read_text())
     except (OSError, ValueError):
         return False
-    return len(read_rows(folder / "progress.csv")) == job.episodes
+    return len(read_ablation(folder / "progress.csv")) == job.episodes
 
 
 def learn(job: Job, folder: Path) -> dict[str, Any]:

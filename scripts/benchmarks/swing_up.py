@@ -28,8 +28,8 @@ from benchmarks.plants import EXAMPLES
 from dynasindy.dyna.excite import within
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.envs.gym import Array, GymControl
-from dynasindy.evaluation.held import LOST, WITHIN, held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, judge_tracking
 from dynasindy.safe_io import Row, append_rows, read_rows, write_rows
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -222,7 +222,7 @@ def run(env: ControlEnv, agent: OffPolicyAlgorithm, swing: SwingUp) -> Evaluatio
 
 def rows_of(swing: SwingUp, evaluation: Evaluation) -> list[Row]:
     """Return a row per output: its error at the end, and what holds of all of them."""
-    found = held(evaluation, torch.ones(evaluation.signature.n_x, dtype=torch.bool))
+    found = judge_tracking(evaluation, torch.ones(evaluation.signature.n_x, dtype=torch.bool))
     share, worst = ({k: math.inf if v is None else v for k, v in d.items()} for d in (found.share, found.worst))
     near = all(v <= swing.within for v in share.values()) and all(v <= LOST * swing.within for v in worst.values())
     last = round(evaluation.steady_seconds / (evaluation.seconds / len(evaluation.time)))

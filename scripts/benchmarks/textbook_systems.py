@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
-from dynasindy.data.simulated import disturb, record_all
+from dynasindy.data.rollout_data import disturb, record_plants
 from dynasindy.excitation import HeldRandom
 from dynasindy.safe_io import Row
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -116,7 +116,7 @@ class Case:
         """Record the plant without noise, once for each seed."""
         signals = [HeldRandom(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)]
         u = torch.stack([signal.samples(self.dt) for signal in signals])
-        return record_all(self.plant, u, self.dt, round(self.dt / 0.001), torch.tensor(self.start))
+        return record_plants(self.plant, u, self.dt, round(self.dt / 0.001), torch.tensor(self.start))
 
     def truth(self) -> Tensor:
         """Return the plant's coefficients in the library, `(n_features, n_x)`, read off its rates."""

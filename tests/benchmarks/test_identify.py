@@ -10,7 +10,7 @@ from benchmarks import identify, pysindy_regression, textbook_systems
 from benchmarks.pysindy_regression import best_threshold, integral_rows, score, smoothed_rows, weak_rows
 from benchmarks.textbook_systems import cramer_rao
 
-from dynasindy.data.simulated import disturb
+from dynasindy.data.rollout_data import disturb
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.systems import Xi

@@ -13,7 +13,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from dynasindy.dyna.excite import interact
-from dynasindy.evaluation.ablation import read_rows
+from dynasindy.evaluation.ablation import read_ablation
 from dynasindy.tasks import Tracking
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
@@ -74,14 +74,14 @@ def test_plant_task_reward_and_excitation_are_those_of_the_ablation(plant):
 @pytest.mark.parametrize(("agent", "updates"), [("sac", 8), ("sac_5", 40), ("td3", 8), ("td3_5", 40)])
 def test_each_agent_learns_from_the_first_period_on_and_leaves_a_row_per_episode(short, tmp_path, agent, updates):
     model_free.main(parse("model_free", options(tmp_path, "--agents", agent, "--seeds", "3", "--episodes", "2")))
-    curves = read_rows(tmp_path / "results" / "ablation_curves.csv")
+    curves = read_ablation(tmp_path / "results" / "ablation_curves.csv")
     assert [(row["setting"], row["seed"], row["episode"]) for row in curves] == [(f"sb3_{agent}", 3, n) for n in (1, 2)]
     assert [row["updates"] for row in curves] == [updates, 2 * updates]
     assert [row["real_steps"] for row in curves] == [12, 20]
     assert [row["plant_seconds"] for row in curves] == pytest.approx([0.6, 1.0])
     assert all(row["imagined_transitions"] == 0 and row["reward_error"] is None for row in curves)
     assert curves[0]["evaluated_steady_state_error/alpha_a"] != curves[1]["evaluated_steady_state_error/alpha_a"]
-    (run,) = read_rows(tmp_path / "results" / "ablation.csv")
+    (run,) = read_ablation(tmp_path / "results" / "ablation.csv")
     worst = max(curves[1][f"evaluated_steady_state_error/{axis}"] for axis in ("alpha_a", "alpha_p"))
     assert run["steady_state_error"] == pytest.approx(worst, rel=1e-5)
     assert (tmp_path / "results" / "ablation.md").read_text().count(f"sb3_{agent} | 1 |") == 1

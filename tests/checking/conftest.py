@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.checking.loop import Loop
-from dynasindy.checking.plant import Plant
+from dynasindy.checking.closed_loop import ClosedLoop, Plant
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sensing import Observer, Sensors
@@ -56,7 +55,7 @@ def loop_of(law=None, model=None, observer=None, integral=None, stops=None):
     setup = ControlSetup(task_of(), DT, 2, stops)
     seeing = None if observer is None else watching(model, setup, **observer)
     controller = Controller(law or Law(2.0, 2.5), setup, seeing, integral)
-    return Loop(controller, Plant(model, DT, DT / 2, stops))
+    return ClosedLoop(controller, Plant(model, DT, DT / 2, stops))
 
 
 def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
@@ -67,7 +66,7 @@ def network_loop(delay=0.07, disturbance=True, late=1, integral=None):
         torch.manual_seed(4)
         policy = actor(setup.task.n_o, 1, (8, 5)).requires_grad_(False)
     seeing = watching(model, setup, delay=late, disturbance=disturbance)
-    return Loop(Controller(policy, setup, seeing, integral), Plant(model, 0.04, 0.04 / 3, setup.stops))
+    return ClosedLoop(Controller(policy, setup, seeing, integral), Plant(model, 0.04, 0.04 / 3, setup.stops))
 
 
 @pytest.fixture(scope="session")

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from dynasindy.checking import verdict
+from dynasindy.checking import check_verdict
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.margins import Margins
+from dynasindy.checking.linear_loop import Margins
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def good(loops):
 def test_a_margin_that_is_just_too_small_is_shown_to_be(good, changed, name):
     """The first number of the line is on the side of the last that its mark says, and the other way round."""
     sound = Margins(5.0, 0.2, 60.0, 0.5, 1.0)
-    found = verdict(replace(good, margins=[[sound], [replace(sound, **changed)]]))
+    found = check_verdict(replace(good, margins=[[sound], [replace(sound, **changed)]]))
     (line,) = (each for each in found if each.name == name)
     value = float(re.search(r"(?:the least is|may fall to) ([\d.]+)", line.words)[1])
     limit = float(re.search(r"threshold: ([\d.]+)", line.words)[1])

@@ -8,11 +8,11 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from dynasindy.checking import Plant, verdict
+from dynasindy.checking import Plant, check_verdict
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.linear import covariance_at
-from dynasindy.checking.loop import Loop
-from dynasindy.checking.record import number, record
+from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.linear_loop import covariance_at
+from dynasindy.checking.verdict import check_record, plain_number
 from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel
 
@@ -64,7 +64,7 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
     ]
     (*_, rests) = (told for told in heard if told.phase == "where the loop rests")
     assert rests.counted() == "3 of 3 targets"
-    held = json.loads(json.dumps(record(found), allow_nan=False))
+    held = json.loads(json.dumps(check_record(found), allow_nan=False))
     assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
     assert all(row["stable"] and row["rests"] for row in held["targets"])
     # 2 (r - p) = p: two thirds of the way.
@@ -80,7 +80,7 @@ def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, 
     """Of plants that are let run, too: a force of 0.3 at most holds against 0.29, and with a fifth less it does not."""
     model = SindyModel(loops().signature, ["force", "v", "1"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -0.29]], dtype=torch.float64))
-    heard, silent, step = [""], [0], Loop.step
+    heard, silent, step = [""], [0], ClosedLoop.step
 
     def hear(told):
         if str(told) != heard[-1]:
@@ -91,7 +91,7 @@ def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, 
         silent[-1] += 1
         return step(self, *args, **named)
 
-    monkeypatch.setattr(Loop, "step", counting)
+    monkeypatch.setattr(ClosedLoop, "step", counting)
     with listening(hear):
         found = check(loops(law(2.0, 2.5, limit=0.3), model, observer={}), SMALL)
     assert found.stable.all() and found.spread.radius.isinf().any()
@@ -110,14 +110,14 @@ def test_what_was_found_is_handed_on_before_the_rest_is_looked_at(loops):
     """What is stopped at any moment keeps the findings that were ready, and they are those of a whole check."""
     kept = []
     whole = check(loops(observer={}), SMALL, kept.append)
-    lines = [[str(line) for line in verdict(found)] for found in kept]
-    assert lines[-1] == [str(line) for line in verdict(whole)] and whole.left == ()
+    lines = [[str(line) for line in check_verdict(found)] for found in kept]
+    assert lines[-1] == [str(line) for line in check_verdict(whole)] and whole.left == ()
     assert [len(found.left) for found in kept] == [5, 4, 3, 2, 1, 0]
     for found, said in zip(kept, lines, strict=True):
         assert [line for line in lines[-1] if line in said] == said
-        assert json.loads(json.dumps(record(found), allow_nan=False))["left"] == list(found.left)
+        assert json.loads(json.dumps(check_record(found), allow_nan=False))["left"] == list(found.left)
     assert [len(said) for said in lines] == sorted(len(said) for said in lines) and len(lines[0]) == 1
-    assert kept[1].left[0] == "steps" and record(kept[1])["targets"][0]["steady_error"] is None
+    assert kept[1].left[0] == "steps" and check_record(kept[1])["targets"][0]["steady_error"] is None
 
 
 @pytest.mark.parametrize("points", [1, 2, 3, 4])
@@ -133,15 +133,15 @@ def test_flights_are_as_many_control_periods_for_a_slow_plant(loops):
     loop = loops()
     found = check(loop, replace(SMALL, seconds=None, points=1, draws=0))
     assert found.steps.u.shape[1] == 400 and found.seconds == pytest.approx(400 * loop.dt)
-    assert record(found)["settings"]["seconds"] == pytest.approx(400 * loop.dt)
+    assert check_record(found)["settings"]["seconds"] == pytest.approx(400 * loop.dt)
 
 
 def test_a_loop_that_is_not_stable_has_no_margins(loops, law):
     found = check(loops(law(-1.0, 0.0)), SMALL)
     assert not found.stable.any() and not any(found.margins) and found.noise == [None] * 3
-    held = record(found)
+    held = check_record(found)
     assert held["targets"][0]["noise_to_input"] is None and held["targets"][0]["spectral_radius"] > 1
-    assert held["targets"][0]["steady_error"]["p"] > 1 and number(torch.inf) is None
+    assert held["targets"][0]["steady_error"]["p"] > 1 and plain_number(torch.inf) is None
 
 
 @pytest.mark.parametrize(

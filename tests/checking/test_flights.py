@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.flights import Flights, fly, gone, recovery
+from dynasindy.checking.simulation import LoopSimulation, diverged_rows, recovery_plane, simulate_loop
 from dynasindy.systems import Stops
 
 
 def test_a_flight_is_the_power_of_a_matrix(loops):
-    flights = fly(loops(), torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
+    flights = simulate_loop(loops(), torch.tensor([[0.4, -0.2]]), torch.tensor([[0.0]]), 2.0)
     closed = np.array([[1.0, 0.1], [0.0, 1.0]]) - np.array([[0.005], [0.1]]) @ np.array([[2.0, 2.5]])
     expected = [np.linalg.matrix_power(closed, k) @ flights.x[0, 0].numpy() for k in range(21)]
     np.testing.assert_allclose(flights.x[0], expected, atol=1e-10)
@@ -24,7 +24,7 @@ def test_error_slew_and_saturation_are_counted():
     u = torch.zeros(2, 40, 1, dtype=torch.float64)
     u[0, :10, 0], u[1, 0, 0], u[1, 1, 0] = 1.0, -0.6, 0.9
     full = torch.tensor([[-1.0], [1.0]])
-    flights = Flights(x, u, torch.tensor([[1.0], [0.0]]), [0], 0.1, full)
+    flights = LoopSimulation(x, u, torch.tensor([[1.0], [0.0]]), [0], 0.1, full)
     assert flights.steady_error.flatten().tolist() == pytest.approx([0.3, np.inf])
     assert flights.slew.flatten().tolist() == pytest.approx([1.0, 1.5])
     assert flights.saturated.flatten().tolist() == [0.25, 0.0]
@@ -39,10 +39,10 @@ def test_the_way_of_a_fast_plant_is_no_steady_error():
     x = torch.full((1, 401, 1), 0.01, dtype=torch.float64)
     x[:, :50] = 1.0
     full = torch.tensor([[-1.0], [1.0]])
-    flights = Flights(x, torch.zeros(1, 400, 1, dtype=torch.float64), torch.zeros(1, 1), [0], 0.002, full)
+    flights = LoopSimulation(x, torch.zeros(1, 400, 1, dtype=torch.float64), torch.zeros(1, 1), [0], 0.002, full)
     assert flights.steady_error.item() == pytest.approx(0.01)
     assert flights.end.item() == pytest.approx(0.01)
-    assert not gone(x, torch.zeros(1), torch.tensor([0.5]), 0.002).any()
+    assert not diverged_rows(x, torch.zeros(1), torch.tensor([0.5]), 0.002).any()
     slow = replace(flights, dt=0.05)  # 20 s: the last 2 s count
     assert slow.last == 40
 
@@ -55,7 +55,7 @@ def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, 
             return tensordict.set("action", tensordict["action"].clamp(-0.5, 0.5))
 
     loop = loops(Limited(3.0, 3.0), carts(spring=-1.0))
-    (plane,) = recovery(loop, torch.zeros(2), torch.zeros(1), 0.5, 9, 12.0)
+    (plane,) = recovery_plane(loop, torch.zeros(2), torch.zeros(1), 0.5, 9, 12.0)
     assert plane.names == ("p", "v") and plane.first[-1] == 1.0 and plane.second[-1] == 1.5
     total = (plane.first.unsqueeze(1) + plane.second).abs()
     clear = (total - 0.5).abs() > 0.05
@@ -65,12 +65,12 @@ def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, 
 
 def test_a_start_beyond_a_stop_is_put_to_it(loops):
     loop = loops(stops=Stops((0,), (1,), (-0.5,), (0.5,)))
-    (plane,) = recovery(loop, torch.zeros(2), torch.zeros(1), 1.0, 3, 10.0)
+    (plane,) = recovery_plane(loop, torch.zeros(2), torch.zeros(1), 1.0, 3, 10.0)
     assert plane.share == 1.0
 
 
 def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_is_told_apart(loops, law):
     # v' = 2 (0 - p) - 2.5 v + 1 rests at p = 0.5, a quarter of the range of 2 m from the target.
-    (plane,) = recovery(loops(law(2.0, 2.5, bias=1.0)), torch.tensor([0.5, 0.0]), torch.zeros(1), 0.5, 5, 20.0)
+    (plane,) = recovery_plane(loops(law(2.0, 2.5, bias=1.0)), torch.tensor([0.5, 0.0]), torch.zeros(1), 0.5, 5, 20.0)
     assert plane.share == 1.0
     assert plane.steady_error.tolist() == pytest.approx([0.5], abs=1e-6)

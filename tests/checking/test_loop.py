@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.loop import Loop
+from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, integrate
 
@@ -111,8 +111,8 @@ def test_a_model_of_another_plant_is_refused(loops):
     loop = loops()
     other = SindyModel(Signature(("p", "v"), ("m", "m/s"), ("push",), (2.0, 3.0)), ["push"])
     with pytest.raises(ValueError, match="other states, units or inputs than the controller"):
-        Loop(loop.controller, type(loop.plant)(other, 0.1, 0.1))
+        ClosedLoop(loop.controller, type(loop.plant)(other, 0.1, 0.1))
     # A controller out of a log sees outputs in the range of their targets, its model in that of the log.
     model = loop.plant.model
     wide = replace(model.signature, x_scale=tuple(20 * scale for scale in model.signature.x_scale))
-    Loop(loop.controller, replace(loop.plant, model=SindyModel(wide, list(model.library.names))))
+    ClosedLoop(loop.controller, replace(loop.plant, model=SindyModel(wide, list(model.library.names))))

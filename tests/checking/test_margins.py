@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from dynasindy.checking.linear import Linear
-from dynasindy.checking.margins import broken, margins, sensitivity
+from dynasindy.checking.linear_loop import Linear, loop_margins, open_loop, sensitivity
 
 DT = 0.1
 A = np.array([[1.0, DT], [0.0, 1.0]])
@@ -42,7 +41,7 @@ def radius(a, b, k, factor):
 
 @pytest.mark.parametrize(("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO)])
 def test_at_its_gain_margins_a_loop_is_about_to_go(a, b, k):
-    for i, found in enumerate(margins(closed(a, b, k))):
+    for i, found in enumerate(loop_margins(closed(a, b, k))):
         factor = np.ones(b.shape[1])
         factor[i] = found.gain
         assert radius(a, b, k, factor) == pytest.approx(1, abs=1e-6)
@@ -56,7 +55,7 @@ def test_at_its_gain_margins_a_loop_is_about_to_go(a, b, k):
 def test_an_integrator_has_the_margins_of_paper():
     # x+ = x + 0.1 u, u = -4 x: 1 + k L = 0 where 0.4 k = 2. L = 0.4 / (z - 1) has gain 1 where 2 sin(w dt / 2) = 0.4,
     # and its phase there is -90 deg - w dt / 2.
-    (found,) = margins(closed(np.array([[1.0]]), np.array([[DT]]), np.array([[4.0]])))
+    (found,) = loop_margins(closed(np.array([[1.0]]), np.array([[DT]]), np.array([[4.0]])))
     angle = 2 * math.asin(0.2)
     assert found.gain == pytest.approx(5) and found.lower == 0
     assert found.phase == pytest.approx(math.degrees(math.pi / 2 - angle / 2))
@@ -67,7 +66,7 @@ def test_an_integrator_has_the_margins_of_paper():
 
 @pytest.mark.parametrize(("a", "b", "k"), [(A, B, np.array([[1.0, 1.1]])), (TURN, np.array([[0.0], [1.0]]), RATE)])
 def test_a_delay_of_whole_periods_beyond_the_margin_is_too_long(a, b, k):
-    (found,) = margins(closed(a, b, k))
+    (found,) = loop_margins(closed(a, b, k))
     for periods in range(1, 15):
         late = np.zeros((2 + periods, 2 + periods))
         late[:2, :2], late[:2, 2:3] = a, b
@@ -80,7 +79,7 @@ def test_a_delay_of_whole_periods_beyond_the_margin_is_too_long(a, b, k):
 def test_python_control_finds_the_same(a, b, k):
     control = pytest.importorskip("control")
     linear = closed(a, b, k)
-    for i, found in enumerate(margins(linear)):
+    for i, found in enumerate(loop_margins(linear)):
         opened = a - b @ k + b[:, i : i + 1] @ k[i : i + 1]
         loop = control.ss(opened, b[:, i : i + 1], k[i : i + 1], 0, DT)
         gains, phases, *_ = control.stability_margins(loop, returnall=True)
@@ -94,7 +93,7 @@ def test_python_control_finds_the_same(a, b, k):
 
 def test_an_unstable_plant_must_not_lose_the_input():
     # x+ = 1.2 x + 0.1 u, u = -4 x: 1.2 - 0.4 k = 1 at k = 0.5, and = -1 at k = 5.5.
-    (found,) = margins(closed(np.array([[1.2]]), np.array([[DT]]), np.array([[4.0]])))
+    (found,) = loop_margins(closed(np.array([[1.2]]), np.array([[DT]]), np.array([[4.0]])))
     assert found.lower == pytest.approx(0.5) and found.gain == pytest.approx(5.5)
 
 
@@ -106,10 +105,10 @@ def test_the_loop_is_that_which_is_open_at_one_input_alone():
         expected = [
             (TWO[i] @ np.linalg.solve(np.exp(1j * w * DT) * np.eye(3) - opened, INPUTS[:, i])).item() for w in omega
         ]
-        np.testing.assert_allclose(broken(linear, omega)[:, i], expected, rtol=1e-9)
+        np.testing.assert_allclose(open_loop(linear, omega)[:, i], expected, rtol=1e-9)
         np.testing.assert_allclose(sensitivity(linear, omega)[:, i], 1 / (1 + np.array(expected)), rtol=1e-9)
 
 
 def test_a_loop_that_is_not_stable_has_none():
     with pytest.raises(ValueError, match="not stable, so it has no margins"):
-        margins(closed(A, B, -LQR))
+        loop_margins(closed(A, B, -LQR))

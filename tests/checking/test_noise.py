@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.linear import Linear, rest
-from dynasindy.checking.noise import noise_gain
+from dynasindy.checking.linear_loop import Linear, find_rest, noise_gain
 
 
 def test_a_first_order_loop_has_the_spread_of_paper():
@@ -19,7 +18,7 @@ def test_a_first_order_loop_has_the_spread_of_paper():
 
 def test_a_long_flight_under_noise_spreads_as_much(loops):
     loop = loops(observer={"delay": 1})
-    held = rest(loop, torch.zeros(1, 1))
+    held = find_rest(loop, torch.zeros(1, 1))
     gain = noise_gain(held.linear.row(0))
     assert gain[0, 1] == 0  # the rate is not measured
     generator = torch.Generator().manual_seed(2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.plant import FINE, Plant, step_for
+from dynasindy.checking.closed_loop import FINE, Plant, step_for
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.swings import LONGER, swings
+from dynasindy.checking.simulation import LONGER, find_limit_cycles
 
 TARGETS = torch.tensor([[-0.4], [0.4]], dtype=torch.float64)
 ORIGIN = torch.zeros(2)
@@ -26,7 +26,7 @@ def moved(k_p, k_v, friction, target, periods, dt=0.1):
 
 
 def test_swings_are_those_of_a_motion_that_is_computed_exactly(loops, carts, law):
-    found = swings(
+    found = find_limit_cycles(
         loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), TARGETS, torch.tensor([False, True]), 20.0, ORIGIN
     )
     places, inputs = moved(40.0, 1.0, 0.8, -0.4, 200 * LONGER)
@@ -38,10 +38,10 @@ def test_swings_are_those_of_a_motion_that_is_computed_exactly(loops, carts, law
 
 
 def test_swings_that_grow_have_no_size(loops, law):
-    found = swings(loops(law(-1.0, 0.0)), TARGETS, torch.tensor([False, False]), 4.0, ORIGIN)
+    found = find_limit_cycles(loops(law(-1.0, 0.0)), TARGETS, torch.tensor([False, False]), 4.0, ORIGIN)
     assert found.outputs.isinf().all() and (found.error > 1).all()
 
 
 def test_a_loop_that_is_stable_everywhere_is_not_flown(loops, monkeypatch):
-    monkeypatch.setattr("dynasindy.checking.swings.fly", None)
-    assert not swings(loops(), TARGETS, torch.tensor([True, True]), 4.0, ORIGIN).outputs.any()
+    monkeypatch.setattr("dynasindy.checking.simulation.fly", None)
+    assert not find_limit_cycles(loops(), TARGETS, torch.tensor([True, True]), 4.0, ORIGIN).outputs.any()

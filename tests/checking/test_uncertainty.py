@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.linear import rest
+from dynasindy.checking.linear_loop import find_rest
 from dynasindy.checking.uncertainty import Spread, spread, variants
 from dynasindy.sindy import Refinement, SindyModel
 from dynasindy.sindy.covariance import Covariance
@@ -69,7 +69,7 @@ def test_error_and_eigenvalues_with_other_plants_are_those_of_paper(loops, carts
     # Rest at p = 2 r b / (s + 2 b) with the force's coefficient b and the spring s.
     model = carts(spring=1.0)
     loop, r = loops(model=model), torch.tensor([[0.3], [0.0]])
-    found = spread(loop, r, rest(loop, r), variants(model, 0, 0))
+    found = spread(loop, r, find_rest(loop, r), variants(model, 0, 0))
     for k, (b, s) in enumerate(((1.2, 1.0), (0.8, 1.0), (1.0, 1.2), (1.0, 0.8))):
         assert found.error[0, k].item() == pytest.approx(0.3 - 0.6 * b / (s + 2 * b), abs=1e-7)
         flow = torch.linalg.matrix_exp(0.1 * torch.tensor([[0.0, 1.0, 0.0], [-s, 0.0, b], [0.0, 0.0, 0.0]])).double()

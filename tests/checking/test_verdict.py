@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from dynasindy.checking.check_verdict import check_verdict, in_figures, in_short, unstable_targets
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.findings import Finding, Thresholds
-from dynasindy.checking.flights import Flights
-from dynasindy.checking.flown import Flown
-from dynasindy.checking.margins import Margins
+from dynasindy.checking.linear_loop import Margins
+from dynasindy.checking.simulation import LargeSignalMargins, LoopSimulation
 from dynasindy.checking.uncertainty import Drawing
-from dynasindy.checking.verdict import in_figures, in_short, lost, verdict
+from dynasindy.checking.verdict import CheckFinding, Thresholds
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -32,7 +31,7 @@ def composed():
 
 
 def by_name(found, thresholds=None):
-    return {each.name: each for each in verdict(found, thresholds)}
+    return {each.name: each for each in check_verdict(found, thresholds)}
 
 
 def test_a_cart_with_a_sound_law_is_sound(good):
@@ -74,7 +73,7 @@ def test_noise_is_weak_beyond_its_threshold_only_and_none_where_the_file_states_
 
 def test_what_is_not_known_is_no_weakness_and_is_summed_up(loops):
     found = check(loops(), SMALL)
-    findings = [Finding("slew", True, ""), *(each for each in verdict(found) if each.name == "noise")]
+    findings = [CheckFinding("slew", True, ""), *(each for each in check_verdict(found) if each.name == "noise")]
     assert in_short(found, findings) == "In short: stable at all 2 targets, and no finding is weak; not known: noise."
     figures = in_figures(found, findings)
     assert figures["unknown"] == ["noise"] and figures["weak"] == []
@@ -83,7 +82,7 @@ def test_what_is_not_known_is_no_weakness_and_is_summed_up(loops):
 def test_the_largest_slew_and_saturation_over_the_targets_decide(good):
     u = torch.zeros(2, 4, 1, dtype=torch.float64)
     u[1, :2, 0] = torch.tensor([-0.5, 1.0])  # of the second target
-    steps = Flights(torch.zeros(2, 5, 2).double(), u, torch.zeros(2, 1), [0], 0.1, torch.tensor([[-1.0], [1.0]]))
+    steps = LoopSimulation(torch.zeros(2, 5, 2).double(), u, torch.zeros(2, 1), [0], 0.1, torch.tensor([[-1.0], [1.0]]))
     found = by_name(replace(good, steps=steps, settings=replace(good.settings, seconds=0.4)))
     assert found["slew"].words.startswith("in steps from the origin force changes by up to 1.50 in a control period")
     assert found["saturation"].words.startswith(
@@ -138,7 +137,7 @@ def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
 
 
 def test_an_unstable_loop_says_so_first_and_where(loops, law):
-    lines = verdict(check(loops(law(-1.0, 0.0)), SMALL))
+    lines = check_verdict(check(loops(law(-1.0, 0.0)), SMALL))
     assert lines[0].name == "stability" and not lines[0].good
     assert lines[0].words.startswith("NOT stable at 2 of 2 targets of p, such as (-0.4); flown there for 40 s, p ends")
     assert "p runs away, or its swings still grow; thresholds" in lines[0].words
@@ -146,8 +145,8 @@ def test_an_unstable_loop_says_so_first_and_where(loops, law):
 
 
 def test_the_only_target_without_a_stable_loop_is_the_one_that_is_named(good):
-    lost = replace(good, rest=replace(good.rest, still=torch.tensor([True, False])))
-    assert by_name(lost)["stability"].words.startswith(
+    unstable_targets = replace(good, rest=replace(good.rest, still=torch.tensor([True, False])))
+    assert by_name(unstable_targets)["stability"].words.startswith(
         "NOT stable at 1 of 2 targets of p, (0.4); at 1 of these targets there is no rest"
     )
 
@@ -177,8 +176,8 @@ def test_drawn_plants_without_a_rest_or_that_run_away_in_flight_are_counted(good
     assert "run" not in by_name(good)["all coefficients"].words.partition("worst")[2]
     flown = replace(good.drawn, x=good.drawn.x.clone())
     flown.x[0, -1, 0] = 50.0
-    lost = by_name(replace(good, drawn=flown))["all coefficients"]
-    assert "; 1 runs away in the step of steps.png; threshold" in lost.words and not lost.good
+    unstable_targets = by_name(replace(good, drawn=flown))["all coefficients"]
+    assert "; 1 runs away in the step of steps.png; threshold" in unstable_targets.words and not unstable_targets.good
 
 
 @pytest.mark.parametrize(("step", "hidden"), [(0.5, True), (1e-9, False)])
@@ -201,7 +200,7 @@ def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_
         in by_name(replace(good, spread=spread))["all coefficients"].words
     )
     for name in ("one coefficient", "all coefficients"):
-        line = str(Finding(name, False, "b"))
+        line = str(CheckFinding(name, False, "b"))
         assert "planning.variation.parameters=" in line and "integral action" in line and "excite" not in line
         # Draws from the covariance of a fit become narrower with more data, changes of a fixed size do not.
         assert ("longer data do not help" in line) == (name == "one coefficient")
@@ -210,8 +209,8 @@ def test_draws_are_told_with_their_size_and_weak_coefficients_are_not_blamed_on_
 def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist(good):
     cfg = OmegaConf.to_container(composed())
     for name in (*by_name(good), "large movements"):
-        line = str(Finding(name, False, "b"))
-        assert line.startswith(f"WEAK  {name}: b. ") and str(Finding(name, True, "b")) == f"ok    {name}: b"
+        line = str(CheckFinding(name, False, "b"))
+        assert line.startswith(f"WEAK  {name}: b. ") and str(CheckFinding(name, True, "b")) == f"ok    {name}: b"
         for key in re.findall(r"((?:\w+\.)+\w+)=", line):
             node = cfg
             for step in key.split("."):
@@ -219,15 +218,17 @@ def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist(good):
 
 
 def test_one_line_sums_up(good, loops, law):
-    findings = verdict(good, Thresholds(slew=0.0, error=1.0))
+    findings = check_verdict(good, Thresholds(slew=0.0, error=1.0))
     weak = [each.name for each in findings if not each.good]
     assert in_short(good, findings) == (
         f"In short: stable at all 2 targets, and weak in {len(weak)} of 14 findings: {', '.join(weak)}."
     )
     sound = [replace(each, good=True) for each in findings]
     assert in_short(good, sound) == "In short: stable at all 2 targets, and no finding is weak."
-    lost = check(loops(law(-1.0, 0.0)), SMALL)
-    assert in_short(lost, verdict(lost)).startswith("In short: NOT stable at 2 of 2 targets. Do not fly")
+    unstable_targets = check(loops(law(-1.0, 0.0)), SMALL)
+    assert in_short(unstable_targets, check_verdict(unstable_targets)).startswith(
+        "In short: NOT stable at 2 of 2 targets. Do not fly"
+    )
 
 
 def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts, law):
@@ -237,9 +238,9 @@ def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts
     assert 0.005 < swing < 0.2
     for limit, words in ((1.01 * swing / 2, "stable at 0 of 2 targets; at 2 it goes on swinging, by "), (0.0, "NOT ")):
         limits = Thresholds(swing=limit)
-        findings = verdict(circling, limits)
+        findings = check_verdict(circling, limits)
         assert in_short(circling, findings, limits).startswith(f"In short: {words}")
-        assert bool(lost(circling, limits).any()) == (limit == 0)
+        assert bool(unstable_targets(circling, limits).any()) == (limit == 0)
         assert not findings[0].good and f"{swing:.3g} m of p to either side" in findings[0].words
 
 
@@ -254,7 +255,7 @@ def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts
 def test_of_margins_that_disagree_the_lesser_count(good, gain, delay, said):
     """At rest they are 5 and 0.5 s, which are five periods; four times and eight periods are as far as is tried."""
     margin = Margins(5.0, 0.2, 60.0, 0.5, 1.0)
-    found = by_name(replace(good, margins=[[margin], [margin]], flown=Flown(gain, delay)))
+    found = by_name(replace(good, margins=[[margin], [margin]], flown=LargeSignalMargins(gain, delay)))
     assert said in found["large movements"].words
     assert "in movements so small that dry friction damps them;" in found["gain margin"].words
     assert "movements" not in by_name(good)["gain margin"].words

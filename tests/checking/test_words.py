@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.findings import Thresholds
-from dynasindy.checking.words import error, least, most
+from dynasindy.checking.verdict import Thresholds, error, least, most
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete
 
 import dynasindy
 from dynasindy.data.clock import clock_of, period_of
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 
 
 def written(path, heading, times, separator=","):
@@ -73,27 +73,27 @@ def test_time_is_found_where_only_one_heading_can_mean_it(headings, clock):
 def test_the_column_of_time_and_its_unit_are_always_said(tmp_path, heading, per_second, how):
     """Samples every 20 ms, whatever they are counted in."""
     path = written(tmp_path / "log.csv", heading, [f"{0.02 * k * per_second:.6g}" for k in range(100)])
-    found = Logged(path).recording(None)
+    found = LoggedData(path).recording(None)
     assert found.transitions.dt == pytest.approx(0.02)
     assert found.notes[0] == f"time is the column {heading.split(' [')[0]}, {how}: 0.02 s between rows"
 
 
 def test_a_counter_gets_a_hint_and_what_the_hint_says_mends_it(tmp_path):
     path = written(tmp_path / "log.csv", "t", range(100))
-    found = Logged(path).recording(None)
+    found = LoggedData(path).recording(None)
     assert found.transitions.dt == 1.0 and "taken as seconds: 1 s between rows. It holds whole" in found.notes[0]
-    counted = Logged(path, dt=0.05).recording(None)
+    counted = LoggedData(path, dt=0.05).recording(None)
     assert counted.transitions.dt == 0.05 and len(counted.transitions) == 99
     assert "a counter of rows: 0.05 s between rows" in counted.notes[0]
     (word,) = (w for w in shlex.split(found.notes[0].replace(",", " ")) if w.startswith("data.time="))
-    named = Logged(path, time=yaml.safe_load(word.removeprefix("data.time="))).recording(None)
+    named = LoggedData(path, time=yaml.safe_load(word.removeprefix("data.time="))).recording(None)
     assert named.transitions.dt == pytest.approx(1e-3) and named.notes[0].endswith("in ms: 0.001 s between rows")
 
 
 def test_a_counter_that_lost_rows_keeps_its_gaps(tmp_path):
     """Every second count is logged, and five counts are lost: 0.1 s between rows, and one gap."""
     counts = [k for k in range(0, 300, 2) if not 100 <= k < 106]
-    found = Logged(written(tmp_path / "log.csv", "t", counts), dt=0.1).recording(None)
+    found = LoggedData(written(tmp_path / "log.csv", "t", counts), dt=0.1).recording(None)
     assert found.transitions.dt == 0.1 and found.transitions.segment.unique().tolist() == [0, 1]
 
 
@@ -104,7 +104,7 @@ def test_dates_with_points_are_read_with_the_day_first(tmp_path):
         for k in range(100)
     ]
     times = [f"{day}:{second:05.2f}" for day, second in days]
-    found = Logged(written(tmp_path / "log.csv", "t", times)).recording(None)
+    found = LoggedData(written(tmp_path / "log.csv", "t", times)).recording(None)
     assert found.transitions.dt == pytest.approx(0.25) and found.transitions.segment.unique().tolist() == [0]
     assert found.notes == ("time is the column t, read as dates: 0.25 s between rows",)
 

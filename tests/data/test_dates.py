@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dynasindy.data.dates import seconds_of_date
+from dynasindy.data.table import seconds_of_date
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import torch
 import yaml
 
 from dynasindy.data.csv import CsvLog
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.systems import BlackBox
 from dynasindy.tasks import base
 
@@ -96,7 +96,7 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     """Zero stays zero, and inputs within what the log has tried."""
     values = levels(low, high)
     path = written(tmp_path / "log.csv", values)
-    found = Logged(path, inputs=["valve"]).recording(None)
+    found = LoggedData(path, inputs=["valve"]).recording(None)
     one = max(abs(end - rest) for end in reach)
     assert found.signature.input_ends == ((rest - one, rest + one),)
     assert rest + one * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
@@ -107,7 +107,7 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     given = yaml.safe_load(word.removeprefix("data.inputs="))
     # An actuator that rests at zero reaches zero, whether the log has tried it or not.
     assert (given["valve"]["low"], given["valve"]["high"]) == (min(*reach, rest), max(*reach, rest))
-    again = Logged(path, inputs=given).recording(None)
+    again = LoggedData(path, inputs=given).recording(None)
     assert again.signature.input_ends == found.signature.input_ends and again.ends == ""
     assert torch.equal(again.transitions.u, found.transitions.u)
 
@@ -122,7 +122,7 @@ def test_a_rest_outside_of_the_ends_is_refused(tmp_path):
 @pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, "low: 0, high: 1"), (-0.9, 0.0, "low: -1, high: 0")])
 def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path, low, high, ends):
     path = written(tmp_path / "log.csv", levels(low, high), "valve")
-    found = Logged(path, inputs=["valve"]).recording(None)
+    found = LoggedData(path, inputs=["valve"]).recording(None)
     assert found.signature.input_ends == () == found.signature.input_limits
     (_, note) = found.notes
     assert f"'data.inputs={{valve: {{name: valve, {ends}}}}}'" in note and "from -1 to 1" in note
@@ -133,16 +133,16 @@ def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):
     """10 V of 10,000 V are a thousandth."""
     path = written(tmp_path / "log.csv", levels(0.0, 10.0), "valve [V]")
     wide = {"valve": {"name": "valve", "low": 0, "high": 10_000}}
-    notes = Logged(path, inputs=wide).recording(None).notes
+    notes = LoggedData(path, inputs=wide).recording(None).notes
     assert "goes from 0 to 10 only, 0.1 % of that; check that both are in one unit" in notes[1]
     fair = {"valve": {"name": "valve", "low": 0, "high": 100}}
-    assert not any("only" in note for note in Logged(path, inputs=fair).recording(None).notes)
+    assert not any("only" in note for note in LoggedData(path, inputs=fair).recording(None).notes)
 
 
 @pytest.mark.parametrize("most", [0.4, 1.0, 1.0004])
 def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
     values = levels(-most, most)
-    found = Logged(written(tmp_path / "log.csv", values), inputs=["valve"]).recording(None)
+    found = LoggedData(written(tmp_path / "log.csv", values), inputs=["valve"]).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
     assert found.signature.input_ends == () and not found.notes[1:]
 
@@ -150,7 +150,7 @@ def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
     values = levels(-12.0, 12.0)
     kept = {"valve": {"name": "valve", "low": -1, "high": 1}}
-    found = Logged(written(tmp_path / "log.csv", values), inputs=kept).recording(None)
+    found = LoggedData(written(tmp_path / "log.csv", values), inputs=kept).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
     assert "beyond the [-1, 1]" in found.notes[1]
 
@@ -176,11 +176,11 @@ def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
     """Millivolts that were scaled stay scaled."""
     path = written(tmp_path / "log.csv", levels(-12_000.0, 12_000.0), "valve [mV]")
     scaled = {"valve": {"name": "valve", "unit": "V", "scale": 0.001}}
-    first = Logged(path, inputs=scaled).recording(None)
+    first = LoggedData(path, inputs=scaled).recording(None)
     (word,) = shlex.split(first.notes[2].rpartition("as they are: ")[2])
     given = yaml.safe_load(word.removeprefix("data.inputs="))
     assert given["valve"] == {"name": "valve", "unit": "V", "scale": 0.001, "low": -12, "high": 12}
-    second = Logged(path, inputs=given).recording(None)
+    second = LoggedData(path, inputs=given).recording(None)
     assert np.array_equal(first.transitions.u.numpy(), second.transitions.u.numpy())
     assert float(second.transitions.u.abs().max()) == pytest.approx(1.0)
 
@@ -213,7 +213,7 @@ def test_a_plant_that_is_known_by_names_says_the_ends_of_its_actuators(tmp_path,
     values = levels(6.0, 12.0)
     inputs = None if given == "valve" else {"valve": {"name": "i", "unit": "mA", "scale": 1000.0}}
     path = written(tmp_path / "log.csv", values if inputs is None else values / 1000, heading)
-    found = Logged(path, inputs=inputs).recording(PLANT)
+    found = LoggedData(path, inputs=inputs).recording(PLANT)
     assert found.transitions.u[:, 0].numpy() == pytest.approx((values[:-1] - 4) / 16)
     assert found.signature.input_ends == ((-12.0, 20.0),) and found.signature.input_limits == ((0.0, 1.0),)
     assert found.signature.input_units == ("mA",)
@@ -221,7 +221,7 @@ def test_a_plant_that_is_known_by_names_says_the_ends_of_its_actuators(tmp_path,
 
 def test_the_numbers_that_a_rig_has_logged_stay_what_they_are(tmp_path):
     values = levels(0.1, 0.5)
-    found = Logged(written(tmp_path / "log.csv", values, "valve [-]")).recording(PLANT)
+    found = LoggedData(written(tmp_path / "log.csv", values, "valve [-]")).recording(PLANT)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
     assert found.signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(4 + 16 * values[:-1])
     assert len(found.notes) == 1 and found.notes[0].startswith("time is the column time")  # none on the input's ends
@@ -242,13 +242,13 @@ def test_the_numbers_that_a_rig_has_logged_stay_what_they_are(tmp_path):
 def test_a_log_that_contradicts_its_plant_is_refused(tmp_path, heading, given, message):
     path = written(tmp_path / "log.csv", levels(6.0, 12.0), heading)
     with pytest.raises(ValueError, match=message):
-        Logged(path, inputs={"valve": {"name": "valve", **given}}).recording(PLANT)
+        LoggedData(path, inputs={"valve": {"name": "valve", **given}}).recording(PLANT)
 
 
 def test_ends_that_are_those_of_the_plant_may_be_said_again(tmp_path):
     path = written(tmp_path / "log.csv", levels(6.0, 12.0), "valve [mA]")
     again = {"valve": {"name": "valve", "low": 4, "high": 20}}
-    assert Logged(path, inputs=again).recording(PLANT).signature == Logged(path).recording(PLANT).signature
+    assert LoggedData(path, inputs=again).recording(PLANT).signature == LoggedData(path).recording(PLANT).signature
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-12, 12), (0, 100)])
@@ -256,5 +256,5 @@ def test_two_levels_of_an_input_are_told_and_three_are_not(tmp_path, low, high):
     """A relay is on or off; a single sample between, as of a valve that was turned, is a third level."""
     values = np.tile(np.repeat([float(low), float(high)], 10), 5)
     for between, said in ((values, True), (np.r_[values, (low + high) / 2], False)):
-        notes = " ".join(Logged(written(tmp_path / "log.csv", between), inputs=["valve"]).recording(None).notes)
+        notes = " ".join(LoggedData(written(tmp_path / "log.csv", between), inputs=["valve"]).recording(None).notes)
         assert (f"only two levels of input valve, {low} and {high}, so nothing is known" in notes) == said

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.data.lost import holes, rates_beside
+from dynasindy.data.csv import holes, rates_beside
 
 
 def lacking(n: int, *rows: slice | int) -> np.ndarray:

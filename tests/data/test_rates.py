@@ -6,8 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import contradicted, exchanged, misfit, mismatched, require_known, turning, with_rates
-from dynasindy.data.simulated import disturb, record
+from dynasindy.data.rates import (
+    contradicted,
+    exchanged,
+    misfit,
+    mismatched,
+    require_consistent_rates,
+    turning,
+    with_rates,
+)
+from dynasindy.data.rollout_data import disturb, record_plant
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
 from dynasindy.systems.transitions import Transitions
@@ -188,7 +196,7 @@ def test_an_axis_that_moves_almost_like_another_one_is_not_taken_for_it():
 def test_no_simulated_plant_is_told(plant, noise):
     system = plant()
     for signal in (Chirp(system.signature.n_u, 10.0), Multisine(system.signature.n_u, duration=10.0, dt=0.05, seed=1)):
-        data = disturb(record(system, signal.samples(0.01), 0.01, substeps=2), noise, 0)
+        data = disturb(record_plant(system, signal.samples(0.01), 0.01, substeps=2), noise, 0)
         assert mismatched(data, system.signature) == []
 
 
@@ -258,10 +266,10 @@ def test_what_cannot_be_a_known_rate_is_refused_with_what_mends_it():
     def mend(wrong):
         return f"times {wrong.likely:.4g}"
 
-    require_known(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, mend)
+    require_consistent_rates(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, mend)
     with pytest.raises(ValueError, match=r"57\.3 times rate \(degrees beside rad/s\?\); .*exact: times 57\.3, or"):
-        require_known(swing(180 / math.pi), SIGNATURE, {"angle": "rate"}, mend)
+        require_consistent_rates(swing(180 / math.pi), SIGNATURE, {"angle": "rate"}, mend)
     assert list(exchanged(swing(), SIGNATURE, {"rate": "angle"})) == ["rate"]
     assert exchanged(swing(), SIGNATURE, {"angle": "rate"}) == {}
     with pytest.raises(ValueError, match=r"the other way round: rate is the rate of angle"):
-        require_known(swing(), SIGNATURE, {"rate": "angle"}, mend)
+        require_consistent_rates(swing(), SIGNATURE, {"rate": "angle"}, mend)

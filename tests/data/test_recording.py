@@ -3,7 +3,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dynasindy.data.recording import Logged, measured, transitions
+from dynasindy.data.rollout_data import LoggedPeriods, measurements_and_inputs, transitions
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import Tras, rk4
 from dynasindy.tasks import Step, Tracking
@@ -54,7 +54,7 @@ def test_periods_at_a_stop_are_left_out_and_break_the_segment():
 def test_some_periods_and_the_others_are_read_of_the_same_log():
     rows = rollout([0.2, 0.4], 12)
     rows["next", "at_stop"][5] = True
-    logged, some = Logged(rows, 0.01), torch.tensor([True] * 4 + [False, True] * 4)
+    logged, some = LoggedPeriods(rows, 0.01), torch.tensor([True] * 4 + [False, True] * 4)
     for among in (some, ~some, torch.ones(12, dtype=torch.bool)):
         found, wanted = logged.transitions(among), transitions(rows[among], 0.01)
         for name in ("x", "u", "x_next", "segment"):
@@ -72,6 +72,6 @@ def test_an_observer_reads_the_first_measurement_and_that_at_the_end_of_each_per
         },
         [2],
     )
-    y, u = measured(rows)
+    y, u = measurements_and_inputs(rows)
     torch.testing.assert_close(y, torch.tensor([[0.5], [2.0], [torch.nan]]), equal_nan=True)
     assert u.flatten().tolist() == pytest.approx([0.1, 0.2])

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.data.simulated import before_leaving, disturb, record, record_all
+from dynasindy.data.rollout_data import before_leaving, disturb, record_plant, record_plants
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.stops import Stops
@@ -39,7 +39,7 @@ def inputs(n: int = 60) -> torch.Tensor:
 
 def test_a_linear_plant_moves_as_the_matrix_exponential_says():
     u, start = inputs(), np.array([0.3, -0.2])
-    data = record(Oscillator(), u, 0.05, x0=torch.from_numpy(start))
+    data = record_plant(Oscillator(), u, 0.05, x0=torch.from_numpy(start))
     motion = exact(u.numpy(), 0.05, start)
     assert np.allclose(data.x, motion[:-1], atol=1e-9) and np.allclose(data.x_next, motion[1:], atol=1e-9)
     assert torch.equal(data.u, u) and data.dt == 0.05 and data.segment.unique().tolist() == [0]
@@ -48,12 +48,12 @@ def test_a_linear_plant_moves_as_the_matrix_exponential_says():
 def test_fewer_runge_kutta_steps_err_more_by_the_fourth_order():
     u = inputs()
     motion = exact(u.numpy(), 0.2, np.zeros(2))[1:]
-    errors = [np.abs(record(Oscillator(), u, 0.2, substeps=n).x_next.numpy() - motion).max() for n in (1, 2)]
+    errors = [np.abs(record_plant(Oscillator(), u, 0.2, substeps=n).x_next.numpy() - motion).max() for n in (1, 2)]
     assert 12 < errors[0] / errors[1] < 20
 
 
 def test_a_recording_starts_at_rest_in_double_precision_without_gradients():
-    data = record(Oscillator(), inputs(3).float().requires_grad_(), 0.05)
+    data = record_plant(Oscillator(), inputs(3).float().requires_grad_(), 0.05)
     assert data.x[0].tolist() == [0.0, 0.0]
     assert data.x.dtype == data.u.dtype == torch.float64 and not data.x_next.requires_grad
 
@@ -61,7 +61,7 @@ def test_a_recording_starts_at_rest_in_double_precision_without_gradients():
 def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
     plant = Oscillator(Stops((0,), (1,), (-0.5,), (0.5,)))
     u = torch.cat([torch.full((20, 1), 1.0), torch.zeros(40, 1)]).double()
-    data = record(plant, u, 0.05)
+    data = record_plant(plant, u, 0.05)
     free = exact(u.numpy(), 0.05, np.zeros(2))
     before = int(np.argmax(free[1:, 0] >= 0.5))  # transitions that end below the stop
     assert 0 < before < len(data) < 60
@@ -71,7 +71,7 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
 
 
 def test_noise_has_its_level_and_a_shared_state_has_one_error():
-    clean = record(Oscillator(), inputs(2000), 0.05, substeps=1)
+    clean = record_plant(Oscillator(), inputs(2000), 0.05, substeps=1)
     noisy = disturb(clean, 0.1, seed=3)
     error = noisy.x_next - clean.x_next
     assert torch.allclose(error.std(0), 0.1 * clean.x_next.std(0), rtol=0.1)
@@ -79,7 +79,7 @@ def test_noise_has_its_level_and_a_shared_state_has_one_error():
 
 
 def test_noise_does_not_leak_over_a_gap():
-    clean = record(Oscillator(), inputs(60), 0.05)
+    clean = record_plant(Oscillator(), inputs(60), 0.05)
     clean = clean.select(torch.arange(60) != 30)
     noisy = disturb(clean, 0.1, seed=3)
     assert not torch.equal(noisy.x[30] - clean.x[30], noisy.x_next[29] - clean.x_next[29])
@@ -88,12 +88,16 @@ def test_noise_does_not_leak_over_a_gap():
 
 def test_by_default_ten_steps_are_taken_between_two_samples():
     u = inputs(3)
-    assert torch.equal(record(Oscillator(), u, 0.5).x_next, record(Oscillator(), u, 0.5, substeps=10).x_next)
-    assert not torch.equal(record(Oscillator(), u, 0.5).x_next, record(Oscillator(), u, 0.5, substeps=9).x_next)
+    assert torch.equal(
+        record_plant(Oscillator(), u, 0.5).x_next, record_plant(Oscillator(), u, 0.5, substeps=10).x_next
+    )
+    assert not torch.equal(
+        record_plant(Oscillator(), u, 0.5).x_next, record_plant(Oscillator(), u, 0.5, substeps=9).x_next
+    )
 
 
 def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
-    clean = record(Oscillator(), inputs(20), 0.05)
+    clean = record_plant(Oscillator(), inputs(20), 0.05)
     noisy, rng = disturb(clean, 0.2, seed=7), torch.Generator().manual_seed(7)
     after, first = (torch.randn(20, 2, generator=rng, dtype=torch.float64) for _ in range(2))
     spread = torch.from_numpy(np.std(clean.x_next.numpy(), 0, ddof=1))
@@ -106,9 +110,9 @@ def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():
 def test_experiments_side_by_side_are_those_one_after_the_other():
     u = torch.stack([torch.full((30, 1), level) for level in (0.1, 1.0)])
     plant = Oscillator(Stops((0,), (1,), (-0.5,), (0.5,)))
-    together = record_all(plant, u, 0.05, 3)
+    together = record_plants(plant, u, 0.05, 3)
     for one, each in zip(together, u, strict=True):
-        alone = record(plant, each, 0.05, 3)
+        alone = record_plant(plant, each, 0.05, 3)
         assert torch.allclose(one.x_next, alone.x_next, atol=1e-12) and torch.equal(one.segment, alone.segment)
     assert len(together[1]) < len(together[0]) == 30
 
@@ -125,7 +129,7 @@ class Growing(System):
 
 def test_a_recording_ends_where_the_plant_leaves_its_bounds():
     plant, u = Growing(), torch.ones(100, 1)
-    data = record(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
+    data = record_plant(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
     kept, said = before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "in the excitation")
     assert len(kept) == 80 and float(kept.x_next.max()) < 2.0 < float(data.x_next[80])
     assert said == "in the excitation q left its bounds of -1 to 2 m after 0.81 s; what came later was left out"
@@ -135,7 +139,7 @@ def test_a_recording_ends_where_the_plant_leaves_its_bounds():
 @pytest.mark.slow
 def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     plant, u = Growing(), torch.ones(1000, 1)
-    data = record(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
+    data = record_plant(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
     advice = r"excitation\.amplitude, another excitation\.offset, or excitation\.first=0\.1"
     with pytest.raises(Diverged, match=rf"in the excitation q ran away, beyond 1000 m, after 3.81 s.*{advice}"):
         before_leaving(data, plant.signature, {}, "in the excitation")
@@ -143,6 +147,6 @@ def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
         before_leaving(data, plant.signature, {"q": 4.0}, "in the excitation")
     with pytest.raises(ValueError, match=r"plant\.bounds has speed"):
         before_leaving(data, plant.signature, {"speed": 4.0}, "in the excitation")
-    lost = record(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
+    lost = record_plant(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
     with pytest.raises(Diverged, match="after 10 s"):
         before_leaving(lost, plant.signature, {}, "in the excitation")

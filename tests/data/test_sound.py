@@ -7,7 +7,7 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
-from dynasindy.data.sound import require_finite, sound, sound_rollout
+from dynasindy.data.finite_checks import is_finite, is_finite_rollout, require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import ModelPrediction
 from dynasindy.systems import Diverged, Signature, System
@@ -46,8 +46,8 @@ def flown(plant, spoil=None):
 def test_a_plant_that_leaves_all_bounds_is_told_with_the_state_that_it_left_from(beyond):
     # 0.5 t^2 passes 0.605 in the twelfth control period of 0.1 s, which begins at rate 1.1 rad/s.
     with pytest.raises(Diverged, match=r"control period 12 the plant moves to .*state \[0\.605, 1\.1\] .*\[0\.25\]"):
-        require_finite(flown(Mass(0.61, beyond)))
-    require_finite(flown(Mass()))
+        require_finite_rollout(flown(Mass(0.61, beyond)))
+    require_finite_rollout(flown(Mass()))
 
 
 @pytest.mark.parametrize(
@@ -62,14 +62,14 @@ def test_a_plant_that_leaves_all_bounds_is_told_with_the_state_that_it_left_from
 )
 def test_each_cause_is_told_by_its_name(key, told):
     with pytest.raises(Diverged, match=rf"^evaluation: in control period 8 {told}"):
-        require_finite(flown(Mass(), (key, math.nan)), "evaluation")
+        require_finite_rollout(flown(Mass(), (key, math.nan)), "evaluation")
 
 
 def test_an_action_that_is_nowhere_is_not_laid_on_the_plant():
     rollout = flown(Mass(), ("action", math.nan))
     rollout["next", "state"][7:] = math.nan
     with pytest.raises(Diverged, match="period 8 the policy's action"):
-        require_finite(rollout)
+        require_finite_rollout(rollout)
 
 
 def test_sensors_may_miss_what_is_there_but_tell_nothing_infinite():
@@ -77,14 +77,14 @@ def test_sensors_may_miss_what_is_there_but_tell_nothing_infinite():
     rollout = flown(Mass())
     rollout["measurement"] = torch.full_like(rollout["state"], math.nan)
     rollout["next", "samples"][3, 1, 0] = math.nan
-    require_finite(rollout)
-    assert sound_rollout(rollout) and sound(rollout, ["measurement", "state"])
+    require_finite_rollout(rollout)
+    assert is_finite_rollout(rollout) and is_finite(rollout, ["measurement", "state"])
     rollout["measurement"][5, 1] = math.inf
-    assert sound_rollout(rollout) and not sound(rollout, ["measurement", "state"])
+    assert is_finite_rollout(rollout) and not is_finite(rollout, ["measurement", "state"])
     rollout["next", "samples"][7, 0, 1] = -math.inf
     with pytest.raises(Diverged, match="control period 8 the plant moves to"):
-        require_finite(rollout)
-    assert not sound_rollout(rollout)
+        require_finite_rollout(rollout)
+    assert not is_finite_rollout(rollout)
 
 
 def test_a_model_that_is_nowhere_leaves_the_real_rollout_sound():
@@ -92,7 +92,7 @@ def test_a_model_that_is_nowhere_leaves_the_real_rollout_sound():
     env = TransformedEnv(plant, ModelPrediction(plant.with_system(Mass(0.0))))
     rollout = env.rollout(30, lambda td: td.set("action", torch.zeros(1)))
     assert not rollout["next", "predicted_state"].isfinite().all()
-    require_finite(rollout)
+    require_finite_rollout(rollout)
 
 
 def test_it_passes_between_processes():

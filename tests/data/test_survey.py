@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.data.survey import survey
+from dynasindy.data.headings import summarise_columns
 
 
 def write(folder: Path, text: str) -> Path:
@@ -14,31 +14,31 @@ def write(folder: Path, text: str) -> Path:
 
 def test_a_heading_has_a_number_below_it_or_is_left_out(tmp_path):
     file = write(tmp_path, "a,b,c,d\nx,,1,\ny,,2,5\n")
-    assert survey(file).numeric == ("c", "d") and survey(file).headings == ("a", "b", "c", "d")
+    assert summarise_columns(file).numeric == ("c", "d") and summarise_columns(file).headings == ("a", "b", "c", "d")
 
 
 def test_a_heading_that_stands_twice_is_refused_whatever_its_units(tmp_path):
     with pytest.raises(ValueError, match="'b' more than once"):
-        survey(write(tmp_path, "a,b [m],b [s]\n1,2,3\n"))
+        summarise_columns(write(tmp_path, "a,b [m],b [s]\n1,2,3\n"))
 
 
 def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):
-    assert survey(write(tmp_path, ",a,b\n0,1,2\n")).numeric == ("a", "b")
+    assert summarise_columns(write(tmp_path, ",a,b\n0,1,2\n")).numeric == ("a", "b")
     with pytest.raises(ValueError, match=r"numbers in column 2 and no heading above them; give it one"):
-        survey(write(tmp_path, "a,,b\n0,1,2\n"))
+        summarise_columns(write(tmp_path, "a,,b\n0,1,2\n"))
 
 
 def test_a_column_of_one_number_never_changes_and_a_column_of_words_is_told_by_its_first_one(tmp_path):
     """What is empty or nan is no word, and one other number, however late, is a change."""
     rows = [f"{k},5,1.0,{k == 7:d},,{'OFF' if k else 'ON'},{'nan' if k < 3 else 'late'}" for k in range(8)]
-    look = survey(write(tmp_path, "\n".join(["t,still [V],same,last,none,word,text", *rows])))
+    look = summarise_columns(write(tmp_path, "\n".join(["t,still [V],same,last,none,word,text", *rows])))
     assert look.still == {"still [V]": 5.0, "same": 1.0} and look.numeric == ("t", "still [V]", "same", "last")
     assert look.worded == {"word": "ON", "text": "late"} and look.dated == ()
 
 
 def test_a_column_of_dates_is_told_from_one_of_words(tmp_path):
     text = "a,when,since,word\n1,31.05.2024 12:00:00,2024-05-31,31.13.2024 12:00\n"
-    assert survey(write(tmp_path, text)).dated == ("when", "since")
+    assert summarise_columns(write(tmp_path, text)).dated == ("when", "since")
 
 
 def test_a_column_that_grows_by_one_in_each_row_counts(tmp_path):
@@ -47,6 +47,6 @@ def test_a_column_that_grows_by_one_in_each_row_counts(tmp_path):
         ",".join(map(str, (0.5 * k, 7 + k, "" if k == 4 else float(k), k + (k > 6), 2 * k, "" if k else 3, 9 - k, 4)))
         for k in range(9)
     ]
-    look = survey(write(tmp_path, "\n".join(["half,row,gap [-],jump,even,once,down,still", *rows])))
+    look = summarise_columns(write(tmp_path, "\n".join(["half,row,gap [-],jump,even,once,down,still", *rows])))
     assert look.counting == ("row", "gap [-]") and set(look.still) == {"once", "still"}
-    assert survey(write(tmp_path, "a,b\n1,5\n2,6\n3,7\n")).counting == ()  # three rows may do so by chance
+    assert summarise_columns(write(tmp_path, "a,b\n1,5\n2,6\n3,7\n")).counting == ()  # three rows may do so by chance

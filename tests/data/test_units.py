@@ -9,7 +9,7 @@ import yaml
 
 from dynasindy.data.columns import Column
 from dynasindy.data.units import conversions, in_radians, with_units
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.systems import Pendulum
 
 TURN = 2 * math.pi
@@ -77,31 +77,31 @@ def written(path, headings):
 
 def test_a_log_in_degrees_is_read_in_radians_and_says_so_in_a_line(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],angle [deg],rate (deg/s),u")
-    found = Logged(path).recording(None)
+    found = LoggedData(path).recording(None)
     assert found.signature.state_units == ("rad", "rad/s")
     assert found.transitions.x.numpy() == pytest.approx(np.stack([np.sin(t), np.cos(t)], -1)[:-1])
     (_, note) = found.notes
     assert note.startswith("converted: angle from deg to rad, rate from deg/s to rad/s. Targets and limits are to be")
     (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
     given = yaml.safe_load(word.removeprefix("data.states="))
-    kept = Logged(path, given).recording(None)
+    kept = LoggedData(path, given).recording(None)
     assert kept.signature.state_units == ("deg", "deg/s") and not kept.notes[1:]
     assert kept.transitions.x.numpy() == pytest.approx(np.degrees(np.stack([np.sin(t), np.cos(t)], -1)[:-1]))
 
 
 def test_a_rate_that_is_known_or_differentiated_is_one_of_radians(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],angle [deg],speed [deg/s],u")
-    alone = Logged(path, ["angle"], known={"angle": "angle_rate"}).load(None, None)
+    alone = LoggedData(path, ["angle"], known={"angle": "angle_rate"}).load(None, None)
     assert alone.signature.state_units == ("rad", "rad/s")
     states = {"angle": "angle", "w": {"derivative_of": "angle", "unit": "deg/s"}}
-    slope = Logged(path, states).recording(None)
+    slope = LoggedData(path, states).recording(None)
     assert slope.signature.state_units == ("rad", "rad/s")
     assert slope.transitions.x[:, 1].numpy() == pytest.approx(np.cos(t)[:-1], abs=1e-4)
 
 
 def test_a_plant_that_is_named_reads_degrees_too(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],theta [°],Omega [°/s],u")
-    found = Logged(path).recording(Pendulum().signature)
+    found = LoggedData(path).recording(Pendulum().signature)
     assert found.transitions.x[:, 0].numpy() == pytest.approx(np.sin(t)[:-1])
     assert len(found.notes) == 2 and "theta from ° to rad" in found.notes[1]
 
@@ -132,9 +132,9 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     path, swing = swinging(tmp_path / "log.csv", headings, turned * 30 / math.pi)
     if known and turned < 0:
         with pytest.raises(ValueError, match=r"-1 times speed \(one of .*\?\); allowed is a rate in rad/s"):
-            Logged(path, known=known).recording(None)
+            LoggedData(path, known=known).recording(None)
         return
-    found = Logged(path, known=known).recording(None)
+    found = LoggedData(path, known=known).recording(None)
     assert found.signature.state_units == ("rad", "rad/s", "rpm")
     x = found.transitions.x.numpy()
     assert x[:, :2] == pytest.approx(swing * [1, turned]) and 1299 < x[:, 2].max() < 1301
@@ -142,16 +142,16 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     (note,) = [note for note in found.notes if note.startswith("converted: ")]
     assert note.startswith("converted: angle from deg to rad, speed from rpm to rad/s. Targets")
     (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
-    kept = Logged(path, yaml.safe_load(word.removeprefix("data.states="))).recording(None)
+    kept = LoggedData(path, yaml.safe_load(word.removeprefix("data.states="))).recording(None)
     assert kept.signature.state_units == ("deg", "rpm", "rpm")
 
 
 def test_a_rough_speed_is_that_of_its_angle_and_a_rotor_with_a_gear_is_not(tmp_path):
     headings = "time [s],angle [deg],speed [rpm],rotor [rpm],u"
     path, _ = swinging(tmp_path / "log.csv", headings, noise=0.3)
-    assert Logged(path).recording(None).signature.state_units == ("rad", "rad/s", "rpm")
+    assert LoggedData(path).recording(None).signature.state_units == ("rad", "rad/s", "rpm")
     path, _ = swinging(tmp_path / "log.csv", headings, speed=50 * 30 / math.pi)
-    assert Logged(path).recording(None).signature.state_units == ("rad", "rpm", "rpm")
+    assert LoggedData(path).recording(None).signature.state_units == ("rad", "rpm", "rpm")
 
 
 @pytest.mark.parametrize(
@@ -165,12 +165,12 @@ def test_a_rough_speed_is_that_of_its_angle_and_a_rotor_with_a_gear_is_not(tmp_p
 def test_a_known_rate_in_other_units_stops_with_the_setting_that_mends_it(tmp_path, headings, speed, scale):
     path, swing = swinging(tmp_path / "log.csv", headings, speed)
     with pytest.raises(ValueError, match="speed was given as the rate of angle, whose slope") as error:
-        Logged(path, known={"angle": "speed"}).recording(None)
+        LoggedData(path, known={"angle": "speed"}).recording(None)
     assert "\n" not in str(error.value)
     (word,) = [word for word in shlex.split(str(error.value)) if word.startswith("data.states=")]
     states = yaml.safe_load(word.removeprefix("data.states=").removesuffix(","))
     assert states["speed"]["scale"] == pytest.approx(scale, rel=0.01)
-    found = Logged(path, states, known={"angle": "speed"}).recording(None)
+    found = LoggedData(path, states, known={"angle": "speed"}).recording(None)
     whole = 1.0 if found.signature.state_units[0] == "rad" else 180 / math.pi
     assert found.transitions.x[:, :2].numpy() == pytest.approx(whole * swing, rel=0.01)
     assert found.signature.state_units[2] == "rpm"

@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 from dynasindy.data.columns import infer
-from dynasindy.data.survey import survey
-from dynasindy.data.unnamed import counted, guessed
-from dynasindy.evaluation.identification import Logged
+from dynasindy.data.headings import guessed, row_counter, summarise_columns
+from dynasindy.evaluation.identification import LoggedData
 
 
 def written(path, headings, order=(0, 1, 2, 3)):
@@ -37,12 +36,12 @@ def settings(words):
 def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headings, order):
     path = written(tmp_path / "log.csv", headings, order)
     with pytest.raises(ValueError, match=r"none of them is called time\. Allowed are") as error:
-        Logged(str(path)).recording(None)
+        LoggedData(str(path)).recording(None)
     assert "\n" not in str(error.value)
     given = settings(str(error.value))
     assert given["data.time"] == "Zeit" and given["data.states"] == ["Winkel", "Rate"]
     read = {key.removeprefix("data."): value for key, value in given.items()}
-    found = Logged(str(path), **read).recording(None)
+    found = LoggedData(str(path), **read).recording(None)
     assert set(np.unique(found.transitions.u)) == {-1.0, 0.0, 1.0} and found.transitions.dt == pytest.approx(0.01)
 
 
@@ -52,20 +51,20 @@ def test_what_headings_tell_is_no_guess(tmp_path):
         infer(str(path))
     given = settings(str(error.value))
     assert given == {"data.time": "t", "data.inputs": ["c"], "data.states": ["a", "b"]}
-    named = guessed(path, survey(path), "t", ["a"])
+    named = guessed(path, summarise_columns(path), "t", ["a"])
     assert settings(named) == {"data.time": "t", "data.inputs": ["a"], "data.states": ["b", "c"]}
 
 
 def test_without_a_column_that_is_held_the_last_one_is_the_input(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a,b", *(f"{k},{math.sin(k)},{math.cos(k)}" for k in range(20))]))
-    assert settings(guessed(path, survey(path), "time", [])) == {"data.inputs": ["b"], "data.states": ["a"]}
+    assert settings(guessed(path, summarise_columns(path), "time", [])) == {"data.inputs": ["b"], "data.states": ["a"]}
 
 
 def test_where_nothing_grows_the_heading_of_time_is_left_to_the_user(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("a,b\n1,2\n0,3\n1,1\n")
-    assert settings(guessed(path, survey(path), None, []))["data.time"] == "HEADING"
+    assert settings(guessed(path, summarise_columns(path), None, []))["data.time"] == "HEADING"
 
 
 def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_path):
@@ -76,12 +75,12 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     with pytest.raises(ValueError, match=r"never changes tells nothing of the plant: supply \(24\.5 in all") as error:
         infer(str(path))
     assert settings(str(error.value)) == {"data.inputs": ["motor"], "data.states": ["angle"]}
-    found = Logged(str(path), inputs=["motor"]).recording(None)
+    found = LoggedData(str(path), inputs=["motor"]).recording(None)
     assert found.signature.state_names == ("angle",) and "supply (24.5 in all rows)" in found.notes[-1]
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
-    found = Logged(str(path)).recording(None)
+    found = LoggedData(str(path)).recording(None)
     assert found.signature.input_names == ("u_motor",) and "u_supply (24.5 in all rows)" in found.notes[-1]
-    assert Logged(str(path), states=["angle"]).recording(None).signature.input_names == ("u_motor",)
+    assert LoggedData(str(path), states=["angle"]).recording(None).signature.input_names == ("u_motor",)
 
 
 def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other(tmp_path):
@@ -93,13 +92,13 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     given = settings(str(error.value))
     assert given["data.time"] == "Uhr" and given["data.inputs"] == ["Motor"]
     read = {key.removeprefix("data."): value for key, value in given.items()}
-    assert Logged(str(path), **read).recording(None).transitions.dt == pytest.approx(0.1)
+    assert LoggedData(str(path), **read).recording(None).transitions.dt == pytest.approx(0.1)
     path.write_text(
         "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
     )
-    assert settings(guessed(path, survey(path), None, []))["data.time"] == "Zeit"
+    assert settings(guessed(path, summarise_columns(path), None, []))["data.time"] == "Zeit"
     path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
-    told = guessed(path, survey(path), None, [])
+    told = guessed(path, summarise_columns(path), None, [])
     assert settings(told)["data.time"] == "row" and "if it counts rows, give data.dt" in told
 
 
@@ -137,7 +136,7 @@ def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds
     infer(str(path), notes=notes)
     assert notes == ["left out, as they hold dates, and the time is another column: when"]
     path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
-    given = settings(guessed(path, survey(path), None, []))
+    given = settings(guessed(path, summarise_columns(path), None, []))
     assert given == {"data.time": "row", "data.inputs": ["motor"], "data.states": ["angle"], "data.dt": "SECONDS"}
 
 
@@ -151,8 +150,8 @@ def rows_of_a_swing(path, headings, columns):
 def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_for(tmp_path, step):
     path = rows_of_a_swing(tmp_path / "log.csv", "row,angle,u", lambda k: (step * k, math.sin(k), k // 4 % 2))
     with pytest.raises(ValueError, match=r"none of them is called time"):
-        Logged(path).recording(None)
-    found = Logged(path, dt=0.02).recording(None)
+        LoggedData(path).recording(None)
+    found = LoggedData(path, dt=0.02).recording(None)
     assert found.transitions.dt == 0.02 and len(found.transitions) == 79
     assert found.signature.state_names == ("angle",) and found.signature.input_names == ("u",)
     assert (
@@ -162,7 +161,7 @@ def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_fo
 
 def test_a_counter_with_rows_lost_leaves_a_gap_in_time(tmp_path):
     path = rows_of_a_swing(tmp_path / "log.csv", "n,angle,u", lambda k: (k + 7 * (k > 39), math.sin(k), k // 4 % 2))
-    found = Logged(path, dt=0.1).recording(None)
+    found = LoggedData(path, dt=0.1).recording(None)
     assert sorted(found.transitions.segment.unique().tolist()) == [0, 1] and len(found.transitions) == 78
 
 
@@ -170,22 +169,22 @@ def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
     """A time in another language, an encoder that only grows, and a column that was named as a state."""
     two = rows_of_a_swing(tmp_path / "a.csv", "row,Zeit,angle,u", lambda k: (k, 0.1 * k, math.sin(k), k // 4 % 2))
     with pytest.raises(ValueError, match="none of them is called time") as error:
-        Logged(two, dt=0.1).recording(None)
+        LoggedData(two, dt=0.1).recording(None)
     assert settings(str(error.value))["data.time"] == "Zeit"
     encoder = rows_of_a_swing(tmp_path / "b.csv", "counts,angle,u", lambda k: (k * k, math.sin(k), k // 4 % 2))
     with pytest.raises(ValueError, match="none of them is called time") as error:
-        Logged(encoder, dt=0.1).recording(None)
+        LoggedData(encoder, dt=0.1).recording(None)
     assert "data.dt" not in str(error.value)  # it was given
     named = rows_of_a_swing(tmp_path / "c.csv", "row,angle,u", lambda k: (k, math.sin(k), k // 4 % 2))
     for states in (["row", "angle"], {"way": "row", "angle": {"name": "angle"}}):
         with pytest.raises(ValueError, match="row"):
-            Logged(named, states, {"u": "u"}, dt=0.1).recording(None)
+            LoggedData(named, states, {"u": "u"}, dt=0.1).recording(None)
 
 
 def test_a_log_without_any_time_is_told_to_have_one_written(tmp_path):
     path = rows_of_a_swing(tmp_path / "log.csv", "angle,u", lambda k: (math.sin(k), k // 4 % 2))
     with pytest.raises(ValueError, match=r"No column grows from row to row, as time does: write the time of each row"):
-        Logged(path, dt=0.1).recording(None)
+        LoggedData(path, dt=0.1).recording(None)
 
 
 def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path):
@@ -195,4 +194,4 @@ def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path
     for name, steps in (("row", 1 + 2 * (rng.random(300) < 0.02)), ("encoder", 3 + (rng.random(300) < 0.3))):
         table = np.stack([u, np.cumsum(steps), np.sin(np.arange(300))], -1)
         path.write_text("\n".join([f"u,{name},speed", *(",".join(map(repr, row)) for row in table.tolist())]))
-        assert counted(path, "time", []) == ("row" if name == "row" else "time")
+        assert row_counter(path, "time", []) == ("row" if name == "row" else "time")

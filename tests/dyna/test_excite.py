@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.data.recording import transitions
+from dynasindy.data.rollout_data import transitions
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
     coarse,

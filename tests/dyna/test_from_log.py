@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import dynasindy
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
@@ -26,7 +26,7 @@ def build(signature):
 
 @pytest.fixture(scope="module")
 def source():
-    data = record(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
     place = torch.arange(len(data))
     return Source(Pendulum().signature, data.select(place < 400), data.select(place >= 400), ("two rows were skipped",))
 
@@ -41,7 +41,7 @@ def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
 def test_friction_that_the_equations_have_is_said(capsys):
     plant = SindyModel(Pendulum().signature, [*LIBRARY, "tanh(20 Omega)"], Regression("bic"), known={"theta": "Omega"})
     plant.coefficients[:, 1] = torch.tensor([0.0, 12.0, -0.5, -9.81, -3.0])
-    data = record(plant, Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
+    data = record_plant(plant, Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
     place = torch.arange(len(data))
     logged = Source(plant.signature, data.select(place < 400), data.select(place >= 400))
     model_of(

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from dynasindy.agents import TD3
 from dynasindy.data import DynaReplay
-from dynasindy.data.recording import transitions
+from dynasindy.data.rollout_data import transitions
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe

@@ -5,7 +5,15 @@ import math
 
 import pytest
 
-from dynasindy.evaluation.ablation import SUMMARY, Level, errors_in_words, gather, read_rows, summarise_run, to_markdown
+from dynasindy.evaluation.ablation import (
+    SUMMARY,
+    Level,
+    errors_in_words,
+    gather,
+    read_ablation,
+    summarise_run,
+    to_markdown,
+)
 from dynasindy.safe_io import DamagedFileError
 
 LEVEL = Level(0.05, 3)
@@ -55,7 +63,7 @@ def test_episodes_without_an_evaluation_are_left_out(tmp_path):
     (folder / "progress.csv").write_text(text)
     (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
     assert row["episodes_to_level"] is None and row["episodes"] == 3
-    assert len(read_rows(tmp_path / "ablation_curves.csv")) == 2
+    assert len(read_ablation(tmp_path / "ablation_curves.csv")) == 2
 
 
 def test_a_run_that_has_not_ended_is_no_row(tmp_path):
@@ -101,7 +109,7 @@ def test_rows_of_other_settings_stay_and_those_of_the_same_are_replaced(tmp_path
     run_folder(tmp_path / "two", "b", 5, [0.03])
     rows = gather(tmp_path / "two", tmp_path, LEVEL)
     assert [(row["setting"], row["seed"]) for row in rows] == [("a", 0), ("b", 5)]
-    written = read_rows(tmp_path / "ablation.csv")
+    written = read_ablation(tmp_path / "ablation.csv")
     assert [(row["seed"], row["steady_state_error"]) for row in written] == [(0, 0.04), (5, 0.03)]
 
 
@@ -194,7 +202,7 @@ def test_outputs_in_different_units_are_judged_by_their_share_of_the_target_rang
     head, _, cells = text.splitlines()[-3:]
     found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
     assert found["steady-state error [% of the target range]"] == "2"
-    lines = read_rows(tmp_path / "ablation_curves.csv")
+    lines = read_ablation(tmp_path / "ablation_curves.csv")
     assert [line["steady_state_share"] for line in lines[:4]] == pytest.approx([0.08, 0.08, 0.08, 0.04])
 
 
@@ -202,7 +210,7 @@ def test_a_table_of_both_kinds_of_plants_has_a_column_for_each(tmp_path):
     run_folder(tmp_path / "runs", "s", 0, [0.04, 0.03])
     mixed_run(tmp_path / "runs", "s", [0.04, 0.02])
     gather(tmp_path / "runs", tmp_path, LEVEL)
-    text = to_markdown(read_rows(tmp_path / "ablation.csv"), LEVEL)  # as a later sweep reads it
+    text = to_markdown(read_ablation(tmp_path / "ablation.csv"), LEVEL)  # as a later sweep reads it
     assert "at or under 0.05 rad, where the outputs are not all in rad 5 % of its target range" in text
     head, _, vessel, angles = text.splitlines()[-4:]
     place = head.split(" | ").index("steady-state error [rad]")

@@ -9,10 +9,10 @@ import pytest
 import torch
 import yaml
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
@@ -26,7 +26,7 @@ def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
     columns = (data.x[:, 0] * factors[0], data.x[:, 1] * factors[1], data.u[:, 0] * factors[2])
     lines = [",".join(map(str, (k * data.dt, *(float(c[k]) for c in columns)))) for k in range(rows)]
     path.write_text("\n".join([heading, *lines]))
-    return Logged(str(path)).load(None, EXCITATION)
+    return LoggedData(str(path)).load(None, EXCITATION)
 
 
 def told(source, library="auto"):
@@ -39,7 +39,7 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     lines = ["time,theta,Omega,u"]
     lines += [f"{k * data.dt},{data.x[k, 0] * 57.29578},{data.x[k, 1]},{data.u[k, 0]}" for k in range(len(data))]
     (tmp_path / "log.csv").write_text("\n".join(lines))
-    source = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
+    source = LoggedData(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
     model = SindyModel(source.signature, "auto")
     (told,) = wrong_units(model, source)
     assert told.startswith("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega;")
@@ -53,13 +53,13 @@ def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, lib
     """Degrees that a heading names are converted; these were asked for."""
     log(tmp_path / "log.csv", "time,theta [deg],Omega [deg/s],u", (57.29578, 57.29578, 1.0))
     kept = {"theta": {"name": "theta", "unit": "deg"}, "Omega": {"name": "Omega", "unit": "deg/s"}}
-    source = Logged(str(tmp_path / "log.csv"), kept).load(None, EXCITATION)
+    source = LoggedData(str(tmp_path / "log.csv"), kept).load(None, EXCITATION)
     (words,) = told(source, library)
     assert words.startswith("note: theta is in deg, so sin(theta) and cos(theta) are not among the candidate functions")
     # The words are those of a shell, and read what makes a library with sines.
     (word,) = shlex.split(words.rpartition("give ")[2])
     states = yaml.safe_load(word.removeprefix("data.states="))
-    read = Logged(str(tmp_path / "log.csv"), states).load(None, EXCITATION)
+    read = LoggedData(str(tmp_path / "log.csv"), states).load(None, EXCITATION)
     assert read.signature.state_units == ("rad", "rad/s") and not told(read)
     assert float(read.training.x[:, 0].abs().max() / source.training.x[:, 0].abs().max()) == pytest.approx(0.01745329)
     assert not told(source, ["theta", "Omega", "u"])  # whoever names the functions has chosen
@@ -75,7 +75,7 @@ def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
     (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [1/s],u"))
     assert words.startswith("hint: of theta only sin(theta) and cos(theta) are tried, and no forces that theta turns")
     assert words.endswith("give its rate in rad/s, or 'plant.known={theta: theta_rate}' if none was logged")
-    source = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION)
+    source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
     model = SindyModel(source.signature, "auto")
     lacking = rates_lacking(model, source)
     assert lacking.with_angles == {"theta": "theta_rate"} and not lacking.shown
@@ -87,12 +87,12 @@ def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
 
 def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):
     """The pendulum's angle, read by an encoder alone."""
-    data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
-    source = Logged(path).load(None, EXCITATION)
+    source = LoggedData(path).load(None, EXCITATION)
     (hint,) = told(source)
     assert hint.startswith("hint: what a will do depends on its rate") and "'plant.known={a: a_rate}'" in hint
-    known = Logged(path, known={"a": "a_rate"}).load(None, EXCITATION)
+    known = LoggedData(path, known={"a": "a_rate"}).load(None, EXCITATION)
     found, rates, words = with_missing_rates(partial(SindyModel, library="auto"), source, None)
     assert rates == {"a": "a_rate"} and found.signature == known.signature
     assert words == [
@@ -110,9 +110,9 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
 
 
 def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
-    data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["arm angle [rad]", "arm_angle_rate"], data.x[:, :1], data.u))
-    source = Logged(path, inputs=["arm_angle_rate"]).load(None, EXCITATION)
+    source = LoggedData(path, inputs=["arm_angle_rate"]).load(None, EXCITATION)
     found, rates, _ = with_missing_rates(partial(SindyModel, library="auto"), source, None)
     assert rates == {"arm angle": "arm_angle_rate_"} and found.signature.state_names == tuple(*rates.items())
     assert SindyModel(found.signature, "auto", known=rates).signature == found.signature
@@ -126,7 +126,7 @@ def test_few_rows_are_told_with_what_was_left_out(tmp_path):
     assert not any("rows only" in line for line in enough)
     lines = (tmp_path / "log.csv").read_text().splitlines()
     (tmp_path / "log.csv").write_text("\n".join([*lines[:30], "0.3,,,", *lines[31:62]]))
-    words = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
+    words = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
     assert "rows only, so few" in words[0] and words[1].startswith("note: 1 of 61 rows have values that are missing")
 
 
@@ -135,7 +135,7 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
     units = (f"{n} [{u}]" for n, u in zip(signature.state_names, signature.state_units, strict=True))
     rows = [",".join(map(str, (k * data.dt, *data.x[k].tolist(), *data.u[k].tolist()))) for k in range(len(data))]
     (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *units, *signature.input_names]), *rows]))
-    source = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION)
+    source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
     (words,) = told(source)
     library = SindyModel(source.signature, "auto").library  # of its four quotients a fit keeps those of one angle
     others = ("alpha_a)^2)", "alpha_a + alpha_p)^2)", "alpha_a - alpha_p)^2)")
@@ -148,7 +148,7 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
     lines = (tmp_path / "log.csv").read_text().replace("alpha_a", "yaw", 1).splitlines()
     for number, many in ((101, True), (len(lines), False)):
         (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
-        words = told(Logged(str(tmp_path / "log.csv")).load(None, EXCITATION))
+        words = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION))
         assert ["system=" not in line for line in words if "plant.library=" in line] == [True] * many
 
 

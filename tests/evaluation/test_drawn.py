@@ -4,8 +4,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.evaluation.drawn import drawn
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.systems import Signature
 
 SIGNATURE = Signature(("a", "b"), ("m", "rad"), ("u",), (1.0, 1.0))
@@ -21,7 +21,7 @@ def evaluation(starts, references, boxes=(), columns=(0, 1), rewards=None) -> Ev
 
 
 def test_where_all_begin_alike_it_is_the_first_whatever_came_of_it() -> None:
-    found = drawn(evaluation([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]))
+    found = representative_episode(evaluation([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]))
     assert found.row == 0
     # 0.1 and 0.3, the larger one of 0.2 and 0.3, are less than 0.5.
     assert found.words == "episode 1 of 4, the same for every controller; 2 others have a smaller error"
@@ -29,16 +29,18 @@ def test_where_all_begin_alike_it_is_the_first_whatever_came_of_it() -> None:
 
 @pytest.mark.parametrize(("boxes", "row"), [((), 2), ((1.0, 10.0), 1)])
 def test_of_different_beginnings_it_is_the_farthest_in_boxes(boxes, row) -> None:
-    found = drawn(evaluation([[0.1, 0.1], [-0.6, 0.0], [0.0, 3.0]], [[0.0, 0.0]] * 3, boxes))
+    found = representative_episode(evaluation([[0.1, 0.1], [-0.6, 0.0], [0.0, 3.0]], [[0.0, 0.0]] * 3, boxes))
     assert found.row == row
     assert found.words.startswith(f"episode {row + 1} of 3, the one that starts farthest from its target; 2 others")
 
 
 def test_without_references_it_is_the_one_that_earns_least_at_first() -> None:
     rewards = [[-1.0, 0.0, 0.0], [-5.0, 4.0, 4.0], [-2.0, 0.0, 0.0]]
-    found = drawn(evaluation([[0.0, 1.0], [1.0, 0.0], [2.0, 0.0]], [[0.0]] * 3, columns=(), rewards=rewards))
+    found = representative_episode(
+        evaluation([[0.0, 1.0], [1.0, 0.0], [2.0, 0.0]], [[0.0]] * 3, columns=(), rewards=rewards)
+    )
     assert (found.row, found.words.partition("; ")[2]) == (1, "0 others earn more")
 
 
 def test_of_a_single_episode_nothing_is_said() -> None:
-    assert drawn(evaluation([[0.0, 0.0]], [[0.5, 0.0]])).words == ""
+    assert representative_episode(evaluation([[0.0, 0.0]], [[0.5, 0.0]])).words == ""

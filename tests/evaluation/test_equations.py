@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.evaluation.equations import bend_hint, found_in_model, hidden_states, idle
+from dynasindy.evaluation.equations import bend_hint, describe_model, hidden_states, idle
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity
 from dynasindy.sindy.regression import RunningSums
@@ -17,18 +17,18 @@ from dynasindy.systems.transitions import Transitions
 
 def test_delay_friction_and_springs_of_a_model_are_said_in_words():
     model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
-    assert found_in_model(model) == []
+    assert describe_model(model) == []
     coefficients, model.delay = model.coefficients.clone(), 0.0123
     rates = {name: model.signature.state_index(name) for name in ("Omega_a", "Omega_p")}
     for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
         coefficients[model.library.index(name), rates[state]] = -1.0
     model.set_coefficients(coefficients)
     expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
-    assert found_in_model(model) == expected
+    assert describe_model(model) == expected
     # What drives a rate the more, the faster it is, is no friction.
     coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
     model.set_coefficients(coefficients)
-    assert found_in_model(model) == expected[:2]
+    assert describe_model(model) == expected[:2]
 
 
 def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tell():
@@ -37,8 +37,8 @@ def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tel
     for width, expected in ((0.125, []), (1.2, []), (1.3, ["v' has dry friction"]), (20.0, ["v' has dry friction"])):
         model = SindyModel(signature, [f"tanh({width} v)", "u"])
         model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
-        assert found_in_model(model) == found_in_model(model, report_of(model, 0.5)) == expected
-        assert found_in_model(model, report_of(model, 0.001)) == []
+        assert describe_model(model) == describe_model(model, report_of(model, 0.5)) == expected
+        assert describe_model(model, report_of(model, 0.001)) == []
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_delay_is_told_unless_its_search_ended_there_or_a_poor_fit_cannot_tell
     model = SindyModel(Signature(("v",), ("m/s",), ("u",), (4.0,)), ["v", "u"])
     model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
     model.delay = 0.002
-    found = found_in_model(model, replace(report_of(model, 0.5), **doubts))
+    found = describe_model(model, replace(report_of(model, 0.5), **doubts))
     assert found == (["the inputs act 2 ms late"] if said else [])
 
 
@@ -70,7 +70,7 @@ def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
         xi = model.coefficients.clone()
         xi[2:, 1] = torch.tensor(of_u, dtype=torch.float64)
         model.set_coefficients(xi)
-        return found_in_model(model)
+        return describe_model(model)
 
     assert said(20.0, 20.0, -20.0) == ["u does nothing from -3 V to 6 V"]
     assert said(0.0, -20.0, 20.0) == ["u has no more effect below -3 V and above 6 V"]

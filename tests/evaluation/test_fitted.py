@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.evaluation import fit_log as module
 from dynasindy.evaluation.fitted import LogFit, fit_log
-from dynasindy.evaluation.horizons import ForecastErrors, forecast_errors
+from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
@@ -24,7 +24,7 @@ from dynasindy.systems.transitions import Transitions
 
 @pytest.fixture
 def source():
-    data = record(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
     place = torch.arange(len(data))
     return Source(Pendulum().signature, data.select(place < 400), data.select(place >= 400), logged=True)
 
@@ -156,7 +156,7 @@ def tank(bend):
             return 2 * u - 0.5 * x - bend * x.square()
 
     u = Multisine(1, duration=40, dt=0.1, amplitude=[0.5], offset=[0.5], seed=0).samples(0.1)
-    data = record(Tank(signature), u, 0.1)
+    data = record_plant(Tank(signature), u, 0.1)
     x = torch.cat([data.x[:1], data.x_next])
     x = x + 0.02 * torch.randn(x.shape, generator=torch.Generator().manual_seed(1), dtype=x.dtype)
     data = Transitions.from_trajectory(x, data.u, 0.1)
@@ -196,7 +196,7 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
             return torch.stack([2 * a - 0.5 * y, (u[..., 0] - a) / 1.5], -1)
 
     u = Multisine(1, duration=40, dt=0.1, amplitude=[0.5], seed=0).samples(0.1)
-    data = record(Lagging(signature), u, 0.1)
+    data = record_plant(Lagging(signature), u, 0.1)
     seen = replace(data, x=data.x[:, :1], x_next=data.x_next[:, :1])
     log = Source(Signature(("y",), ("m",), ("u",), (3.0,)), seen, seen, logged=True)
     model = SindyModel(log.signature, "polynomial", Regression("bic"), Refinement("trajectory"))
@@ -222,7 +222,7 @@ def bowl(words=("1", "y", "u", "y^2")):
             return 2 * u - 0.5 * x
 
     u = Multisine(1, duration=20, dt=0.1, amplitude=[0.5], offset=[0.5], seed=0).samples(0.1)
-    data = record(Bowl(signature), u, 0.1)
+    data = record_plant(Bowl(signature), u, 0.1)
     place = torch.arange(len(data))
     log = Source(signature, data.select(place < 150), data.select(place >= 150), logged=True)
     model = SindyModel(signature, list(words), Regression("bic"))

@@ -13,15 +13,15 @@ from dynasindy.dyna.verdict import judge_run
 from dynasindy.envs import ControlEnv, DelayedEnv
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
-from dynasindy.evaluation.held import Held
 from dynasindy.evaluation.scenarios import Scenario, evaluate
+from dynasindy.evaluation.tracking_criteria import TrackingCriteria
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 
 def seen(share, away=None, worst=None, idle=None):
-    return Held({"theta": share}, {"theta": 3 * share if worst is None else worst}, away or {}, idle or {})
+    return TrackingCriteria({"theta": share}, {"theta": 3 * share if worst is None else worst}, away or {}, idle or {})
 
 
 def test_it_is_promised_where_every_model_is_held():
@@ -217,7 +217,7 @@ def test_a_delay_is_not_negative():
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = "nothing runs away: a longer plan, of more updates, may hold it"
-    swinging = Held({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
+    swinging = TrackingCriteria({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
     assert "cart, which is not tracked, does not come to rest" in Forecast((swinging,)).words()
     assert longer in Forecast((swinging,)).words() and longer in Forecast((seen(0.02),)).words()
     assert longer not in Forecast((seen(0.001),)).words()

@@ -7,8 +7,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.evaluation.held import held
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.tracking_criteria import judge_tracking
 from dynasindy.systems import Signature
 
 SIGNATURE = Signature(("p", "theta", "way"), ("m", "rad", "m"), ("u",), (1.0, 0.5, 10.0))
@@ -28,7 +28,7 @@ def states(p=0.0, theta=0.0, way=0.0):
 
 
 def judge(x, r=None):
-    return held(evaluation(x, r), torch.tensor([True, True, False]))
+    return judge_tracking(evaluation(x, r), torch.tensor([True, True, False]))
 
 
 def test_errors_are_those_of_the_last_seconds_in_boxes():
@@ -69,5 +69,5 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
     x = torch.stack([states(theta=0.2 * torch.sin(3 * TIME)), states(p=3.0 * TIME)]).double()
     trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
     untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
-    found = held(untracked, torch.tensor([True, True, False]))
+    found = judge_tracking(untracked, torch.tensor([True, True, False]))
     assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}, "turned": []}

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
 from dynasindy.evaluation.fitted import fit_log
-from dynasindy.evaluation.identification import Logged, identify
+from dynasindy.evaluation.identification import LoggedData, identify_source
+from dynasindy.evaluation.identification_report import to_words
 from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.written import to_words
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
@@ -30,7 +30,7 @@ def _identified(source):
     model = SindyModel(
         source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"), Refinement("one_step")
     )
-    return identify(model, source)
+    return identify_source(model, source)
 
 
 def test_the_pendulum_is_found_and_predicts_unseen_inputs():
@@ -49,7 +49,7 @@ def test_of_an_exact_log_nothing_stays_unexplained_and_of_a_poor_library_what_si
     found = _identified(source)
     assert "  Omega': 3 terms; nothing of it stays unexplained\n" in to_words(found, source)
     poor = SindyModel(source.signature, ["theta", "Omega", "u"], refinement=Refinement("one_step"))
-    found, data = identify(poor, source), source.training
+    found, data = identify_source(poor, source), source.training
     left = (moved(found.model, data.x, data.u, data.dt, 4) - data.x_next).norm(dim=0)
     parts = (left / (data.x_next - data.x).norm(dim=0)).tolist()
     assert list(found.report.residual.values()) == pytest.approx(parts, rel=1e-3) and parts[1] > 1e-3
@@ -69,7 +69,7 @@ def test_a_log_of_the_pendulum_gives_the_pendulum(tmp_path):
         lines.append(f"{k * data.dt},{data.x[k, 0] * 57.29577951308232},{data.x[k, 1]},{data.u[k, 0]}")
     (tmp_path / "log.csv").write_text("\n".join(lines))
     states = {"theta": {"name": "angle", "unit": "rad", "scale": 0.017453292519943295}, "Omega": "rate"}
-    source = Logged(str(tmp_path / "log.csv"), states, {"u": "torque"}, time="t").load(Pendulum(), EXCITATION)
+    source = LoggedData(str(tmp_path / "log.csv"), states, {"u": "torque"}, time="t").load(Pendulum(), EXCITATION)
     assert _identified(source).model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     assert len(source.validation) == pytest.approx(250, abs=2)
 
@@ -79,7 +79,7 @@ def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(["time [s],a [rad],b [m],motor [V],c [m]", *rows]))
 
     def names(**given):
-        signature = Logged(str(tmp_path / "log.csv"), **given).recording(None).signature
+        signature = LoggedData(str(tmp_path / "log.csv"), **given).recording(None).signature
         return signature.state_names, signature.state_units, signature.input_names
 
     assert names(inputs=["motor"]) == (("a", "b", "c"), ("rad", "m", "m"), ("motor",))
@@ -96,18 +96,18 @@ def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(ValueError, match="noise -1"):
         Simulated(noise=-1.0)
     with pytest.raises(ValueError, match=r"data.path=log.csv"):
-        Logged(None, {"a": "a"}, {"u": "u"})
+        LoggedData(None, {"a": "a"}, {"u": "u"})
     with pytest.raises(ValueError, match="validation_share 2"):
-        Logged("x.csv", {"a": "a"}, {"u": "u"}, validation_share=2.0)
+        LoggedData("x.csv", {"a": "a"}, {"u": "u"}, validation_share=2.0)
 
 
 def test_a_log_whose_headings_say_nothing_is_read_by_its_maps_alone(tmp_path):
     rows = [f"{0.05 * k!r},{math.sin(0.1 * k)!r},{math.cos(0.3 * k)!r}" for k in range(100)]
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,torque", *rows]))
-    read = Logged(str(tmp_path / "log.csv"), {"a": "angle"}, {"b": "torque"}).load(None, EXCITATION).signature
+    read = LoggedData(str(tmp_path / "log.csv"), {"a": "angle"}, {"b": "torque"}).load(None, EXCITATION).signature
     assert (read.state_names, read.input_names) == (("a",), ("b",))
     with pytest.raises(ValueError, match=r"to be corrected: 'data\.inputs=\[torque\]' 'data\.states=\[angle\]'$"):
-        Logged(str(tmp_path / "log.csv"), {"a": "angle"}).load(None, EXCITATION)
+        LoggedData(str(tmp_path / "log.csv"), {"a": "angle"}).load(None, EXCITATION)
 
 
 def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings(tmp_path):
@@ -115,11 +115,11 @@ def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings
     rows = torch.cat([torch.arange(len(data)).unsqueeze(-1) * data.dt, data.x, data.x[:, :1], data.u], -1).tolist()
     lines = ["time,theta,Omega,spare [m],u", *(",".join(map(repr, row)) for row in rows)]
     (tmp_path / "log.csv").write_text("\n".join(lines))
-    named = Logged(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION).signature
+    named = LoggedData(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION).signature
     assert named.state_names == ("theta", "Omega") and named.state_units == Pendulum().signature.state_units
-    read = Logged(str(tmp_path / "log.csv")).load(None, EXCITATION).signature
+    read = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION).signature
     assert read.state_names == ("theta", "Omega", "spare") and read.state_units == ("-", "-", "m")
-    mine = Logged(str(tmp_path / "log.csv"), inputs={"torque": "u"}).load(None, EXCITATION).signature
+    mine = LoggedData(str(tmp_path / "log.csv"), inputs={"torque": "u"}).load(None, EXCITATION).signature
     assert mine.input_names == ("torque",)
 
 
@@ -146,7 +146,7 @@ def test_recordings_that_would_take_days_are_refused(settings):
 def test_a_model_without_coefficients_is_not_identified():
     source = Simulated(validation_seconds=1.0).load(Pendulum(), partial(Chirp, duration=1.0))
     with pytest.raises(TypeError, match="world_model is a Oracle, which has no coefficients"):
-        identify(Oracle(source.signature, Pendulum()), source)
+        identify_source(Oracle(source.signature, Pendulum()), source)
 
 
 def test_validation_is_held_random_of_seven_tenths_of_the_range_about_the_same_offset():
@@ -183,7 +183,7 @@ def test_samples_at_a_stop_are_left_out_and_counted():
 def test_the_last_part_of_a_log_is_for_validation(tmp_path):
     lines = ["time,theta,Omega,u", *(f"{0.1 * k:.1f},{k},{k % 7},{k % 3}" for k in range(101))]
     (tmp_path / "log.csv").write_text("\n".join(lines))
-    source = Logged(str(tmp_path / "log.csv"), validation_share=0.3).load(Pendulum(), EXCITATION)
+    source = LoggedData(str(tmp_path / "log.csv"), validation_share=0.3).load(Pendulum(), EXCITATION)
     assert source.training.x[:, 0].tolist() == [*range(70)]
     assert source.validation.x[:, 0].tolist() == [*range(70, 100)]
 
@@ -193,13 +193,13 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
     rows = torch.cat([torch.arange(len(data)).unsqueeze(-1) * data.dt, data.x[:, :1], data.u], -1).tolist()
     (tmp_path / "log.csv").write_text("\n".join(["time,theta,u", *(",".join(map(repr, row)) for row in rows)]))
     path = str(tmp_path / "log.csv")
-    source = Logged(path, known={"theta": "Omega"}).load(Pendulum(), EXCITATION)
+    source = LoggedData(path, known={"theta": "Omega"}).load(Pendulum(), EXCITATION)
     assert source.signature.state_names == ("theta", "Omega") and bool(source.training.x[:, 1].isnan().all())
     assert source.signature.x_scale[1] == Pendulum().signature.x_scale[1]
     refinement = Refinement("auto")
     library = ["theta", "Omega", "u", "sin(theta)"]
     model = SindyModel(source.signature, library, Regression("bic"), refinement, known={"theta": "Omega"})
-    found = identify(model, source)
+    found = identify_source(model, source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     words = to_words(found, source)
     assert (
@@ -211,35 +211,37 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
         "nan" in str(v) for v in found.metrics.values()
     )
     with pytest.raises(ValueError, match="no column 'Omega'"):
-        Logged(path).load(Pendulum(), EXCITATION)
+        LoggedData(path).load(Pendulum(), EXCITATION)
 
 
 @pytest.fixture
 def angle_alone(tmp_path):
     """Write a log of the pendulum without its rate."""
-    data = record(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     rows = "\n".join(f"{0.01 * k:.2f},{float(data.x[k, 0])!r},{float(data.u[k, 0])!r}" for k in range(len(data)))
     (tmp_path / "log.csv").write_text("time [s],angle [rad],u\n" + rows)
     return str(tmp_path / "log.csv")
 
 
 def test_no_delay_stands_for_a_rate_that_is_missing(angle_alone):
-    source = Logged(angle_alone).load(None, EXCITATION)
+    source = LoggedData(angle_alone).load(None, EXCITATION)
     model = SindyModel(source.signature, "auto", Regression("bic"), Refinement("auto", longest_delay=0.05))
-    words = to_words(identify(model, source), source)
+    words = to_words(identify_source(model, source), source)
     assert "no delay of the inputs was looked for" in words and "hint" not in words and "late" not in words
 
 
 def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
     known = {"angle": "angle_rate"}
-    source = Logged(angle_alone, known=known).load(None, EXCITATION)
+    source = LoggedData(angle_alone, known=known).load(None, EXCITATION)
     assert (source.signature.state_names, source.signature.state_units) == (("angle", "angle_rate"), ("rad", "rad/s"))
     assert source.training.x[:, 1].isnan().all()
-    mapped = Logged(angle_alone, {"phi": {"name": "angle", "unit": "deg", "scale": 57.29578}}, known={"phi": "rate"})
+    mapped = LoggedData(
+        angle_alone, {"phi": {"name": "angle", "unit": "deg", "scale": 57.29578}}, known={"phi": "rate"}
+    )
     assert mapped.load(None, EXCITATION).signature.state_units == ("deg", "deg/s")
     library = ["u", "angle_rate", "sin(angle)"]
     model = SindyModel(source.signature, library, Regression("bic"), Refinement("auto"), known=known)
-    found = identify(model, source)
+    found = identify_source(model, source)
     assert "hint" not in to_words(found, source)
     equation = [model.coefficients[model.library.names.index(name), 1].item() for name in library]
     assert equation == pytest.approx([12.0, -0.5, -9.81], rel=0.02)
@@ -256,12 +258,12 @@ def test_a_search_for_actuators_that_fails_costs_a_note_and_may_be_switched_off(
     source, heard = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0)), []
     model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
     with listening(heard.append):
-        found = identify(model, source)
+        found = identify_source(model, source)
     assert [told.phase for told in heard if told.phase in ("fit", "actuators")][-1] == "actuators"
     note = "note: rate limits and play of inputs were not looked for: it runs away"
     assert note in to_words(found, source).splitlines() and found.found.actuator is None
     assert torch.equal(found.found.coefficients, model.coefficients)
-    without = identify(model, source, actuators=False)
+    without = identify_source(model, source, actuators=False)
     assert without.found is None and "play" not in to_words(without, source)
 
 
@@ -274,7 +276,7 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
         angle = (amplitude * torch.sin(t) / step).round() * step
         log = Transitions.from_trajectory(angle.unsqueeze(-1), torch.cos(t)[:-1].unsqueeze(-1), 0.02)
         model = SindyModel(signature, ["1", "u", "angle"])
-        return identify(
+        return identify_source(
             model,
             Source(signature, log.select(torch.arange(1000) < 750), log.select(torch.arange(1000) >= 750)),
             actuators=False,
@@ -303,7 +305,7 @@ def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in
 
     monkeypatch.setattr(identification, "fitted", late)
     monkeypatch.setattr(identification, "find_actuator", sought)
-    found = identify(model, source)
+    found = identify_source(model, source)
     assert found.model is model and model.delay == 0.05
     if in_pieces:
         assert found.acting is not None and found.acting.delay == 0.0 and found.found.actuator is not None
@@ -318,9 +320,9 @@ def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_p
     for name, table in (("still", still), ("moving", moving)):
         np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="time [s],way [m],u", comments="")
     both = [str(tmp_path / f"{name}.csv") for name in ("still", "moving")]
-    found = Logged(both).recording(None)
+    found = LoggedData(both).recording(None)
     assert found.signature.state_names == ("way",) and found.signature.input_names == ("u",)
     assert found.transitions.segment.bincount().tolist() == [99, 99]
     assert not any("left out" in note for note in found.notes)
     with pytest.raises(ValueError, match="names a file twice"):
-        Logged([both[0], both[0]])
+        LoggedData([both[0], both[0]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.linear import LinearModel
+from dynasindy.evaluation.forecast_errors import LinearModel
 from dynasindy.systems.transitions import Transitions
 
 

@@ -9,8 +9,8 @@ import torch
 import dynasindy
 from dynasindy.control import save
 from dynasindy.data.csv import Recording
-from dynasindy.data.simulated import record
-from dynasindy.evaluation.period import as_planned, nearest_period, other_period, suited_period, typical
+from dynasindy.data.rollout_data import record_plant
+from dynasindy.evaluation.period import as_planned, closest_period, other_period, suited_period, typical
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
@@ -45,7 +45,7 @@ def known(hertz, damping):
 def logged(dt, signature):
     """Return a log with a sampling time."""
     u = Multisine(1, duration=4, dt=0.05, amplitude=[0.8], seed=0).samples(0.01)
-    return Source.of(Recording(replace(record(Spring(2.0, 0.2), u, 0.01), dt=dt), signature))
+    return Source.of(Recording(replace(record_plant(Spring(2.0, 0.2), u, 0.01), dt=dt), signature))
 
 
 def suited(hertz, damping, dt):
@@ -118,14 +118,14 @@ def test_a_log_tells_where_it_mostly_was():
     ("step", "period"), [(0.001, 0.01), (0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)]
 )
 def test_a_control_period_is_never_shorter_than_a_sample(step, period):
-    assert nearest_period(logged(step, known(1.0, 0.1).signature)) == pytest.approx(period)
+    assert closest_period(logged(step, known(1.0, 0.1).signature)) == pytest.approx(period)
 
 
 def test_a_control_period_that_is_asked_for_is_kept_whatever_the_log():
     fast = logged(0.001, known(1.0, 0.1).signature)
-    assert nearest_period(fast, 0.05) == 0.05 and nearest_period(None) == 0.05 and nearest_period(None, 0.02) == 0.02
+    assert closest_period(fast, 0.05) == 0.05 and closest_period(None) == 0.05 and closest_period(None, 0.02) == 0.02
     with pytest.raises(ValueError, match=r"env\.dt must be a time > 0"):
-        nearest_period(fast, 0.0)
+        closest_period(fast, 0.0)
 
 
 def rubbing(hertz, damping, friction):

@@ -5,8 +5,14 @@ import math
 import pytest
 import torch
 
-from dynasindy.evaluation.horizons import ForecastErrors
-from dynasindy.evaluation.quiet import FEW, heard, quiet_states, quiet_targets, too_quiet
+from dynasindy.evaluation.forecast_errors import ForecastErrors
+from dynasindy.evaluation.signal_resolution import (
+    FEW,
+    describe_low_signal_targets,
+    describe_low_signals,
+    low_signal_states,
+    resolved_errors,
+)
 from dynasindy.systems import Pendulum, Signature, rk4
 from dynasindy.systems.transitions import Transitions
 
@@ -32,7 +38,7 @@ def pendulum(amplitude, seconds=20.0, dt=0.02):
 
 @pytest.mark.parametrize("amplitude", [0.001, 0.002])
 def test_a_state_that_moves_by_a_few_steps_is_quiet(amplitude):
-    moved = quiet_states(pendulum(amplitude))
+    moved = low_signal_states(pendulum(amplitude))
     assert list(moved) == [0]
     # A sine of 0.25 Hz is a third more than at rest, as the pendulum has 0.5 Hz: twice 12 u / 9.81 / (1 - 1 / 4).
     assert moved[0] == pytest.approx(2 * 12 * amplitude / 9.81 / 0.75 / STEP, abs=1.5)
@@ -40,10 +46,10 @@ def test_a_state_that_moves_by_a_few_steps_is_quiet(amplitude):
 
 
 def test_a_loud_log_is_not_quiet_nor_is_what_does_not_move():
-    assert not quiet_states(pendulum(0.2))
-    assert not quiet_states(pendulum(0.0))
-    assert not quiet_states(pendulum(0.001), {0})
-    assert too_quiet(pendulum(0.2), SIGNATURE) == ""
+    assert not low_signal_states(pendulum(0.2))
+    assert not low_signal_states(pendulum(0.0))
+    assert not low_signal_states(pendulum(0.001), {0})
+    assert describe_low_signals(pendulum(0.2), SIGNATURE) == ""
 
 
 def in_stretches(x, length):
@@ -55,17 +61,19 @@ def in_stretches(x, length):
 
 def test_few_samples_that_do_not_repeat_are_no_steps_of_a_sensor():
     t = 0.02 * torch.arange(9).double()
-    assert not quiet_states(Transitions.from_trajectory(torch.stack([t.sin(), t.exp()], -1), torch.zeros(8, 1), 0.02))
+    assert not low_signal_states(
+        Transitions.from_trajectory(torch.stack([t.sin(), t.exp()], -1), torch.zeros(8, 1), 0.02)
+    )
     rest_and_jump = torch.cat([torch.zeros(300).double(), t.exp()[:8]])[:, None]  # each value of the jump once
-    assert not quiet_states(Transitions.from_trajectory(rest_and_jump, torch.zeros(307, 1), 0.02))
+    assert not low_signal_states(Transitions.from_trajectory(rest_and_jump, torch.zeros(307, 1), 0.02))
 
 
 def test_a_log_in_short_stretches_is_judged_by_all_of_them():
     t = 0.02 * torch.arange(361).double()
     swing = torch.stack([t.sin(), (1.7 * t).cos()], -1)
-    assert len(in_stretches(swing, 8)) == 320 and not quiet_states(in_stretches(swing, 8))
+    assert len(in_stretches(swing, 8)) == 320 and not low_signal_states(in_stretches(swing, 8))
     # By two steps to either side, so by four.
-    moved = quiet_states(in_stretches(STEP * (2.4 * swing).round(), 8))
+    moved = low_signal_states(in_stretches(STEP * (2.4 * swing).round(), 8))
     assert moved == pytest.approx({0: 4.0, 1: 4.0})
 
 
@@ -75,27 +83,27 @@ def test_a_state_that_rests_in_the_longest_stretch_and_moves_in_another_is_not_q
         Transitions.from_trajectory(x[:, None].double(), torch.zeros(len(x) - 1, 1).double(), 0.02)
         for x in (STEP * (rest + torch.arange(301) % 2), STEP * (100 * move).round())
     ]
-    assert quiet_states(stretches[0]) == pytest.approx({0: 1.0})
-    assert not quiet_states(Transitions.cat(stretches))  # 200 steps from end to end
+    assert low_signal_states(stretches[0]) == pytest.approx({0: 1.0})
+    assert not low_signal_states(Transitions.cat(stretches))  # 200 steps from end to end
 
 
 def test_the_words_say_which_input_to_move_and_how_much_further():
     log = pendulum(0.001)
-    times = 100 / quiet_states(log)[0]
-    told = too_quiet(log, SIGNATURE)
+    times = 100 / low_signal_states(log)[0]
+    told = describe_low_signals(log, SIGNATURE)
     assert told.startswith("the log is too quiet to tell of angle, which moves by ")
     assert told.endswith(f"move u, which goes from -0.001 to 0.001, about {times:.2g} times as far")
     # Where it moves that much further the log is loud, as the pendulum is nearly linear.
-    assert not quiet_states(pendulum(0.001 * times))
+    assert not low_signal_states(pendulum(0.001 * times))
 
 
 def test_no_input_is_to_go_beyond_its_actuator():
     motor = Signature(("angle", "way"), ("rad", "m"), ("u",), (1.0, 1.0), ((-12.0, 12.0),), ((-0.002, 0.002),), ("V",))
-    told = too_quiet(pendulum(0.001), motor)
+    told = describe_low_signals(pendulum(0.001), motor)
     assert told.endswith("u, which goes from -0.012 to 0.012 V, as far as its actuator reaches, about 2 times as far")
     still = pendulum(0.001)
     still.u.zero_()
-    assert too_quiet(still, SIGNATURE).endswith("move u, which does not move")
+    assert describe_low_signals(still, SIGNATURE).endswith("move u, which does not move")
 
 
 def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
@@ -103,17 +111,17 @@ def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
     with pytest.raises(
         ValueError, match=r"angle go from -0\.03 to 0\.03 rad, the log to 0\.00\d+ only; the log is too"
     ):
-        quiet_targets(log, SIGNATURE, {"angle": (-0.03, 0.03)})
-    assert "too quiet to tell of angle" in quiet_targets(log, SIGNATURE, {"angle": (-0.002, 0.002)})
-    assert quiet_targets(log, SIGNATURE, {"way": (-50.0, 50.0)}) == ""
-    assert quiet_targets(pendulum(0.2), SIGNATURE, {"angle": (-30.0, 30.0)}) == ""
+        describe_low_signal_targets(log, SIGNATURE, {"angle": (-0.03, 0.03)})
+    assert "too quiet to tell of angle" in describe_low_signal_targets(log, SIGNATURE, {"angle": (-0.002, 0.002)})
+    assert describe_low_signal_targets(log, SIGNATURE, {"way": (-50.0, 50.0)}) == ""
+    assert describe_low_signal_targets(pendulum(0.2), SIGNATURE, {"angle": (-30.0, 30.0)}) == ""
 
 
 def test_errors_of_what_is_quiet_are_not_judged():
     one = torch.ones(3, 2)
     forecasts = ForecastErrors((0.1, 0.2, 0.4), 0.2, 9, one, one, one, torch.ones(2), 1)
-    assert heard(None, [0]) is None and heard(forecasts, []) is forecasts
-    assert heard(forecasts, [0, 1]) is None
-    left = heard(forecasts, [0])
+    assert resolved_errors(None, [0]) is None and resolved_errors(forecasts, []) is forecasts
+    assert resolved_errors(forecasts, [0, 1]) is None
+    left = resolved_errors(forecasts, [0])
     assert left.held[:, 0].isnan().all() and left.model[:, 0].isnan().all()
     assert torch.equal(left.held[:, 1], torch.ones(3)) and torch.equal(forecasts.held, torch.ones(3, 2))

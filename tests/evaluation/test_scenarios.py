@@ -10,9 +10,9 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast
-from dynasindy.evaluation.held import held
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
-from dynasindy.evaluation.summary import heading, summarise, to_text
+from dynasindy.evaluation.summary import evaluation_title, summarise, to_text
+from dynasindy.evaluation.tracking_criteria import judge_tracking
 from dynasindy.progress import listening
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
@@ -330,7 +330,7 @@ def test_a_task_without_references_is_run_as_it_draws_its_episodes(settle) -> No
     assert len(starts.unique(dim=0)) == 5 and bool((starts.abs() <= torch.tensor([0.5, 1.5])).all())
     paid = -x[..., 0].square() - (x[..., 1] / 3.0).square() - 0.5 * 0.2**2
     torch.testing.assert_close(result.returns, paid.sum(-1), rtol=1e-4, atol=0)
-    table = to_text(summarise(result), heading(result))
+    table = to_text(summarise(result), evaluation_title(result))
     assert table.startswith("Scenario 'task' (5 episodes, 2 s)")
     assert "control effort" in table and "error" not in table
     with pytest.raises(
@@ -354,7 +354,7 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         result = evaluate(env, hang, Scenario("hang", Step([[0.02 * math.pi]]), seconds=1.0))
         assert result.boxes == (pytest.approx(box),)
         assert result.errors[0, -1, 0].item() == pytest.approx(0.02 * math.pi / box)
-        found = held(result, torch.tensor([True, True]))
+        found = judge_tracking(result, torch.tensor([True, True]))
         assert found.turned == (["theta"] if box > 6 else [])
         told = Forecast((found,), result).words()
         assert ("1 % of a turn on average" in told) is (box > 6)

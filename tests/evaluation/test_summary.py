@@ -14,7 +14,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.evaluation.summary import beyond_targets, heading, restless, save_evaluation, summarise, to_text
+from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, save_evaluation, summarise, to_text
 from dynasindy.systems import Pendulum, Signature, Xi
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave, wave
 
@@ -143,14 +143,14 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     gust = {"plant": partial(Pushed, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
     scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
     result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
-    assert heading(result) == (
+    assert evaluation_title(result) == (
         "Scenario 'wind' (2 references, 3 s, pushed by 1 rad/s^2 on Omega, disturbed from 0.5 s to 1.5 s, "
         "overshoot, rise and settling time from what lies before 0.5 s)"
     )
     calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
-    assert heading(calm) == "Scenario 'step' (1 reference, 1.5 s)"
+    assert evaluation_title(calm) == "Scenario 'step' (1 reference, 1.5 s)"
     late = Scenario("delay", seconds=1.5, wrappers=[partial(DelayedActuator, periods=3)])
-    assert heading(evaluate(ControlEnv(system, task, substeps=1), still, late)) == (
+    assert evaluation_title(evaluate(ControlEnv(system, task, substeps=1), still, late)) == (
         "Scenario 'delay' (1 reference, 1.5 s, inputs late by 3 control periods, 0.15 s)"
     )
 

@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation import symptoms as module
-from dynasindy.evaluation.symptoms import closed_loop, resolution, resolutions, resolutions_by, saturated, step_of
+from dynasindy.evaluation import recording_diagnostics as module
+from dynasindy.evaluation.recording_diagnostics import (
+    closed_loop,
+    resolution,
+    resolutions,
+    resolutions_by,
+    saturated,
+    sensor_resolution,
+)
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -16,11 +23,11 @@ T = 0.01 * np.arange(3000)
 @pytest.mark.parametrize("step", [0.0015, 0.02])
 def test_the_step_of_an_encoder_is_found_and_exact_or_noisy_samples_have_none(step):
     swing = np.sin(1.3 * T) + 0.4 * np.sin(0.37 * T)
-    assert step_of(step * np.round(swing / step)) == pytest.approx(step, rel=1e-6)
-    assert step_of(swing) == 0.0
+    assert sensor_resolution(step * np.round(swing / step)) == pytest.approx(step, rel=1e-6)
+    assert sensor_resolution(swing) == 0.0
     noisy = swing + 0.01 * np.random.default_rng(0).normal(size=3000)
-    assert step_of(noisy) == 0.0 and resolution(noisy) == pytest.approx(0.01, rel=0.1)
-    assert step_of(np.round(noisy, 6)) == 0.0  # six decimals of a file are no sensor's step
+    assert sensor_resolution(noisy) == 0.0 and resolution(noisy) == pytest.approx(0.01, rel=0.1)
+    assert sensor_resolution(np.round(noisy, 6)) == 0.0  # six decimals of a file are no sensor's step
 
 
 @pytest.mark.parametrize("interval", [0.1, 0.5, 1.0])

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from dynasindy.evaluation.table import markdown, over_seeds, overrides, sweep_table
+from dynasindy.evaluation.statistics import markdown, over_seeds, overrides, sweep_table
 
 
 def write(folder, name, trained, **more):

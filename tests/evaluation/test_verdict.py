@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.horizons import ForecastErrors
+from dynasindy.evaluation.forecast_errors import ForecastErrors
 from dynasindy.evaluation.verdict import (
     beyond,
+    describe_data,
     doubts,
     errors,
-    found_in_data,
     judge,
-    known_ranges,
+    logged_input_ranges,
     table,
+    uncontrolled_outputs,
     unlogged,
-    unmoved,
     unresolved,
 )
 from dynasindy.sindy import SindyModel
@@ -170,7 +170,7 @@ def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in
         coefficients[1:, 1] = 0.0
         coefficients[model.library.index(word), 1] = 2.0
         model.set_coefficients(coefficients)
-        return known_ranges(model, torch.tensor([[0.1], [0.4], [0.9]]))
+        return logged_input_ranges(model, torch.tensor([[0.1], [0.4], [0.9]]))
 
     assert known("u") == known("u sin(theta)") == {}
     # A twentieth of the 0.8 between its ends is let to it on both sides.
@@ -182,9 +182,9 @@ def test_an_input_is_known_as_far_as_its_lag_if_the_equations_bend_in_that():
     library = Library(signature, [variable("u_lagging") * variable("u_lagging"), of("ahead", "u", "u_lagging")])
     model = SindyModel(signature, library, allowed={"u_lagging": ["(u - u_lagging)"]})
     model.set_coefficients(torch.tensor([[8.0, 0.0], [0.0, 6.0]], dtype=torch.float64))
-    assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
+    assert logged_input_ranges(model, torch.tensor([[0.1], [0.9]])) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
     model.set_coefficients(torch.tensor([[0.0, 0.0], [0.0, 6.0]], dtype=torch.float64))
-    assert known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}
+    assert logged_input_ranges(model, torch.tensor([[0.1], [0.9]])) == {}
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_only_the_sine_of_an_angle_is_known_beyond_the_log(word, unit, free):
     coefficients = torch.zeros_like(model.coefficients)
     coefficients[0, 1], coefficients[1, 1], coefficients[2, 0] = -5.0, 10.0, 3.0
     model.set_coefficients(coefficients)
-    assert (known_ranges(model, torch.tensor([[0.1], [0.9]])) == {}) == free
+    assert (logged_input_ranges(model, torch.tensor([[0.1], [0.9]])) == {}) == free
 
 
 def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_in_that():
@@ -212,7 +212,7 @@ def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_i
         for word, size in terms.items():
             coefficients[model.library.index(word.replace("_", " ")), 1] = size
         model.set_coefficients(coefficients)
-        return known_ranges(model, torch.tensor([[0.1], [0.9]]))
+        return logged_input_ranges(model, torch.tensor([[0.1], [0.9]]))
 
     assert known("blade^2", blade=-5.0, u=10.0) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
     assert known("blade", blade=-5.0, u=10.0) == known("blade^2", u=10.0) == {}
@@ -245,7 +245,7 @@ def test_only_what_follows_one_input_linearly_goes_beyond_the_log_as_far_as_that
     for word, size in terms.items():
         coefficients[model.library.index(word), 1] = size
     model.set_coefficients(coefficients)
-    found = known_ranges(model, torch.tensor([[0.1, -0.4], [0.9, 0.4]]))
+    found = logged_input_ranges(model, torch.tensor([[0.1, -0.4], [0.9, 0.4]]))
     assert found == {name: pytest.approx(ends) for name, ends in ranges.items()}
 
 
@@ -274,8 +274,8 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     signature = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))
     fine = replace(data, x=torch.tensor(np.stack([0.002 * np.round(np.sin(1.3 * t) / 0.002), walk], -1)[:-1]))
     fine = replace(fine, x_next=torch.cat([fine.x[1:], fine.x[-1:]]))
-    assert found_in_data(fine, signature)[0] == "q is read in steps of 0.002 rad"  # a thousandth of its way
-    assert found_in_data(data, signature) == [
+    assert describe_data(fine, signature)[0] == "q is read in steps of 0.002 rad"  # a thousandth of its way
+    assert describe_data(data, signature) == [
         "q is read in steps of 0.02 rad; standard errors take it that the sensor rounds: one that cuts off reads half "
         "a step too low, which no log tells and none of them holds",
         f"u is at an end of its range, -1 to 1, in {share:.0f} % of the samples",
@@ -283,10 +283,10 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     ]
     volts = {"input_ends": ((-24.0, 24.0), (-1.0, 1.0)), "input_units": ("V", "-")}
     own = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), **volts)
-    assert found_in_data(data, own)[1].startswith("u is at an end of its range, -24 to 24 V, in ")
+    assert describe_data(data, own)[1].startswith("u is at an end of its range, -24 to 24 V, in ")
     wide = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), input_limits=((-1.0, 0.9), (-1.0, 1.0)))
     low = 100 * np.mean(clipped[:-1] == -1)
-    assert f"in {low:.0f} %" in found_in_data(data, wide)[1]  # the other end is none of the actuator's
+    assert f"in {low:.0f} %" in describe_data(data, wide)[1]  # the other end is none of the actuator's
 
 
 def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():
@@ -319,7 +319,7 @@ def test_an_input_moves_an_output_through_other_states():
     coefficients = model.coefficients.clone()
     coefficients[1:, 1] = 0.0
     model.set_coefficients(coefficients)
-    assert "no input moves theta, so" in unmoved(model, ["theta"])
+    assert "no input moves theta, so" in uncontrolled_outputs(model, ["theta"])
     coefficients[model.library.index("u"), 1] = 2.0
     model.set_coefficients(coefficients)
-    assert unmoved(model, ["theta", "Omega"]) == ""
+    assert uncontrolled_outputs(model, ["theta", "Omega"]) == ""

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.evaluation.identification import identify
-from dynasindy.evaluation.written import anew, to_words, write
+from dynasindy.evaluation.identification import identify_source
+from dynasindy.evaluation.identification_report import describe_restarts, to_words, write_identification
 from dynasindy.excitation import Chirp
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
@@ -21,12 +21,12 @@ EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
 def test_coefficients_without_standard_errors_say_why():
     source = Simulated().load(Pendulum(), EXCITATION)
     given = SindyModel(source.signature, ["Omega", "u"], known={"theta": "Omega", "Omega": "u"})
-    words = to_words(identify(given, source), source)
+    words = to_words(identify_source(given, source), source)
     assert "coefficients have no standard errors (±): none of them was fitted" in words.splitlines()
     x = torch.randn(1001, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     noise = replace(source, training=replace(source.training, x=x[:-1], x_next=x[1:]))
     model = SindyModel(source.signature, ["u", "1"], refinement=Refinement("one_step"))
-    words = to_words(identify(model, noise, actuators=False), noise)
+    words = to_words(identify_source(model, noise, actuators=False), noise)
     said = "the refinement, which tells them, found no equations, or ones that run away from the data"
     assert (
         f"coefficients have no standard errors (±): {said}" in words.splitlines() and "dropped every function" in words
@@ -35,8 +35,8 @@ def test_coefficients_without_standard_errors_say_why():
 
 def test_everything_is_written(tmp_path):
     source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
-    found = identify(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
-    write(found, source, tmp_path / "run")
+    found = identify_source(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
+    write_identification(found, source, tmp_path / "run")
     names = {p.name for p in (tmp_path / "run").iterdir()}
     tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
     assert names == {"model.json", "metrics.json", "report.txt", *tables}
@@ -50,5 +50,5 @@ def test_everything_is_written(tmp_path):
 )
 def test_a_prediction_of_data_with_gaps_is_said_to_begin_anew(segments, said):
     data = Transitions.from_trajectory(torch.zeros(7, 1), torch.zeros(6, 1), 0.1)
-    told = anew(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
+    told = describe_restarts(Transitions(data.x, data.u, data.x_next, data.dt, torch.tensor(segments)))
     assert told.endswith(said) and bool(told) == bool(said)

@@ -13,7 +13,7 @@ import torch
 from dynasindy import Controller, load, workbench
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
-from dynasindy.evaluation.identification import Logged
+from dynasindy.evaluation.identification import LoggedData
 from dynasindy.excitation import Multisine
 from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, targets_within
@@ -218,7 +218,7 @@ def test_a_log_of_a_rig_known_by_names_says_the_same_in_a_session_and_to_the_com
     session.excite(Multisine(1, duration=10, dt=0.05, amplitude=0.3, offset=0.4, seed=0))
     mine = session._source(False).with_rates({"theta": "Omega"})
     plant, known = BlackBox({"theta": "rad"}, pump), {"theta": "Omega"}
-    theirs = Logged(str(tmp_path / "excitation.csv"), known=known).load(plant, None)
+    theirs = LoggedData(str(tmp_path / "excitation.csv"), known=known).load(plant, None)
     assert mine.signature.alike(theirs.signature) and theirs.signature.state_names == ("theta", "Omega")
     assert mine.signature.x_scale == pytest.approx(theirs.signature.x_scale)
     assert theirs.signature.input_limits == ((0.0, 1.0),) and theirs.signature.input_units == ("V",)

@@ -430,7 +430,7 @@ def test_add_runs_says_in_a_line_that_metrics_are_damaged(saved_run, run, tmp_pa
 
 @pytest.mark.parametrize("kind", [*GARBAGE, "a folder", "a pipe"])
 def test_table_says_in_a_line_that_metrics_are_damaged(run, kind):
-    from dynasindy.evaluation.table import sweep_table
+    from dynasindy.evaluation.statistics import sweep_table
 
     garble(run / "metrics.json", kind)
     with pytest.raises((ValueError, FileNotFoundError)) as error:

@@ -12,7 +12,7 @@ import pytest
 import torch
 import yaml
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import HeldRandom
 from dynasindy.systems import Pendulum, Tras
 
@@ -60,7 +60,7 @@ def next_command(done):
 @pytest.mark.slow
 def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(tmp_path, write_log):
     """The angle of a pendulum alone: its rate is lacking if nobody may add it, then a plan is to be made."""
-    data = record(Pendulum(), HeldRandom(1, 10.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), HeldRandom(1, 10.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
     given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}", "longest_delay=0.02"]
     first = _run(tmp_path / "first", *given, "plant.known={}")
@@ -146,7 +146,7 @@ def test_ends_of_actuators_that_are_guessed_are_asked_about_until_they_are_given
 def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):
     signature, generator = Tras().signature, torch.Generator().manual_seed(0)
     u = 0.3 * torch.randn(40, 2, generator=generator).repeat_interleave(5, 0)
-    data = record(Tras(), u, dt=0.05, substeps=20)
+    data = record_plant(Tras(), u, dt=0.05, substeps=20)
     units = {"time": "s", **dict(zip(signature.state_names, signature.state_units)), "u_a": "-", "u_p": "-"}
     rows = torch.cat((0.05 * torch.arange(len(data)).unsqueeze(1), data.x, data.u), 1).tolist()
     lines = [",".join(f"{number:.9g}" for number in (*row, 0.4)) for row in rows]

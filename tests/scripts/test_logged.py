@@ -15,7 +15,7 @@ from benchmarks.logs import words as log_words
 from omegaconf import OmegaConf
 
 import dynasindy
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature
@@ -33,7 +33,7 @@ SHORT = [
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory, write_log):
-    data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = tmp_path_factory.mktemp("log") / "log.csv"
     return write_log(path, ["theta [rad]", "Omega [rad/s]", "u"], data.x, data.u)
 
@@ -202,7 +202,7 @@ def test_a_log_that_no_job_of_a_sweep_could_read_costs_one_line_before_the_first
     assert not list(tmp_path.iterdir())
 
 
-LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.Logged", "path": "log.csv"}, "system": None}
+LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.LoggedData", "path": "log.csv"}, "system": None}
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ plant: {outputs: [theta], low: [-0.6], high: [0.6]}
 @pytest.mark.slow
 def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and_its_rate(tmp_path, write_log):
     """12 V are a torque of 12: Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega of the controller's number u."""
-    data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = write_log(tmp_path / "log.csv", ["theta [rad]", "u [V]"], data.x[:, :1], 12 * data.u)
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "arm.yaml").write_text(ARM)

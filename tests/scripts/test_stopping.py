@@ -23,7 +23,7 @@ import forked
 import pytest
 import torch
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum
 
@@ -100,9 +100,9 @@ def kept(folder):
         elif file.suffix == ".pt":
             raw = repr({key: value.tolist() for key, value in torch.load(file).items()}).encode()
         elif name == "metrics.json":
-            record = json.loads(raw)
-            del record["cost"]["wall_seconds"], record["checkpoint"]
-            raw = json.dumps(record).encode()
+            record_plant = json.loads(raw)
+            del record_plant["cost"]["wall_seconds"], record_plant["checkpoint"]
+            raw = json.dumps(record_plant).encode()
         elif name == "config.yaml":
             raw = re.sub(rb"folder: .*", b"", raw)
         elif file.suffix == ".txt":
@@ -309,7 +309,7 @@ def test_a_signal_during_the_imports_costs_one_line(tmp_path):
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory, write_log):
-    data = record(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     return write_log(tmp_path_factory.mktemp("log") / "log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
 
 

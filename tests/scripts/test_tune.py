@@ -10,7 +10,7 @@ import forked
 import pytest
 import yaml
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum
 
@@ -29,7 +29,7 @@ def tune(log, folder):
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory, write_log):
-    data = record(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     path = tmp_path_factory.mktemp("log") / "log.csv"
     return write_log(path, ["theta [rad]", "Omega [rad/s]", "u"], data.x, data.u)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pysindy
 import torch
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.pysindy_interchange import PySindyDefault
@@ -12,7 +12,7 @@ from dynasindy.systems import Pendulum
 
 
 def test_it_has_the_coefficients_that_pysindy_has(tmp_path):
-    data = record(Pendulum(), Multisine(1, 5.0, amplitude=0.8, seed=1).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, 5.0, amplitude=0.8, seed=1).samples(0.01), 0.01)
     model = PySindyDefault(Pendulum().signature)
     model.fit(data)
     theirs = pysindy.SINDy()
@@ -24,7 +24,7 @@ def test_it_has_the_coefficients_that_pysindy_has(tmp_path):
 
 
 def test_segments_are_fitted_as_separate_trajectories():
-    data = record(Pendulum(), Multisine(1, 5.0, amplitude=0.8, seed=1).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, 5.0, amplitude=0.8, seed=1).samples(0.01), 0.01)
     keep = torch.ones(len(data), dtype=torch.bool)
     keep[200:300] = False
     model = PySindyDefault(Pendulum().signature)

@@ -8,7 +8,7 @@ import torch
 from benchmarks.textbook_systems import CASES
 from scipy.linalg import expm
 
-from dynasindy.data.simulated import disturb
+from dynasindy.data.rollout_data import disturb
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy import refinement as refine
 from dynasindy.sindy.constraints import Constraints

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library, parse
@@ -121,7 +121,7 @@ def test_the_inertia_of_the_azimuth_is_found_from_a_guess_that_is_far_off():
     u = Multisine(2, duration=10.0, amplitude=(0.5, 0.3), offset=(-0.1, 0.2)).samples(0.05).repeat_interleave(5, 0)
     rates = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
     model = SindyModel(Tras().signature, "rotor", Regression("bic"), Refinement("integral"), known=rates)
-    model.fit(record(Tras(), u, dt=0.01))
+    model.fit(record_plant(Tras(), u, dt=0.01))
     assert model.library.shapes[0].frequency == pytest.approx(0.02379038 / 0.00300962, rel=1e-3)
 
 

@@ -9,7 +9,7 @@ import torch
 from benchmarks.textbook_systems import CASES, cramer_rao
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
-from dynasindy.data.simulated import disturb
+from dynasindy.data.rollout_data import disturb
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.evaluation.ablation import write_rows
+from dynasindy.evaluation.ablation import write_ablation
 from dynasindy.viz.ablation import controls, draw_ablation, families, steady_state_errors
 
 
@@ -32,7 +32,7 @@ def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
         for seed in (0, 1)
         for episode in range(1, 4 + seed)
     ]  # fmt: skip
-    write_rows(tmp_path / "ablation_curves.csv", rows)
+    write_ablation(tmp_path / "ablation_curves.csv", rows)
     names = {file.name for file in draw_ablation(tmp_path, 0.05)}
     kinds = ("average_rewards", "steady_state_error")
     assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
@@ -63,7 +63,7 @@ def test_the_settings_of_the_paper_stand_alone_and_the_controls_in_a_figure_of_t
         for setting in ("direct", "rollouts_0", "rollouts_800")
         for episode in (1, 2)
     ]  # fmt: skip
-    write_rows(tmp_path / "ablation_curves.csv", rows)
+    write_ablation(tmp_path / "ablation_curves.csv", rows)
     drawn = {file.stem for file in draw_ablation(tmp_path, 0.05, ("svg",))}
     assert drawn == {"average_rewards_xi_dyna", "steady_state_error_xi_dyna", "controls_xi_dyna"}
 
@@ -91,14 +91,14 @@ def hostile_rows(**changed):
 @pytest.mark.parametrize("changed", [{"system": "../../x"}, {"experiment": "x/../../../y"}, {"system": "/tmp/x"}])
 def test_cells_of_a_table_do_not_choose_where_figures_go(tmp_path, changed):
     (tmp_path / "results").mkdir()
-    write_rows(tmp_path / "results" / "ablation_curves.csv", hostile_rows(**changed))
+    write_ablation(tmp_path / "results" / "ablation_curves.csv", hostile_rows(**changed))
     with pytest.raises(ValueError, match="is no file name"):
         draw_ablation(tmp_path / "results", 0.05)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["ablation_curves.csv"]
 
 
 def test_a_setting_with_signs_of_mathematics_is_drawn_as_it_stands(tmp_path):
-    write_rows(tmp_path / "ablation_curves.csv", hostile_rows(setting="$\\frac{$,x=<b>"))
+    write_ablation(tmp_path / "ablation_curves.csv", hostile_rows(setting="$\\frac{$,x=<b>"))
     assert draw_ablation(tmp_path, 0.05)
 
 
@@ -106,7 +106,7 @@ def test_errors_of_outputs_in_several_units_are_drawn_as_per_cent_of_the_target_
     drawn = []
     monkeypatch.setattr("dynasindy.viz.ablation.save", lambda figure, *_: drawn.append(figure) or [])
     rows = [row for n in (1, 2) for row in hostile_rows(episode=n, steady_state_share=0.4 / n)]
-    write_rows(tmp_path / "ablation_curves.csv", [*rows, *({**row, "setting": "rollouts_800"} for row in rows)])
+    write_ablation(tmp_path / "ablation_curves.csv", [*rows, *({**row, "setting": "rollouts_800"} for row in rows)])
     draw_ablation(tmp_path, 0.05, share=0.1)
     for axis, label in ((drawn[1].axes[0], "800 rollouts"), (drawn[2].axes[0], "a (1 seed)")):
         lines = {line.get_label(): list(line.get_ydata()) for line in axis.lines}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking import Check, Loop, Plant, Settings, check
+from dynasindy.checking import Check, ClosedLoop, Plant, Settings, check
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
@@ -25,7 +25,7 @@ def held_cart(draws: int) -> Check:
     model = SindyModel(CART, ["force", "v"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0]], dtype=torch.float64))
     task = Tracking(CART, Step([[0.0]]), ["p"], ["v"], TrackingReward((1.0,)))
-    loop = Loop(Controller(law, ControlSetup(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
+    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
     return check(loop, Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=draws))
 
 

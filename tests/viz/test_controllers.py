@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from dynasindy.evaluation.ablation import read_rows
+from dynasindy.evaluation.ablation import read_ablation
 from dynasindy.viz.ablation import families
 from dynasindy.viz.controllers import CONTROLLERS, by_planning, looks, named, with_integral
 from dynasindy.viz.style import BLACK, BLUE, GREEN, GREY, RED
@@ -55,7 +55,7 @@ def test_the_papers_settings_and_the_default_are_told_apart_by_the_colour_blind(
 
 @pytest.mark.parametrize("system", ["xi", "tras"])
 def test_no_two_controllers_of_a_figure_of_the_ablation_share_a_look(system):
-    settings = {str(row["setting"]): [0.0] for row in read_rows(ROWS) if row["system"] == system}
+    settings = {str(row["setting"]): [0.0] for row in read_ablation(ROWS) if row["system"] == system}
     assert len(settings) > 9
     for family, members in families(settings, [0.0]).items():
         chosen = [tuple(look.values()) for look in looks(map(named, members)).values()]

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from dynasindy.evaluation.metrics import UNITS
-from dynasindy.evaluation.statistics import interquartile_mean
+from dynasindy.evaluation.statistics import FEWEST, interquartile_mean
 from dynasindy.evaluation.summary import WORDS
-from dynasindy.evaluation.table import FEWEST
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import named
 from dynasindy.viz.gate import gate

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.table import FEWEST
+from dynasindy.evaluation.statistics import FEWEST
 from dynasindy.viz.report.document import Statement
 
 AXES = {"alpha_a": "azimuth", "alpha_p": "pitch"}

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from dynasindy.evaluation.metrics import MIN_STEP
-from dynasindy.evaluation.table import over_seeds
+from dynasindy.evaluation.statistics import over_seeds
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.prediction import open_loop

@@ -27,7 +27,7 @@ from tensordict import TensorDictBase
 
 from benchmarks.common import TimedPolicy, commit, cpu_seconds
 from benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
-from dynasindy.data.simulated import record
+from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.loop import train
@@ -256,7 +256,9 @@ def exact_states(_: Path | None, seed: int) -> tuple[dict[str, Any], Row]:
     """Return 10 s of `tras` without noise and 10 s more, and the row of our model of them."""
     facts, plant, logs = PLANTS["tras"], Tras(), []
     while len(logs) < 2:  # of the next seeds, those under which the plant meets no stop
-        log = record(plant, Multisine(2, amplitude=(0.3, 0.1), offset=(-0.11, 0.25), seed=seed).samples(0.01), 0.01, 10)
+        log = record_plant(
+            plant, Multisine(2, amplitude=(0.3, 0.1), offset=(-0.11, 0.25), seed=seed).samples(0.01), 0.01, 10
+        )
         logs += [log] if len(log) == 1000 else []
         seed += 1
     train_log, test_log = logs

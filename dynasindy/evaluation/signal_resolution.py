@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from dynasindy.evaluation.horizons import ForecastErrors
-from dynasindy.evaluation.symptoms import all_samples_of, step_seen
+from dynasindy.evaluation.forecast_errors import ForecastErrors
+from dynasindy.evaluation.recording_diagnostics import all_samples_of, coarse_resolution
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -23,7 +23,7 @@ TINY = 1e-9
 """Movement of an input that is none."""
 
 
-def quiet_states(data: Transitions, but: Collection[int] = ()) -> dict[int, float]:
+def low_signal_states(data: Transitions, but: Collection[int] = ()) -> dict[int, float]:
     """Return the places of states that move by less than `FEW` steps of their sensors, and by how many they move.
 
     A state that does not move at all is none of them, nor one whose sensor shows no steps.
@@ -34,13 +34,13 @@ def quiet_states(data: Transitions, but: Collection[int] = ()) -> dict[int, floa
     """
     moved = {}
     for place, column in enumerate(all_samples_of(data)):
-        step = 0.0 if place in but else step_seen(column)
+        step = 0.0 if place in but else coarse_resolution(column)
         if step and (steps := float(np.nanmax(column) - np.nanmin(column)) / step) < FEW:
             moved[place] = steps
     return moved
 
 
-def heard(forecasts: ForecastErrors | None, quiet: Collection[int]) -> ForecastErrors | None:
+def resolved_errors(forecasts: ForecastErrors | None, quiet: Collection[int]) -> ForecastErrors | None:
     """Return errors of predictions without those of quiet states, as if they had not been measured; None if none stay.
 
     Args:
@@ -54,7 +54,7 @@ def heard(forecasts: ForecastErrors | None, quiet: Collection[int]) -> ForecastE
     return None if bool(held.isnan().all()) else replace(forecasts, model=model, held=held)
 
 
-def too_quiet(data: Transitions, signature: Signature, but: Collection[int] = ()) -> str:
+def describe_low_signals(data: Transitions, signature: Signature, but: Collection[int] = ()) -> str:
     """Say which states a log is too quiet to tell of, which inputs to move, and how far; empty where there are none.
 
     Args:
@@ -62,7 +62,7 @@ def too_quiet(data: Transitions, signature: Signature, but: Collection[int] = ()
         signature: Names, units and ends.
         but: Places of states that are not asked about.
     """
-    moved = quiet_states(data, but)
+    moved = low_signal_states(data, but)
     if not moved:
         return ""
     times = max(WANTED / steps for steps in moved.values())
@@ -73,7 +73,7 @@ def too_quiet(data: Transitions, signature: Signature, but: Collection[int] = ()
     )
 
 
-def quiet_targets(data: Transitions, signature: Signature, targets: Mapping[str, Sequence[float]]) -> str:
+def describe_low_signal_targets(data: Transitions, signature: Signature, targets: Mapping[str, Sequence[float]]) -> str:
     """Say which of the states that are to be held a log is too quiet to tell of; empty where there are none.
 
     Args:
@@ -85,8 +85,8 @@ def quiet_targets(data: Transitions, signature: Signature, targets: Mapping[str,
         ValueError: The targets of such a state lie far beyond the log.
     """
     places = [signature.state_index(name) for name in targets if name in signature.state_names]
-    told = too_quiet(data, signature, set(range(signature.n_x)) - set(places))
-    for place in quiet_states(data) if told else ():
+    told = describe_low_signals(data, signature, set(range(signature.n_x)) - set(places))
+    for place in low_signal_states(data) if told else ():
         name, unit = signature.state_names[place], signature.state_units[place]
         reach, ends = float(data.x[:, place].abs().nan_to_num(nan=0.0).max()), targets.get(name, (0.0,))
         if max(map(abs, ends)) > FAR * reach:

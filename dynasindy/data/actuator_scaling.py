@@ -80,7 +80,7 @@ def reaches(
     return list(found.values()), words if sided or of_log else ""
 
 
-def with_ends(
+def with_actuator_ranges(
     inputs: Mapping[str, Column | Mapping[str, object] | str], headings: Sequence[str], plant: Signature
 ) -> dict[str, Column]:
     """Return columns of inputs with the ends that a plant says of its actuators.

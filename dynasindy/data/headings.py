@@ -1,25 +1,95 @@
-"""A log whose headings do not tell time or inputs: the settings that do, filled in by what its numbers look like."""
+"""What the headings of a log leave open: columns summarised, and the settings for time and inputs filled in."""
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter, parts_of
-from dynasindy.data.survey import Survey, survey
-from dynasindy.data.table import read_table, split_unit
+from dynasindy.data.table import parse_number, read_table, rows_of, seconds_of_date, split_unit
+
+COUNTED = 5
+"""Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """Hold the headings of a file by what stands below them.
+
+    Attributes:
+        headings: All headings.
+        numeric: Those of columns that hold a number somewhere.
+        still: Those of numeric columns that hold one number from beginning to end, with this number.
+        worded: Those of columns that hold text and no number, with the first text.
+        dated: Those of `worded` whose first text is a date.
+        counting: Those of numeric columns that grow by exactly one in each row.
+    """
+
+    headings: tuple[str, ...]
+    numeric: tuple[str, ...]
+    still: dict[str, float]
+    worded: dict[str, str]
+    dated: tuple[str, ...]
+    counting: tuple[str, ...]
+
+
+def summarise_columns(path: Path) -> ColumnSummary:
+    """Look at the columns of a file, no further down than is needed to know them.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is no table of text, a heading is missing, or two agree but for their unit.
+    """
+    (_, headings), rows = rows_of(path)
+    names = [split_unit(heading)[0] for heading in headings]
+    if double := sorted({name for name in names if name and names.count(name) > 1}):
+        raise ValueError(
+            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
+        )
+    first: dict[int, float] = {}
+    began: dict[int, int] = {}
+    texts: dict[int, str] = {}
+    still, counting = set(range(len(headings))), set(range(len(headings)))
+    passed = dict.fromkeys(counting, 0)
+    for place, (_, row) in enumerate(rows):
+        for k in [k for k in still | counting if k < len(row)]:
+            value = parse_number(row[k])
+            if not math.isnan(value):
+                passed[k] = place - began.setdefault(k, place)
+                if value != first.setdefault(k, value):
+                    still.discard(k)
+                if value != first[k] + passed[k]:
+                    counting.discard(k)
+            elif row[k].strip().lower() not in ("", "nan"):
+                texts.setdefault(k, row[k].strip()[:40])
+        if not still | counting:
+            break
+    if nameless := [k + 1 for k in sorted(first) if k and not headings[k]]:  # the first may be an index
+        raise ValueError(f"{path} has numbers in column {nameless[0]} and no heading above them; give it one")
+    worded = {headings[k]: text for k, text in sorted(texts.items()) if k not in first and headings[k]}
+    return ColumnSummary(
+        tuple(headings),
+        tuple(headings[k] for k in sorted(first) if headings[k]),
+        {headings[k]: first[k] for k in sorted(still & first.keys()) if headings[k]},
+        worded,
+        tuple(heading for heading, text in worded.items() if not math.isnan(seconds_of_date(text))),
+        tuple(headings[k] for k in sorted(counting & first.keys()) if headings[k] and passed[k] + 1 >= COUNTED),
+    )
+
 
 Array = NDArray[np.float64]
 REGULAR = 0.9
 """Share of the rows of a counter that follow the one before without a gap."""
 
 
-def counted(path: Path, time: str, named: Collection[str]) -> str:
+def row_counter(path: Path, time: str, named: Collection[str]) -> str:
     """Return the heading of the time of a log whose sampling time is given: its counter of rows, where it has no time.
 
     That is the only column that grows all along, in whole numbers and, but where rows are missing, by the same step. An
@@ -35,7 +105,7 @@ def counted(path: Path, time: str, named: Collection[str]) -> str:
         FileNotFoundError: There is no such file.
         ValueError: The file is no table of text.
     """
-    look = survey(path)
+    look = summarise_columns(path)
     if time != CLOCK or look.dated or clock_of(look.headings, time).heading in look.headings:
         return time
     columns = _finite(path, look)
@@ -48,7 +118,7 @@ def counted(path: Path, time: str, named: Collection[str]) -> str:
     return growing[0] if regular else time
 
 
-def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str], dt: float | None = None) -> str:
+def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None = None) -> str:
     """Return a first guess at what is time, what an input and what a state: sentences, then words of the command line.
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
@@ -96,7 +166,7 @@ def guessed(path: Path, look: Survey, time: str | None, inputs: Sequence[str], d
     return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
 
 
-def _finite(path: Path, look: Survey) -> dict[str, Array]:
+def _finite(path: Path, look: ColumnSummary) -> dict[str, Array]:
     """Return the columns that move, by heading, without the rows that lack a value."""
     headings = [heading for heading in look.numeric if heading not in look.still]
     values = read_table(path, headings).values if headings else np.empty((0, 0))

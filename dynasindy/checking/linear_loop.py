@@ -1,8 +1,4 @@
-"""Where a closed loop rests, and its linear model there: z[k+1] = A z + B v + E n, u = C z + F n.
-
-v is what the plant gets on top of the commands u, n is noise of the measurements. Differences are central: where a
-model has a kink, as dry friction has at standstill, the slope is the mean of both sides.
-"""
+"""The linear model of a closed loop at rest, z[k+1] = A z + B v + E n, u = C z + F n: margins, noise, settling."""
 
 from __future__ import annotations
 
@@ -13,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.linalg import matrix_balance, solve_discrete_lyapunov
+from scipy.optimize import brentq
 from torch import Tensor
 
-from dynasindy.checking.loop import Loop
+from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.planning.linear_model import EquilibriumSolver
 from dynasindy.progress import report_progress
 
@@ -84,7 +82,7 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestingLoop:
     """Where loops rest, one per row.
 
     Attributes:
@@ -104,17 +102,19 @@ class Rest:
     error: Tensor
     linear: Linear
 
-    def select(self, rows: Tensor) -> Rest:
+    def select(self, rows: Tensor) -> RestingLoop:
         """Return some rows, by their places or bool `(rows,)`."""
         picked = self.linear.row(rows.numpy())
-        return Rest(self.z[rows], self.covariance[rows], self.u[rows], self.still[rows], self.error[rows], picked)
+        return RestingLoop(
+            self.z[rows], self.covariance[rows], self.u[rows], self.still[rows], self.error[rows], picked
+        )
 
 
 def _unheard(known: int, words: str) -> None:
     """Say nothing."""
 
 
-def guess(loop: Loop, r: Tensor, say: Say = _unheard) -> Tensor:
+def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
     """Return vectors near those at rest, `(rows, n)`: the plant where the model rests with its outputs at `r`.
 
     Where the model has no such place, it is the state at the origin with the outputs put to `r`.
@@ -136,7 +136,7 @@ def guess(loop: Loop, r: Tensor, say: Say = _unheard) -> Tensor:
 
 
 @torch.no_grad()
-def covariance_at(loop: Loop, z: Tensor, say: Say = _unheard) -> Tensor:
+def covariance_at(loop: ClosedLoop, z: Tensor, say: Say = _unheard) -> Tensor:
     """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(*batch, n_o, n_o)`."""
     covariance = loop.uncertain(z)
     if loop.observer is None:
@@ -152,7 +152,7 @@ def covariance_at(loop: Loop, z: Tensor, say: Say = _unheard) -> Tensor:
     return covariance
 
 
-def linearise(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
+def linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
     """Return loops linearised at `z`, how far each moves from there in a period `(rows, n)`, and its commands."""
     n, n_u, n_x = loop.size, loop.signature.n_u, loop.signature.n_x
     scale = torch.cat([loop.scale, torch.ones(n_u), torch.tensor(loop.signature.x_scale)]).double()
@@ -175,7 +175,9 @@ def linearise(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Lin
     return Linear(a, b, c, e, f, loop.dt), centre[:, 0, :n] - z, centre[:, 0, n:]
 
 
-def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0, say: Say | None = None) -> Rest:
+def find_rest(
+    loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0, say: Say | None = None
+) -> RestingLoop:
     """Find where loops rest, by Newton's method; where it fails, by letting the loop run and trying again.
 
     Args:
@@ -187,7 +189,7 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
     """
     r, total = r.double(), len(r)
     say = say or (lambda known, words: report_progress(RESTS, known, total, "targets", words))
-    z = guess(loop, r, say) if start is None else start.z
+    z = guess_rest(loop, r, say) if start is None else start.z
     covariance = covariance_at(loop, z, say) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r, 0, say)
     lost = (~still).nonzero().flatten()
@@ -202,10 +204,10 @@ def rest(loop: Loop, r: Tensor, start: Rest | None = None, seconds: float = 20.0
     restless = total - int(still.sum())
     say(total, f"{restless} of them without a rest" if restless else "")
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
-    return Rest(found, covariance, u, still, error, linear.finite())
+    return RestingLoop(found, covariance, u, still, error, linear.finite())
 
 
-def ending(periods: int, dt: float) -> int:
+def at_end(periods: int, dt: float) -> int:
     """Return how many control periods the end of a run has, in which its steady error is read.
 
     Args:
@@ -216,11 +218,11 @@ def ending(periods: int, dt: float) -> int:
 
 
 def _run(
-    loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, known: int, say: Say
+    loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, known: int, say: Say
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
     steps = math.ceil(seconds / loop.dt)
-    last = ending(steps, loop.dt)
+    last = at_end(steps, loop.dt)
     errors: list[Tensor] = []
     for k in range(steps):
         say(known, f"{k} of {steps} control periods of flights of the {len(r)} that are left")
@@ -229,7 +231,7 @@ def _run(
     return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
-def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, known: int, say: Say) -> tuple[Tensor, Tensor]:
+def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, known: int, say: Say) -> tuple[Tensor, Tensor]:
     """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`; it says how many are."""
     scale, unit = loop.scale, np.eye(loop.size)
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
@@ -250,3 +252,146 @@ def _newton(loop: Loop, z: Tensor, covariance: Tensor, r: Tensor, known: int, sa
         longest = step.abs().amax(-1, keepdim=True).clamp_min(LARGEST)
         z[left] += step * LARGEST / longest * scale
     return z, still
+
+
+Complex = NDArray[np.complex128]
+POINTS = 600
+"""Frequencies of the grid, besides those near eigenvalues."""
+SLOWEST = 1e-4
+"""Lowest frequency of the grid [of the highest, half the sampling rate]."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins at one input, infinite where nothing ends the stability; see the table of the module.
+
+    `lower` is 0 where it may fall to nothing.
+    """
+
+    gain: float
+    lower: float
+    phase: float
+    delay: float
+    disk: float
+
+
+def frequencies(linear: Linear) -> Array:
+    """Return a grid up to half the sampling rate, denser near the eigenvalues of the loop, `(n,)` [rad/s]."""
+    highest = math.pi / linear.dt
+    grid = np.concatenate([np.geomspace(SLOWEST * highest, highest, POINTS), np.linspace(0, highest, POINTS // 2)[1:]])
+    poles = np.linalg.eigvals(linear.a)
+    poles = poles[(np.abs(poles) > 0.3) & (poles.imag > 0)]
+    width = np.linspace(-4.0, 4.0, 33)
+    # A resonance is as wide as its eigenvalue is far from the unit circle.
+    near = (np.angle(poles)[:, None] + width * np.abs(1 - np.abs(poles))[:, None]).ravel() / linear.dt
+    return np.unique(np.concatenate([grid, near[(near > SLOWEST * highest) & (near < highest)], [highest]]))
+
+
+def sensitivity(linear: Linear, omega: Array) -> Complex:
+    """Return S at each input, `(n_omega, n_u)`, of one loop at frequencies `(n_omega,)` [rad/s]."""
+    unit = np.eye(len(linear.a))
+    around = np.exp(1j * omega * linear.dt)[:, None, None] * unit - linear.a
+    solved = np.linalg.solve(around, np.broadcast_to(linear.b.astype(complex), (len(omega), *linear.b.shape)))
+    found: Complex = 1 + np.einsum("ui,wiu->wu", linear.c, solved)
+    return found
+
+
+def open_loop(linear: Linear, omega: Array) -> Complex:
+    """Return the loop L opened at each input, `(n_omega, n_u)`; closed it is 1 + L = 0 at the limit of stability."""
+    return 1 / sensitivity(linear, omega) - 1
+
+
+def loop_margins(linear: Linear) -> list[Margins]:
+    """Return the margins of one stable loop, input by input.
+
+    Raises:
+        ValueError: The loop is not stable, and has no margins.
+    """
+    if np.abs(np.linalg.eigvals(linear.a)).max() >= 1:
+        raise ValueError("the loop is not stable, so it has no margins")
+    omega = frequencies(linear)
+    s = sensitivity(linear, omega)
+    return [_of(linear, omega, s[:, i], i) for i in range(linear.b.shape[1])]
+
+
+def _of(linear: Linear, omega: Array, s: Complex, place: int) -> Margins:
+    def _loop(w: float) -> complex:
+        return complex(open_loop(linear, np.array([w]))[0, place])
+
+    values = 1 / s - 1
+    # The loop is real at the ends of the grid, too; under integral action it has no end below.
+    still = sensitivity(linear, np.zeros(1))[0, place]
+    ends = [values[-1]] if abs(still) < 1e-7 else [1 / still - 1, values[-1]]
+    real = [*ends, *(_loop(w) for w in _crossings(omega, values.imag, lambda w: _loop(w).imag))]
+    factors = [float(-1 / value.real) for value in real if value.real < -1e-9]
+    unit = _crossings(omega, np.abs(values) - 1, lambda w: abs(_loop(w)) - 1)
+    # The lag after which the loop is at -1, from 0 to one turn.
+    lags = [(w, (math.pi + math.atan2(_loop(w).imag, _loop(w).real)) % (2 * math.pi)) for w in unit]
+    return Margins(
+        gain=min((k for k in factors if k > 1), default=math.inf),
+        lower=max((k for k in factors if k < 1), default=0.0),
+        phase=math.degrees(min((min(lag, 2 * math.pi - lag) for _, lag in lags), default=math.inf)),
+        delay=min((lag / w for w, lag in lags), default=math.inf),
+        disk=float(1 / np.abs(s - 0.5).max()),
+    )
+
+
+def _crossings(omega: Array, values: Array, function: Callable[[float], float]) -> list[float]:
+    """Return where a function is zero between points of a grid."""
+    places = np.nonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)[0]
+    return [float(brentq(function, omega[k], omega[k + 1], xtol=1e-10 * omega[-1])) for k in places]
+
+
+def noise_gain(linear: Linear) -> Array:
+    """Return the standard deviation of each input per unit of white noise on each state's measurement, `(n_u, n_x)`.
+
+    S = A S A' + e e' is the covariance of z under unit noise of one measurement, that of the inputs C S C' + f f'.
+    A state that is not measured has none.
+
+    Raises:
+        ValueError: The loop is not stable, and its inputs have no steady spread.
+    """
+    if np.abs(np.linalg.eigvals(linear.a)).max() >= 1:
+        raise ValueError("the loop is not stable, so its inputs have no steady spread")
+    # States in rpm beside states in rad: what is balanced solves without a loss of digits.
+    a, scale = matrix_balance(linear.a, permute=False)
+    units = np.diag(scale)
+    found = np.zeros(linear.f.shape)
+    for i in range(linear.f.shape[1]):
+        if not (linear.e[:, i].any() or linear.f[:, i].any()):
+            continue
+        e = linear.e[:, i] / units
+        c = linear.c * units
+        inputs = c @ solve_discrete_lyapunov(a, np.outer(e, e)) @ c.T + np.outer(linear.f[:, i], linear.f[:, i])
+        found[:, i] = np.sqrt(np.diag(inputs).clip(0))
+    return found
+
+
+CLOSED = 0.02
+"""Part of the way to a target within which the outputs have to stay."""
+LONGEST = 20
+"""Flights after which it is no longer looked when they do."""
+
+
+def settling(a: Array, away: Array, outputs: list[int], ways: Array, periods: int) -> NDArray[np.float64]:
+    """Return after how many control periods the outputs of loops stay within `CLOSED` of their way, `(rows,)`.
+
+    Args:
+        a: From z to z, `(rows, n, n)`.
+        away: How far z is from its rest at the beginning, `(rows, n)`.
+        outputs: Places of the outputs in z.
+        ways: How far each output has to go, `(n_r,)`; one that stays where it is does not count.
+        periods: Control periods of a flight.
+
+    Returns:
+        The periods, infinite where `LONGEST` flights are not enough.
+    """
+    z, left = away.copy(), np.zeros(len(away))
+    moving = np.abs(ways) > 0
+    for k in range(LONGEST * periods):
+        beyond = (np.abs(z[:, outputs][:, moving]) > CLOSED * np.abs(ways[moving])).any(-1)
+        left[beyond] = k + 1
+        if not beyond.any() and k > left.max() + periods:
+            break
+        z = (a @ z[..., None])[..., 0]
+    return np.where(left >= LONGEST * periods, np.inf, left)

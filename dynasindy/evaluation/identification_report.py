@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.equations import bend_hint, found_in_model, idle
+from dynasindy.evaluation.equations import bend_hint, describe_model, idle
 from dynasindy.evaluation.identification import Identified
 from dynasindy.evaluation.source import Source
 from dynasindy.safe_io import write_json, write_text
@@ -31,7 +31,7 @@ def to_words(found: Identified, source: Source, columns: int | None = None) -> s
         columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
     """
     signature, shown = source.signature, found.forecasts
-    seen = [*found_in_model(found.model, found.report), *verdict.found_in_data(source.training, signature)]
+    seen = [*describe_model(found.model, found.report), *verdict.describe_data(source.training, signature)]
     if found.found is not None and found.found.actuator:
         alone = "" if found.acting is None else ", with equations of their own, as a delay or a lag may stand for it"
         seen.append(f"{found.found.words}; {BEHIND} has it{alone}")
@@ -50,7 +50,8 @@ def to_words(found: Identified, source: Source, columns: int | None = None) -> s
         lines += verdict.table(shown, signature, columns)
     free = found.metrics["open_loop_nrmse"]
     lines.append(
-        f"one prediction of all data that the fit did not see{anew(source.validation)}, relative to the standard "
+        f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, "
+        f"relative to the standard "
         "deviation of each state"
     )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
@@ -71,7 +72,7 @@ def _errors(model: SindyModel) -> list[str]:
     return ["", "coefficients and their standard errors", *coefficient_lines(model.library, model.coefficients, errors)]
 
 
-def anew(data: Transitions) -> str:
+def describe_restarts(data: Transitions) -> str:
     """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
     gaps = int(data.begins().sum()) - 1
     if gaps < 1:
@@ -83,7 +84,7 @@ def _percent(error: float) -> str:
     return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
 
 
-def write(found: Identified, source: Source, folder: Path, before: Sequence[str] = ()) -> None:
+def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[str] = ()) -> None:
     """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
 
     Where an input has a rate limit or play, the model that has it too is written beside.

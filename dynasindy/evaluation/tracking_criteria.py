@@ -22,7 +22,7 @@ UNREST = 0.5
 
 
 @dataclass(frozen=True)
-class Held:
+class TrackingCriteria:
     """What an evaluation shows of the plant; `dataclasses.asdict` gives what `metrics.json` holds.
 
     Attributes:
@@ -42,7 +42,7 @@ class Held:
     turned: list[str] = field(default_factory=list)
 
 
-def held(evaluation: Evaluation, matter: Tensor) -> Held:
+def judge_tracking(evaluation: Evaluation, matter: Tensor) -> TrackingCriteria:
     """Judge the final part of an evaluation.
 
     Args:
@@ -62,7 +62,7 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
     names = evaluation.signature.state_names
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}
     near = (~far.any(0)).tolist()
-    return Held(
+    return TrackingCriteria(
         share=_named(evaluation, errors.mean(0)),
         worst=_named(evaluation, errors.amax(0)),
         away={names[i]: share for i, share in gone.items() if bool(matter[i])},
@@ -76,7 +76,7 @@ def held(evaluation: Evaluation, matter: Tensor) -> Held:
     )
 
 
-def of_what(name: str, turned: Collection[str]) -> str:
+def error_reference(name: str, turned: Collection[str]) -> str:
     """Say of what the error of an output is a share.
 
     Args:
@@ -89,3 +89,48 @@ def of_what(name: str, turned: Collection[str]) -> str:
 def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:
     finite = [value if value < float("inf") else None for value in values.tolist()]
     return dict(zip(evaluation.output_names, finite, strict=True))
+
+
+@dataclass(frozen=True)
+class RepresentativeEpisode:
+    """One episode of many.
+
+    Attributes:
+        row: Its row in the evaluation.
+        words: Which it is, why this one, and how many did better; empty of the only one.
+    """
+
+    row: int
+    words: str
+
+
+def representative_episode(evaluation: Evaluation) -> RepresentativeEpisode:
+    """Choose the episode to be drawn, by nothing that a controller does: figures of several show the same one.
+
+    Where all episodes begin in one state it is the first one of the scenario. Where they do not, it is the one that
+    begins farthest from its reference, in target ranges, as a pendulum that hangs and is to stand; of a task
+    without references, the one that earns least in its first period.
+    """
+    number = len(evaluation.inputs)
+    if number == 1:
+        return RepresentativeEpisode(0, "")
+    starts = evaluation.trajectory["state"][:, 0]
+    row, why = 0, "the same for every controller"
+    if bool((starts != starts[0]).any()):
+        row, why = _farthest(evaluation)
+    return RepresentativeEpisode(row, f"episode {row + 1} of {number}, {why}; {_better(evaluation, row)}")
+
+
+def _farthest(evaluation: Evaluation) -> tuple[int, str]:
+    if not evaluation.columns:
+        first = evaluation.trajectory["next", "reward"][:, 0].flatten()
+        return int(first.argmin()), "the one that starts where least is earned"
+    return int(evaluation.errors[:, 0].amax(-1).argmax()), "the one that starts farthest from its target"
+
+
+def _better(evaluation: Evaluation, row: int) -> str:
+    """Say how many episodes did better."""
+    if not evaluation.columns:
+        return f"{int((evaluation.returns > evaluation.returns[row]).sum())} others earn more"
+    errors = evaluation.errors.mean(1).amax(-1)
+    return f"{int((errors < errors[row]).sum())} others have a smaller error"

@@ -28,8 +28,8 @@ SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
 """What may go wrong within a control period, in the order of cause and effect: the number, what it follows from."""
 
 
-def sound(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
-    """Return whether all numbers of some keys are finite, but for those that `unsound` leaves out."""
+def is_finite(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
+    """Return whether all numbers of some keys are finite, but for those that `non_finite` leaves out."""
     seen, rest = "measurement" in set(rows.keys()), []
     total: Tensor | float = 0.0
     for key in keys:
@@ -40,12 +40,12 @@ def sound(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
             total = total + values.detach().sum()
     if not math.isfinite(total):  # a sum of numbers that are finite may be too large for one
         rest = [*keys]
-    return not any(bool(unsound(key, rows).any()) for key in rest)
+    return not any(bool(non_finite(key, rows).any()) for key in rest)
 
 
-def sound_rollout(rollout: TensorDictBase) -> bool:
+def is_finite_rollout(rollout: TensorDictBase) -> bool:
     """Return whether all that may go wrong in a rollout of any batch is finite."""
-    return sound(rollout, _suspects(rollout))
+    return is_finite(rollout, _suspects(rollout))
 
 
 def _suspects(rows: TensorDictBase) -> list[NestedKey]:
@@ -53,7 +53,7 @@ def _suspects(rows: TensorDictBase) -> list[NestedKey]:
     return [key for key, *_ in SUSPECTS if key in present]
 
 
-def unsound(key: NestedKey, rows: TensorDictBase) -> Tensor:
+def non_finite(key: NestedKey, rows: TensorDictBase) -> Tensor:
     """Return which numbers of a key are not finite; of what sensors measure, NaN says that nothing was measured."""
     values: Tensor = rows.get(key)
     return values.isinf() if _measured(key, "measurement" in set(rows.keys())) else ~values.isfinite()
@@ -64,7 +64,7 @@ def _measured(key: NestedKey, seen: bool) -> bool:
     return seen and key in ("measurement", ("next", "samples"))
 
 
-def require_finite(rows: TensorDictBase, where: str = "plant") -> None:
+def require_finite_rollout(rows: TensorDictBase, where: str = "plant") -> None:
     """Refuse a rollout on the plant that holds a number that is not finite.
 
     Args:
@@ -75,9 +75,9 @@ def require_finite(rows: TensorDictBase, where: str = "plant") -> None:
         Diverged: A number is not finite; the first one is told, with the state, the input and the period.
     """
     suspects = _suspects(rows)
-    if sound(rows, suspects):
+    if is_finite(rows, suspects):
         return
-    bad = {key: unsound(key, rows).flatten(1).any(-1) for key in suspects}
+    bad = {key: non_finite(key, rows).flatten(1).any(-1) for key in suspects}
     first = min((int(found.int().argmax()) for found in bad.values() if bool(found.any())), default=None)
     if first is None:
         return

@@ -1,4 +1,4 @@
-"""Recordings of simulated plants."""
+"""Identification data out of rollouts of a real or a simulated plant."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.systems import Diverged
@@ -15,11 +16,58 @@ from dynasindy.systems.ranges import Ends, state_limits
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import did_you_mean
 
+
+def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
+    """Return the logged samples of real control periods as transitions, in float64.
+
+    Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
+    Periods in which a mechanical stop was touched are left out: they are not smooth dynamics.
+
+    Args:
+        rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
+            `action`, ("next", "samples") and ("next", "at_stop").
+        log_dt: Time between samples [s].
+
+    Returns:
+        Up to `T * substeps` transitions.
+    """
+    return LoggedPeriods(rows, log_dt).transitions()
+
+
+class LoggedPeriods:
+    """Hold the logged samples of real control periods, of which some or others are read; see `transitions`.
+
+    Args:
+        rows: Control periods, `(T,)`.
+        log_dt: Time between samples [s].
+    """
+
+    def __init__(self, rows: TensorDictBase, log_dt: float) -> None:
+        samples = rows["next", "samples"].double()
+        start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
+        self._fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
+        self._free = ~rows["next", "at_stop"].reshape(-1)
+
+    def transitions(self, among: Tensor | None = None) -> Transitions:
+        """Return what `transitions` does, of the periods that `among`, bool `(T,)`, tells; of all if omitted."""
+        free = self._free if among is None else self._free & among
+        return self._fine.select(free.repeat_interleave(self._fine.substeps))
+
+
+def measurements_and_inputs(rows: TensorDictBase) -> tuple[Tensor, Tensor]:
+    """Return what an observer reads of an episode: measurements `(T + 1, n_x)` and the commands between them.
+
+    Args:
+        rows: Control periods `(T,)` of one episode behind sensors.
+    """
+    return torch.cat([rows["measurement"][:1], rows["next", "samples"][:, -1]]), rows["action"]
+
+
 FAR = 1000.0
 """Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
 
 
-def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
+def record_plant(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
     """Excite a plant and log its states; samples that touch a stop are left out.
 
     Args:
@@ -32,11 +80,13 @@ def record(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor |
     Returns:
         Up to T transitions, float64.
     """
-    return record_all(plant, u.unsqueeze(0), dt, substeps, x0)[0]
+    return record_plants(plant, u.unsqueeze(0), dt, substeps, x0)[0]
 
 
-def record_all(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> list[Transitions]:
-    """Record several experiments side by side, `u` `(experiments, T, n_u)`; otherwise as `record`."""
+def record_plants(
+    plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None
+) -> list[Transitions]:
+    """Record several experiments side by side, `u` `(experiments, T, n_u)`; otherwise as `record_plant`."""
     u = u.to(torch.float64)
     x = torch.zeros(plant.signature.n_x, dtype=torch.float64) if x0 is None else x0.to(torch.float64)
     states, free = [x.expand(len(u), -1)], []

@@ -76,7 +76,7 @@ def resolutions(data: Transitions) -> Tensor:
     found = []
     for i, column in enumerate(samples_of(data)):
         noise = float(np.fmin(_noise(column), _unforeseen(data, i)))
-        found.append(step_of(column, noise) or noise)
+        found.append(sensor_resolution(column, noise) or noise)
     return torch.tensor(found)
 
 
@@ -117,7 +117,7 @@ def resolution(column: Array) -> float:
     Args:
         column: samples, `(n,)`; NaN if there are none.
     """
-    return step_of(column) or _noise(column)
+    return sensor_resolution(column) or _noise(column)
 
 
 def resolutions_by(model: SindyModel, data: Transitions) -> Tensor:
@@ -132,7 +132,7 @@ def resolutions_by(model: SindyModel, data: Transitions) -> Tensor:
     return sensor_noise(model.library, model.coefficients, delay_and_trim(data, model.delay))[0].sqrt()
 
 
-def step_of(column: Array, noise: float | None = None) -> float:
+def sensor_resolution(column: Array, noise: float | None = None) -> float:
     """Return the step in which a sensor reads, 0 where none is seen.
 
     Args:
@@ -150,15 +150,15 @@ def step_of(column: Array, noise: float | None = None) -> float:
     return step if whole.mean() > 0.99 and step > 1.5 * noise else 0.0
 
 
-def step_seen(column: Array) -> float:
-    """Return the step in which a sensor reads, also where it changes too seldom for `step_of`; 0 where none is seen.
+def coarse_resolution(column: Array) -> float:
+    """Return the step in which a sensor reads, also where `sensor_resolution` sees it too seldom; 0 if none.
 
     Args:
         column: samples, `(n,)`; lost ones are NaN.
     """
     levels, times = np.unique(column[~np.isnan(column)], return_counts=True)
     few = 1 < len(levels) <= SEVERAL and np.median(times) >= AGAIN
-    return step_of(column) or (float(np.diff(levels).min()) if few else 0.0)
+    return sensor_resolution(column) or (float(np.diff(levels).min()) if few else 0.0)
 
 
 def _noise(column: Array) -> float:
