@@ -43,10 +43,10 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.equations import describe_model
-from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.forecast_errors import forecast_errors
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.evaluation.scenarios import Scenario, step_references

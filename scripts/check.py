@@ -25,11 +25,10 @@ STOPPED = "stopped.json"
 def main(cfg: DictConfig) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
     import torch
-    from dynasindy.checking.check_verdict import in_figures, in_short, unstable_targets
 
     from dynasindy.checking import ClosedLoop, Plant, Settings, check, check_verdict
     from dynasindy.checking.closed_loop import step_for
-    from dynasindy.checking.verdict import check_record, in_lines
+    from dynasindy.checking.verdict import check_record, in_figures, in_lines, in_short, unstable_targets
     from dynasindy.export.write import Exported
     from dynasindy.progress import say, track
     from dynasindy.safe_io import add_to_json, write_json

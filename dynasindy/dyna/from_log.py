@@ -11,8 +11,8 @@ from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.evaluation.before_fit import before_fit
 from dynasindy.evaluation.equations import describe_model
-from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.forecast import Forecast
+from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text

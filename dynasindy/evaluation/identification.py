@@ -19,8 +19,8 @@ from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rat
 from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.fitted import FAILURES, fit_log
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
+from dynasindy.evaluation.log_fit import FAILURES, fit_log
 from dynasindy.evaluation.signal_resolution import describe_low_signals, low_signal_states, resolved_errors
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation

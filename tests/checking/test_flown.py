@@ -6,10 +6,10 @@ The cart on a rail, v' = u under u = 2 (r - p) - k v, moves by 0.4 m.
 import numpy as np
 import pytest
 import torch
-from dynasindy.checking.check_verdict import check_verdict
 
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.simulation import GAINS, LATEST, has_dry_friction, large_signal_margins
+from dynasindy.checking.verdict import check_verdict
 from dynasindy.sindy import SindyModel
 
 START = torch.tensor([[-0.2, 0.0], [0.2, 0.0]], dtype=torch.float64)

@@ -43,5 +43,5 @@ def test_swings_that_grow_have_no_size(loops, law):
 
 
 def test_a_loop_that_is_stable_everywhere_is_not_flown(loops, monkeypatch):
-    monkeypatch.setattr("dynasindy.checking.simulation.fly", None)
+    monkeypatch.setattr("dynasindy.checking.simulation.simulate_loop", None)
     assert not find_limit_cycles(loops(), TARGETS, torch.tensor([True, True]), 4.0, ORIGIN).outputs.any()

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dynasindy.checking.check_verdict import check_verdict, in_figures, in_short, unstable_targets
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
@@ -15,7 +14,7 @@ from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear_loop import Margins
 from dynasindy.checking.simulation import LargeSignalMargins, LoopSimulation
 from dynasindy.checking.uncertainty import Drawing
-from dynasindy.checking.verdict import CheckFinding, Thresholds
+from dynasindy.checking.verdict import CheckFinding, Thresholds, check_verdict, in_figures, in_short, unstable_targets
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 

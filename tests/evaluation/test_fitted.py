@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from dynasindy.data.rollout_data import record_plant
-from dynasindy.evaluation import fit_log as module
-from dynasindy.evaluation.fitted import LogFit, fit_log
+from dynasindy.evaluation import log_fit as module
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors
+from dynasindy.evaluation.log_fit import LogFit, fit_log
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine

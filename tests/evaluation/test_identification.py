@@ -11,9 +11,9 @@ import torch
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation import identification
-from dynasindy.evaluation.fitted import fit_log
 from dynasindy.evaluation.identification import LoggedData, identify_source
 from dynasindy.evaluation.identification_report import to_words
+from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Chirp, HeldRandom
 from dynasindy.progress import listening

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.fitted import take_alternative
+from dynasindy.evaluation.log_fit import take_alternative
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
