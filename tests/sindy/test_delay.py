@@ -56,7 +56,7 @@ def test_inputs_come_later_by_whole_samples_and_fractions_of_them():
     assert delay_inputs(data, 0.625).u[:, 0].tolist() == [1, 1, 1.75, 3.5, 7, 8, 8]
     assert torch.equal(later.x, data.x) and torch.equal(later.x_next, data.x_next)
     assert delay_inputs(data, 0.0) is data
-    with pytest.raises(ValueError, match=r"-0.1 s; allowed is 0 or more"):
+    with pytest.raises(ValueError, match="more"):
         delay_inputs(data, -0.1)
 
 

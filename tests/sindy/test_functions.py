@@ -60,9 +60,9 @@ def test_a_formula_calls_what_every_language_has(monkeypatch):
     assert function("soft").latex == r"\operatorname{{soft}}({0})"
     with pytest.raises(ValueError, match="a formula with 'system'"):
         register_function("evil", torch.sin, formula="system({0})")
-    with pytest.raises(ValueError, match="allowed is a Python identifier"):
+    with pytest.raises(ValueError, match="identifier"):
         register_function("no name", torch.sin)
-    with pytest.raises(ValueError, match="function 'evil' is not known"):
+    with pytest.raises(ValueError, match="evil"):
         function("evil")
 
 

