@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+import errno
 import os
-from typing import Annotated
+import re
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated
 
-import torch
+if TYPE_CHECKING:
+    import torch
 
 Count = Annotated[int, range(1_000_001), "the limit is arbitrary: more would hardly end"]
 """A number of repetitions; configs are held to the limit, callers from Python are not."""
 
 
 def memory() -> float:
-    """Return the physical memory of this computer [bytes], infinity where it does not say."""
-    if not hasattr(os, "sysconf") or "SC_PHYS_PAGES" not in os.sysconf_names:
-        return float("inf")
-    return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    """Return the memory that this process may have [bytes], infinity where the system does not say.
+
+    It is the physical memory of this computer, or less where the user set a limit (`ulimit -v`).
+    """
+    found = float("inf")
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        found = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    with suppress(ImportError):  # no POSIX system
+        import resource
+
+        soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if soft != resource.RLIM_INFINITY:
+            found = min(found, float(soft))
+    return found
 
 
 def check_memory(size: float, what: str) -> None:
@@ -26,13 +40,40 @@ def check_memory(size: float, what: str) -> None:
         what: The settings that ask for it, their values, and what they ask for.
 
     Raises:
-        ValueError: It is more than the physical memory.
+        ValueError: It is more than this process may have.
     """
     if size > memory():
         raise ValueError(
-            f"{what} would take {size / 1e9:.3g} GB; allowed is what the memory of this computer holds, "
+            f"{what} would take {size / 1e9:.3g} GB; allowed is what this process may have, "
             f"{memory() / 1e9:.3g} GB: lower them"
         )
+
+
+EXHAUSTED = re.compile(
+    r"can't allocate memory|cannot allocate memory|out of memory|bad_alloc|failed to map segment", re.IGNORECASE
+)
+"""What torch, C++ and the loader of libraries say where memory runs out."""
+
+
+def is_memory_error(error: BaseException) -> bool:
+    """Tell whether an error, of Python, numpy, torch or the system, says that memory ran out."""
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+        return True
+    return isinstance(error, RuntimeError | ImportError | OSError) and bool(EXHAUSTED.search(str(error)))
+
+
+def memory_wanted(error: BaseException) -> str:
+    """Return how much memory an error says was wanted in vain, as `8 GB`; empty where it does not say."""
+    if found := re.search(r"allocate (\d+) bytes", str(error)):
+        return f"{int(found[1]) / 1e9:.3g} GB"
+    found = re.search(r"allocate ([\d.]+ [KMGTPE]i?B)", str(error))
+    return found[1] if found else ""
+
+
+def raise_if_memory(error: BaseException) -> None:
+    """Raise an error that says that memory ran out, which is no failure of what was tried."""
+    if is_memory_error(error):
+        raise error
 
 
 def device(name: torch.device | str) -> torch.device:
@@ -41,6 +82,8 @@ def device(name: torch.device | str) -> torch.device:
     Raises:
         ValueError: There is no such device here.
     """
+    import torch  # what is above does without
+
     try:
         named = torch.device(name)
     except RuntimeError:

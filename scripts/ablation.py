@@ -5,7 +5,7 @@ from pathlib import Path
 from command import Sweep, command
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
-from mistakes import MENDABLE, in_words
+from mistakes import in_words, mendable
 from omegaconf import DictConfig
 
 
@@ -25,7 +25,9 @@ class Gathering(Callback):
                 return
             draw_ablation(results, level.error, share=level.share)
             say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-        except MENDABLE as error:  # Hydra would make a warning of it, and the command would end with code 0
+        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
+            if not mendable(error):
+                raise
             Sweep.wrong.append(in_words(error, "ablation"))
 
 

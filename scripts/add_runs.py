@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 from benchmarks import baselines
-from mistakes import MENDABLE, in_words
+from mistakes import in_words, mendable
 from omegaconf import DictConfig
 from reader import while_read
 from saved_run import load_config, load_policy
@@ -61,6 +61,8 @@ if __name__ == "__main__":
     with while_read():
         try:
             main(sys.argv[1:])
-        except MENDABLE as error:
+        except Exception as error:
+            if not mendable(error):
+                raise
             print(f"error: {in_words(error, 'evaluate')}", file=sys.stderr)
             sys.exit(2)

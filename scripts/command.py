@@ -7,6 +7,7 @@ import re
 import sys
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
@@ -28,7 +29,7 @@ from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from manual import manual
-from mistakes import CONF, MENDABLE, in_words
+from mistakes import CONF, MENDABLE, in_words, mendable
 from omegaconf import DictConfig, OmegaConf, open_dict
 from places import as_text, complete, require_writable
 from reader import while_read
@@ -327,10 +328,11 @@ def _mistakes_in_words(config_name: str, cfg: DictConfig | None = None) -> Itera
     settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
     try:
         yield
-    except (*MENDABLE, ArithmeticError) as error:
+    except Exception as error:
         diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
-        if os.environ.get("DYNASINDY_TRACEBACK") or (isinstance(error, ArithmeticError) and not diverged):
+        if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
             raise
+        traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {in_words(error, config_name, settings)}"
         with suppress(OSError):  # the disk may be what is wrong
             _leave_word(line)

@@ -19,6 +19,8 @@ from hydra.errors import HydraException, InstantiationException, MissingConfigEx
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from dynasindy.limits import is_memory_error, memory_wanted
+
 CONF = Path(__file__).resolve().parents[1] / "conf"
 MENDABLE = (
     yaml.YAMLError,
@@ -71,6 +73,16 @@ MEANINGS = (
     {"path", "file", "csv", "log"},
 )
 """Names of settings that mean the same, in other tools or in ours."""
+LOWERED = {
+    "train": "replay.capacity, planning.rollouts, planning.horizon or agent.hidden, or give shorter logs",
+    "identify": "excitation.duration, or the terms of the library, or give a shorter log or a larger data.dt",
+    "check": "grid, draws, points or seconds",
+    "evaluate": "the number of scenarios, or their episodes",
+    "export": "the number of formats",
+    "report": "the number of saved runs and formats",
+    "rig": "excitation.duration or seconds, or what planner gives for rollouts",
+}
+"""What takes less memory, by the command; a sweep's jobs are those of train."""
 HINTS = 3
 """Settings that are offered at most in the place of one that does not exist."""
 SWEEPING = ("train", "ablation")
@@ -86,6 +98,7 @@ CAUSES = {
     errno.EEXIST: "a file is in the way: choose another name, or move that file",
     errno.ENOENT: "it does not exist: correct the path",
     errno.ENAMETOOLONG: "the name is too long: shorten it",
+    errno.EFBIG: "the file would be larger than the system or your limit allows (ulimit -f): choose another folder",
 }
 
 
@@ -107,6 +120,8 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         error = error.__cause__
     if isinstance(error, BrokenPipeError):
         raise error
+    if is_memory_error(error):
+        return _exhausted(error, config_name)
     if isinstance(error, OSError) and error.errno is not None:
         cause = CAUSES.get(error.errno, error.strerror or "it cannot be read or written")
         if error.filename is None and error.errno not in CAUSES and error.strerror:
@@ -151,6 +166,21 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     # Where the key itself exists, what it holds cannot be extended.
     whole = "; replace the whole of a group's keys in a file of its own, as conf/ has them"
     return as_given(text, settings) + whole * bool(misspelt and misspelt[1] == "Could not override")
+
+
+def mendable(error: BaseException) -> bool:
+    """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
+    return isinstance(error, MENDABLE) or is_memory_error(error)
+
+
+def _exhausted(error: BaseException, config_name: str) -> str:
+    """Return that memory ran out, and how to go on."""
+    wanted = memory_wanted(error)
+    words = wanted and f"{wanted} more were wanted"
+    if str(error) and type(error) is MemoryError and not words:  # of a run, which says where it was
+        words = " ".join(str(error).split())
+    larger = "end what else takes memory, or allow this command more (ulimit -v)"
+    return f"memory ran out{words and f': {words}'}; lower {LOWERED.get(config_name, LOWERED['train'])}; or {larger}"
 
 
 def _no_choice() -> str:

@@ -23,6 +23,7 @@ from schema import register_functions
 from dynasindy.dyna.weights import read_weights
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
+from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import read_json, reading
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import Oracle, SindyModel
@@ -85,6 +86,7 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     except MENDABLE:
         raise
     except Exception as error:  # any: other parts than those of a run stand where they are looked for
+        raise_if_memory(error)
         raise ValueError(f"{folder}/config.yaml builds no environment and agent: {error}; restore it") from error
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(

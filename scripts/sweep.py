@@ -8,7 +8,7 @@ from tempfile import TemporaryFile
 from command import needs_score, number_of_jobs, remove_jobless, swept
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
-from mistakes import MENDABLE, in_words
+from mistakes import in_words, mendable
 from omegaconf import DictConfig, open_dict
 
 
@@ -19,7 +19,9 @@ class Checking(Callback):
         """Check the config, its launcher, its log and where the results of an ablation go."""
         try:
             _check(config.copy())
-        except MENDABLE as error:
+        except Exception as error:
+            if not mendable(error):
+                raise
             remove_jobless(Path(config.hydra.sweep.dir))
             print(f"error: {in_words(error, config.hydra.job.config_name)}", file=sys.stderr)
             sys.exit(2)  # Hydra makes warnings of other exceptions

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.limits import raise_if_memory
 from dynasindy.planning.linear_model import EquilibriumSolver
 from dynasindy.progress import report_progress
 
@@ -130,8 +131,8 @@ def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
         say(0, f"place {k + 1} of {len(r)} sought in the model")
         try:
             x[k], u[k] = found.state_and_input(target, found(target))
-        except (ValueError, RuntimeError):  # out of reach, or a slope that has no inverse
-            continue
+        except (ValueError, RuntimeError) as error:  # out of reach, or a slope that has no inverse
+            raise_if_memory(error)
     return loop.at(x, loop.task.limit(u))
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 
 from dynasindy.dyna.callback import Callback, Place
+from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import remove_leftovers, replace_file
 
 MARK = b"dynasindy checkpoint 1"
@@ -129,7 +130,8 @@ def _read(path: Path) -> State | None:
         state = torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
     except OSError:  # the disk, which may be well again later: nothing is begun anew for that
         raise
-    except Exception:  # any: what a file of others makes the reader do ends here
+    except Exception as error:  # any: what a file of others makes the reader do ends here
+        raise_if_memory(error)  # for which nothing is begun anew either
         return None
     return state if isinstance(state, dict) else None
 

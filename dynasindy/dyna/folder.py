@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import remove_leftovers
 
 FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plugins:")
@@ -91,7 +92,8 @@ def result(folder: Path, episodes: int) -> dict[str, Any] | None:
         json.loads((folder / "model.json").read_text())
         torch.load(folder / "policy.pt", weights_only=True)
         complete = metrics.keys() >= NEEDED and metrics["episodes"] == episodes
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, EOFError, UnpicklingError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, EOFError, UnpicklingError) as error:
+        raise_if_memory(error)  # else a run that has ended would begin anew
         return None
     return metrics if complete else None
 

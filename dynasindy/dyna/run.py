@@ -19,6 +19,7 @@ from dynasindy.evaluation.equations import describe_delay
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
+from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
 from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
 from dynasindy.systems import Diverged
@@ -184,6 +185,7 @@ def _restore(kept: Mapping[str, Stateful], state: Mapping[str, Any], folder: Pat
         for name, part in kept.items():
             part.load_state_dict(state[name])
     except (AttributeError, AssertionError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        raise_if_memory(error)
         why = str(error).splitlines()[0]
         raise ValueError(
             f"{folder} does not fit the config.yaml beside it ({why}); restore the pair, or remove it to begin anew"
@@ -202,7 +204,7 @@ def _resume(folder: Path, provenance: Provenance) -> None:
 
 @contextmanager
 def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str]) -> Iterator[None]:
-    """Write the tables and say what was kept when the run is asked to stop, or where its numbers went wrong."""
+    """Say what was kept of a run that is asked to stop, whose numbers go wrong, or that runs out of memory."""
     folder = recorder.folder
     try:
         yield
@@ -212,6 +214,12 @@ def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str])
     except Diverged as error:
         recorder.write_tables()
         raise Diverged(f"in {present()}: {error}; {saver.words(folder)}") from error
+    except Exception as error:
+        if not is_memory_error(error):
+            raise
+        wanted = memory_wanted(error)
+        where = f"in {present()}{wanted and f', where {wanted} more were wanted'}"
+        raise MemoryError(f"{where}; {saver.words(folder)}") from error
 
 
 def report(metrics: dict[str, Any], folder: Path) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,11 @@ from dynasindy.data.table import all_headings, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
-from dynasindy.evaluation.log_fit import FAILURES, fit_log
+from dynasindy.evaluation.log_fit import FAILURES, attempt, fit_log
 from dynasindy.evaluation.signal_resolution import describe_low_signals, low_signal_states, resolved_errors
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
+from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.actuators import ActuatorFit, find_actuator
@@ -283,7 +283,8 @@ def _actuators(model: SindyModel, data: Transitions) -> ActuatorFit:
     try:
         with reporting_as("actuators"):
             return find_actuator(model, data)
-    except (ArithmeticError, ValueError, RuntimeError) as error:  # numbers that run away, or decompositions that fail
+    except FAILURES as error:
+        raise_if_memory(error)
         return ActuatorFit.none(model, " ".join(str(error).split()) or type(error).__name__)
 
 
@@ -293,7 +294,7 @@ def _undelayed(bare: SindyModel, data: Transitions, before: ActuatorFit) -> tupl
     Returns:
         What was found, and the equations; what was found before and None where there is nothing new.
     """
-    with suppress(*FAILURES):
+    with attempt():
         bare.refinement = replace(bare.refinement, longest_delay=0.0) if bare.refinement else None
         with reporting_as("fit without a delay"):
             bare.fit(data)

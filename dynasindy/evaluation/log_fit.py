@@ -6,7 +6,7 @@ import copy
 import math
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,6 +16,7 @@ from dynasindy.evaluation.equations import hidden_states
 from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
+from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport, Refined
@@ -25,6 +26,15 @@ from dynasindy.sindy.reconstruction import find_missing_rates
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
+
+
+@contextmanager
+def attempt() -> Iterator[None]:
+    """Let a search or a fit fail; that memory runs out is no failure of what was tried."""
+    try:
+        yield
+    except FAILURES as error:
+        raise_if_memory(error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +188,7 @@ def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastError
     kept, signature = found.report.aside, found.model.signature
     if kept is None:
         return found, before
-    with suppress(*FAILURES), reporting_as("fit by one simulation"):
+    with attempt(), reporting_as("fit by one simulation"):
         model, report = take_alternative(found.model, kept, found.source.training)
         whole = _renamed(replace(found, model=model, report=report))
         after = _forecast(whole) if bool(whole.follower) == bool(found.follower) else None
@@ -212,7 +222,7 @@ def _straighter(found: LogFit, before: ForecastErrors) -> tuple[LogFit, Forecast
     model = _straight(found.model) if lasting else None
     if model is None:
         return found, before
-    with suppress(*FAILURES), reporting_as("fit without functions that bend"):
+    with attempt(), reporting_as("fit without functions that bend"):
         straight = _renamed(replace(found, model=model, report=model.fit(found.source.training)))
         after = _forecast(straight) if bool(straight.follower) == bool(found.follower) else None
         if after is not None:
@@ -251,7 +261,7 @@ def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> It
     Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too. The
     report of such a fit says so: it is taken where the one with them does not predict far better, and it does.
     """
-    with suppress(*FAILURES):
+    with attempt():
         for trial in lag_state_candidates(model, source.training)[:MOST]:
             trial.model.refinement = settings
             if (found := _with(trial, source)) is not None:
@@ -263,7 +273,7 @@ def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> It
 
 def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:
     """Return the fit with one state more; None where it fails."""
-    with suppress(*FAILURES), reporting_as(f"fit with a state that follows {trial.signal}"):
+    with attempt(), reporting_as(f"fit with a state that follows {trial.signal}"):
         data = source.with_states_of(trial.model)
         report = trial.model.fit(data.training)
         return LogFit(trial.model, data, report, trial.words())

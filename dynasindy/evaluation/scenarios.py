@@ -22,7 +22,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, SizedDisturbance
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
-from dynasindy.limits import Count, check_memory
+from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import file_name
 from dynasindy.sensing import Sensing, unveiled
@@ -353,6 +353,7 @@ def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) ->
     try:
         given = f"an action of shape {tuple(policy(start.clone())['action'].shape)}"
     except (KeyError, RuntimeError) as error:
+        raise_if_memory(error)
         n_o, first = start["observation"].shape[-1], str(error).splitlines()[0]
         given = f"no action for an observation of {n_o} numbers ({first})"
     if given != f"an action of shape {wanted}":

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from dynasindy.limits import raise_if_memory
 from dynasindy.systems.base import WHOLE, System
 
 ALONG, INSIDE = 5, 32
@@ -42,6 +43,7 @@ def rates(system: System, x: Tensor, u: Tensor) -> Tensor:
     try:
         dx = system(x, u)
     except (RuntimeError, IndexError, ValueError, TypeError, AttributeError) as error:
+        raise_if_memory(error)
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ValueError(f"system {name} failed ({reason}); it has to return {wanted}: mend it") from error
     given = f"{tuple(dx.shape)} of {dx.dtype}" if isinstance(dx, Tensor) else f"a {type(dx).__name__}"
