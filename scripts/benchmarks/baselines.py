@@ -7,6 +7,7 @@ A file that exists is carried on: rows it holds are not measured again. The poli
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -186,9 +187,9 @@ def nmpc_plan(system: System, dt: float, **more: Any) -> Any:
     rests = equilibria.state_and_input(targets, equilibria(targets))[0].numpy()
     basis = np.array([monomials(row) for row in targets.tolist()])
     free = [name for name in signature.state_names if name not in (*OUTPUTS, *RATES)]
-    fitted = {name: np.linalg.lstsq(basis, rests[:, signature.state_index(name)], rcond=None)[0] for name in free}
-    hint = {name: of.tolist() for name, of in fitted.items()}
-    guess = {name: of[0] for name, of in hint.items()}
+    speeds = {name: rests[:, signature.state_index(name)] for name in free}
+    hint = {n: np.linalg.lstsq(basis, speed * np.abs(speed), rcond=None)[0].tolist() for n, speed in speeds.items()}
+    guess = {name: math.copysign(math.sqrt(abs(of[0])), of[0]) for name, of in hint.items()}
     settings: dict[str, Any] = {"hint": hint, "guess": guess, "dt": dt} | more
     return Plan(signature.state_names, signature.input_names, signature.x_scale, OUTPUTS, RATES, **settings)
 

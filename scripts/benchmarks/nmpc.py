@@ -40,7 +40,8 @@ class Plan:
         rates: The rate of each output.
         dt: Control period [s].
         horizon: Periods that are planned.
-        hint: Coefficients of `monomials` of the targets, by state; empty for none.
+        hint: Coefficients of `monomials` of the targets, by state, whose sum is h |h|, as thrust goes with the square
+            of a speed; empty for none.
         moving: Whether targets move.
         guess: Where the first plan of a flight begins, by state, besides the outputs at their targets.
     """
@@ -111,7 +112,8 @@ def build(rates_of: Field, plan: Plan) -> Any:
     errors = sum((at[name] - to) ** 2 for name, to in zip(plan.outputs, r, strict=True))
     speeds = sum((at[name] - to) ** 2 for name, to in zip(plan.rates, v, strict=True))
     size = dict(zip(plan.states, plan.ranges, strict=True))
-    rest = {name: sum(c * m for c, m in zip(of, monomials(r), strict=True)) for name, of in plan.hint.items()}
+    squares = {name: sum(c * m for c, m in zip(of, monomials(r), strict=True)) for name, of in plan.hint.items()}
+    rest = {name: of / (of * of + 1.0) ** 0.25 for name, of in squares.items()}
     away = sum(((at[name] - to) / size[name]) ** 2 for name, to in rest.items())
     track = 4 * errors + 0.02 * away
     mpc.set_objective(mterm=10 * track + 0.1 * speeds, lterm=track + 0.02 * speeds)
