@@ -34,8 +34,9 @@ SINGLE = {
 WIDTH = 32
 """Rows that are handled at once, of which rollouts have hundreds."""
 MANY = 512
-"""Derivatives of so many states by state and input are handled for several rows at once; of more, they would fill the
-stack of a thread."""
+"""Derivatives of so many states by state and input are handled for several rows at once, as they stay in a cache."""
+STACK = 3 << 17
+"""Bytes of arrays up to which they are on the stack, of which a thread may have half a MiB; more are on the heap."""
 FREE = Stops((), (), (), ())
 _CALLED = re.compile(rf"\b({'|'.join(SINGLE)})\(")
 _STATE = re.compile(r"\b([xu])\[(\d+)\]")
@@ -84,6 +85,8 @@ class Machine:
         single = dtype == torch.float32
         source = _source(replace(program, constants=()), width if single else 1, single)
         self._code = load(source, ("advance", "sensitivities"), fast=single)
+        self._room = _arrays(program.n_x, program.n_u, width if single else 1)
+        self._large = self._room * ctypes.sizeof(self._real) > STACK
         self._ends: dict[Stops, tuple[object, ...]] = {}
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
@@ -143,7 +146,8 @@ class Machine:
         if (ends := self._ends.get(stops)) is None:
             ends = self._ends[stops] = self._in_memory(stops)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
-        h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched)
+        room = self._heap(x)
+        h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched, room)
         self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
         return samples, touched
 
@@ -163,8 +167,13 @@ class Machine:
         length, count, _ = steps_of(self.step, dt, substeps)
         a, b = x.new_empty(*x.shape, self.n_x), x.new_empty(*x.shape, self.n_u)
         rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(length)
-        self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(count), *_data(a, b))
+        room = self._heap(x)
+        self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(count), *_data(a, b, room))
         return a, b
+
+    def _heap(self, x: Tensor) -> Tensor:
+        """Return memory for arrays that are too large for the stack."""
+        return x.new_empty(self._room) if self._large else x
 
     def _in_memory(self, stops: Stops) -> tuple[object, ...]:
         """Return stops as the code reads them; they are kept, as to write them costs as much as a control period."""
@@ -178,6 +187,16 @@ class Machine:
 
     def _reals(self, values: Sequence[float]) -> ctypes.Array[ctypes.c_float] | ctypes.Array[ctypes.c_double]:
         return (self._real * max(1, len(values)))(*values)
+
+
+def _rows(n_x: int, n_u: int, width: int) -> int:
+    """Return how many rows are handled at once."""
+    return width if n_x * (n_x + n_u) <= MANY else 1
+
+
+def _arrays(n_x: int, n_u: int, width: int) -> int:
+    """Return the most numbers that the arrays of a function of `c/period.c` hold."""
+    return (6 * n_x + n_u + 5 * n_x * (n_x + n_u)) * _rows(n_x, n_u, width)
 
 
 @lru_cache(maxsize=128)
@@ -196,7 +215,8 @@ def _source(program: Program, width: int, single: bool) -> str:
     words = {
         "real": "float" if single else "double",
         "single": int(single),
-        "width": width if program.n_x * (program.n_x + program.n_u) <= MANY else 1,
+        "width": _rows(program.n_x, program.n_u, width),
+        "large": int(_arrays(program.n_x, program.n_u, width) * (4 if single else 8) > STACK),
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),

@@ -11,7 +11,16 @@ static inline real exceeds(real a, real b) { return a > b ? 1 : 0; }
 static inline real sign(real v) { return (real)((v > 0) - (v < 0)); }
 static inline real magnitude(real v) { return v < 0 ? -v : v; }
 
+/* An array of n numbers: on the stack, or where they are many in `room`, from the caller's heap. */
+#if @large@
+#define ARRAY(name, n) real *restrict name = room; room += (n)
+#else
+#define ARRAY(name, n) real name[n]
+#endif
+
 #if @single@
+static inline int is_odd(real whole) { return whole != 2 * rintf((real)0.5 * whole); } /* without an int, which may overflow */
+
 /* The functions of <math.h>, but such that a compiler can compute them for several rows by one instruction. */
 static inline real odd(real far) /* sin r within a quarter turn: Abramowitz and Stegun, 4.3.97 */
 {
@@ -26,18 +35,18 @@ static inline real sine(real v)
     real turns = rintf(v * (real)0.31830988618379067);
     real r = ((v - turns * (real)3.140625) - turns * (real)9.67502593994140625e-4) - turns * (real)1.509957990978376e-7;
     real p = odd(r);
-    return ((int)turns & 1) ? -p : p;
+    return is_odd(turns) ? -p : p;
 }
 static inline real cosine(real v)
 {
     real turns = rintf(v * (real)0.31830988618379067 - (real)0.5) + (real)0.5;
     real r = ((v - turns * (real)3.140625) - turns * (real)9.67502593994140625e-4) - turns * (real)1.509957990978376e-7;
     real p = odd(r);
-    return ((int)(turns - (real)0.5) & 1) ? p : -p;
+    return is_odd(turns - (real)0.5) ? p : -p;
 }
 static inline real power_of_e(real v)
 {
-    union { int i; real r; } two;
+    union { unsigned i; real r; } two;
     real bounded = v < -87 ? -87 : v > 89 ? 89 : v; /* beyond 88.4 it is infinite */
     real whole = rintf(bounded * (real)1.4426950408889634);
     real r = (bounded - whole * (real)0.693359375) + whole * (real)2.12194440e-4;
@@ -47,7 +56,7 @@ static inline real power_of_e(real v)
     p = p * r + (real)4.1665795894e-2;
     p = p * r + (real)1.6666665459e-1;
     p = p * r + (real)5.0000001201e-1;
-    two.i = ((int)whole + 127) << 23;
+    two.i = (unsigned)((int)(whole == whole ? whole : 0) + 127) << 23;
     return (p * r * r + r + 1) * two.r;
 }
 static inline real hyperbolic_tangent(real v)
@@ -80,10 +89,12 @@ static void gather(const real *from, long rows, long first, int n, real *to)
    was touched; inputs and results are by period, then by row. At a stop a position is held and its outward rate is
    zero. */
 void advance(long periods, long rows, const real *x0, const real *u0, const real *k, real h, int steps, int n_stops,
-             const int *position, const int *rate, const real *low, const real *high, real *out, unsigned char *touched)
+             const int *position, const int *rate, const real *low, const real *high, real *out, unsigned char *touched,
+             real *room)
 {
     int at[W];
-    real x[N * W], u[M * W], y[N * W], a[N * W], b[N * W], c[N * W], d[N * W];
+    ARRAY(x, N * W); ARRAY(u, M * W); ARRAY(y, N * W);
+    ARRAY(a, N * W); ARRAY(b, N * W); ARRAY(c, N * W); ARRAY(d, N * W);
     for (long first = 0; first < rows; first += W) {
         for (long period = 0; period < periods; period++) {
             const long before = period * rows;
@@ -157,10 +168,11 @@ static void chain(const real *restrict j, const real *restrict s, real *restrict
 }
 
 /* Derivatives of the state after such a period by the state before it and by the input; stops are left out. */
-void sensitivities(long rows, const real *x0, const real *u0, const real *k, real h, int steps, real *out_x, real *out_u)
+void sensitivities(long rows, const real *x0, const real *u0, const real *k, real h, int steps, real *out_x, real *out_u,
+                   real *room)
 {
-    real x[N * W], u[M * W], y[N * W], f[N * W], sum[N * W], j[P * W];
-    real s[N * C * W], t[N * C * W], d[N * C * W], total[N * C * W];
+    ARRAY(x, N * W); ARRAY(u, M * W); ARRAY(y, N * W); ARRAY(f, N * W); ARRAY(sum, N * W); ARRAY(j, P * W);
+    ARRAY(s, N * C * W); ARRAY(t, N * C * W); ARRAY(d, N * C * W); ARRAY(total, N * C * W);
     const real ahead[4] = {(real)0.5 * h, (real)0.5 * h, h, 0}, whole[1] = {h};
     const real quarters[4] = {h / 6, h / 3, h / 3, h / 6}, *weight = STAGES == 1 ? whole : quarters;
     for (long first = 0; first < rows; first += W) {
