@@ -149,6 +149,8 @@ class Controller:
                 follows from it; the controller is then as it was before the call.
         """
         y = self._numbers("measurement", measurement, self.signature.state_names, math.nan)
+        if self.observer is not None:
+            y[[i for i, name in enumerate(self.signature.state_names) if name not in self._measured()]] = math.nan
         self._require("measurement", y, self.signature.state_names, gaps=self.observer is not None)
         r = self._numbers("reference", reference, self.outputs, math.nan)
         slope = self._numbers("rate", {} if rate is None else rate, self.outputs, 0.0)

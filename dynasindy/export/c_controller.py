@@ -19,12 +19,14 @@ from dynasindy.export.c_text import fill, identifiers, module_name, number, reac
 from dynasindy.export.expressions import formulas
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer
-from dynasindy.sensing.observer import NUDGE, UNKNOWN
+from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
 from dynasindy.systems.steps import Steps
 
 NO_STEPS = Steps(0.0, 0, False)
+MANY = 400
+"""States and inputs of an observer in C: a call takes three matrices of them on the stack, 4 MiB of the usual 8."""
 _HEAD = """/* Written from a controller, not by hand. In each period, in this order:
  *
  *   advance, correct   the observer predicts to the time of the measurement, and takes it in
@@ -59,11 +61,15 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
 
     Raises:
         ValueError: The name is none, the policy or the model is of another kind, or the model has a function without a
-            formula.
+            formula, or so many states that a call would overflow the stack.
     """
     name, mlp = module_name(name), network(controller)
     task, signature = controller.setup.task, controller.signature
     watching = None if controller.observer is None else Filter.of(controller.observer)
+    if watching is not None and (n := len(watching.model.signature.state_names) + signature.n_u) > MANY:
+        raise ValueError(
+            f"an observer of {n} states and inputs overflows the stack in C; allowed are {MANY}: identify fewer states"
+        )
     found = None if watching is None else formulas(watching.model)
     weights = _weights(mlp)
     flags, words = _flags(controller), _words(controller, name)
@@ -245,6 +251,8 @@ class Filter:
             "unknown": _joined((UNKNOWN * scale).square()),
             "sensed": ", ".join(map(str, sensed)),
             "variance": _joined(observer.variance[list(sensed)]),
+            "narrowest": _joined((LEAST * scale[list(sensed)]).square()),
+            "far": number(FAR**2),
             "followers": "\n".join(f"    s->x[{i}] = s->x[{state}];" for i, state in followers.items()),
             "pushed": ", ".join(map(str, observer.pushed)),
             "pushes_word": " and, behind them, of the pushes, which stay" if observer.pushed else "",

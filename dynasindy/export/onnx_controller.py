@@ -32,7 +32,7 @@ from dynasindy.export.formats import field_of
 from dynasindy.export.onnx_graph import Graph, Value, functions
 from dynasindy.export.onnx_policy import add_policy
 from dynasindy.planning.integral import IntegralAction
-from dynasindy.sensing.observer import NUDGE, UNKNOWN, Observer
+from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN, Observer
 from dynasindy.sensing.offset import DAMPING, STEPS
 
 Field = Callable[[Any, Any], Sequence[Any]]
@@ -85,6 +85,9 @@ def controller_onnx(controller: Controller, path: Path) -> None:
     whole = graph.put("Concat", *(later[name] for name in sizes), axis=0)
     # As in Python: what is no number changes nothing.
     sound = graph.put("IsNaN", (whole * 0.0).total() + (graph.put("Concat", r, rate, axis=0) * 0.0).total())
+    if watching is not None:
+        endless = graph.put("Cast", graph.put("IsInf", _picked(graph, y, watching.sensed)), to=11).total()
+        sound = graph.put("Or", sound, graph.put("Greater", endless, 0.0))
     graph.result(kept["u"].where(sound, found), "u", [signature.n_u])
     graph.result(state.where(sound, whole), "next_state", [ends[-1]])
     told = {"u": signature.input_names, "measurement": signature.state_names, "reference": controller.outputs}
@@ -186,6 +189,8 @@ class _Watching:
     def _begun(self, y: Value) -> tuple[Value, Value]:
         unknown = (UNKNOWN * self.observer.scale).square().numpy()
         seen, padded = self._seen(y)
+        seen = self.graph.put("And", seen, self.graph.put("LessOrEqual", padded * padded, FAR**2 * unknown))
+        padded = padded.where(seen, 0.0)
         variance = np.where(np.isfinite(self.observer.variance.numpy()), self.observer.variance.numpy(), 0.0)
         first = self.graph.constant(variance).where(seen, unknown)
         rests = [self.observer.model.followers.get(i, i) for i in range(self.n)]
@@ -216,7 +221,13 @@ class _Watching:
         return x.where(lost, mean), doubted.where(lost, covariance)
 
     def _corrected(self, x: Value, p: Value, y: Value) -> tuple[Value, Value]:
-        seen, padded = self._seen(y)
+        measured, padded = self._seen(y)
+        scale, variances = self.observer.scale.numpy(), self.observer.variance.numpy()
+        own = ((p * np.eye(self.n)) @ np.ones((self.n, 1))).reshape(self.n) + np.where(variances < np.inf, variances, 0)
+        bound = self.graph.put("Max", own, (LEAST * scale) ** 2) * FAR**2
+        seen = self.graph.put("And", measured, self.graph.put("LessOrEqual", (padded - x) * (padded - x), bound))
+        lost = self.graph.put("And", measured, self.graph.put("Not", seen))
+        doubt = self.graph.constant((UNKNOWN * scale) ** 2).where(lost, np.zeros(self.n))
         for i in self.sensed:
             variance, unit = float(self.observer.variance[i]), np.eye(self.n)[i : i + 1]
             gain = (p @ unit.T) / (p[i][i] + variance)  # (n, 1)
@@ -224,7 +235,7 @@ class _Watching:
             x = x + gain.reshape(self.n) * (padded[i] - x[i])
             left = np.eye(self.n) - gain @ unit
             p = left @ p @ left.transposed + gain @ gain.transposed * variance
-        return x, p
+        return x, p + self.graph.put("Unsqueeze", doubt, self.graph.places(1)) * np.eye(self.n)
 
     def _ahead(self, x: Value, inputs: Value) -> Value:
         columns, observer = [x[i : i + 1] for i in range(self.n)], self.observer

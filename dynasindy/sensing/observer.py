@@ -44,6 +44,13 @@ NUDGE = 1e-4
 """Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
 FINEST = 1e-9
 """Least standard deviation of a measurement [ranges of the state]: a perfect one would leave a singular matrix."""
+FAR = 1e3
+"""Innovations that no plant has, and that count as lost samples [standard deviations]."""
+LEAST = 0.003
+"""Least standard deviation that this bound counts in [ranges of the state], so it is three ranges or more. A plant that
+is kicked, or a sensor that begins anew, stays within two, however small the noise; of normal innovations the largest of
+a thousand millions is six standard deviations. What is believed costs more than what is lost: one sample, as the state
+is doubted then, and the next one is believed up to a hundred ranges."""
 
 
 class Timing(Protocol):
@@ -128,9 +135,10 @@ class Observer:
     def begin(self, y: Tensor) -> Belief:
         """Return the belief at rest from the first measurement, `(*batch, n_x)`.
 
-        What is not measured is taken as 0, or as the state that it follows.
+        What is not measured, or cannot be, is taken as 0, or as the state that it follows.
         """
         y = self._padded(y)
+        y = y.masked_fill(y.double().square() > FAR**2 * (UNKNOWN * self.scale).square(), torch.nan)
         mean = y.double().nan_to_num(nan=0.0)
         for follower, state in self.model.followers.items():
             mean[..., follower] = mean[..., state]
@@ -174,18 +182,25 @@ class Observer:
         """Return the belief after a measurement `(*batch, n_x)`, NaN where there is none, its NIS and log-likelihood.
 
         The normalised innovation squared is divided by the number of measured states, so that it is 1 on average where
-        the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`.
+        the noise levels are right; it is NaN where nothing was measured. Both are `(*batch,)`. An innovation that no
+        plant has, see `FAR`, counts as a lost sample, and its state is doubted: one that truly is there is believed
+        soon.
         """
         y = self._padded(y)
-        seen = ~y.isnan()
+        measured, off = ~y.isnan(), y.double() - belief.mean
+        own = belief.covariance.diagonal(dim1=-2, dim2=-1) + self.variance
+        seen = measured & (off.square() <= FAR**2 * own.clamp_min((LEAST * self.scale).square()))
         pick = torch.diag_embed(seen.double())
         r = torch.where(seen, self.variance, 1.0)
-        innovation = torch.where(seen, y.double() - belief.mean, 0.0).unsqueeze(-1)
+        innovation = torch.where(seen, off, 0.0).unsqueeze(-1)
         gained = belief.covariance @ pick
         spread = pick @ gained + torch.diag_embed(r)
         gain = torch.linalg.solve(spread, gained.mT).mT
         left = torch.eye(len(self.scale), dtype=torch.float64) - gain @ pick
         covariance = left @ belief.covariance @ left.mT + (gain * torch.where(seen, r, 0.0).unsqueeze(-2)) @ gain.mT
+        if not torch.equal(seen, measured):
+            doubt = torch.where(measured & ~seen, (UNKNOWN * self.scale).square(), 0.0)
+            covariance = covariance + torch.diag_embed(doubt)
         squared = (innovation.mT @ torch.linalg.solve(spread, innovation)).squeeze(-1).squeeze(-1)
         likelihood = -0.5 * (squared + torch.linalg.slogdet(spread).logabsdet)
         return Belief(belief.mean + (gain @ innovation).squeeze(-1), covariance), squared / seen.sum(-1), likelihood
@@ -387,4 +402,4 @@ class Observer:
     def _padded(self, y: Tensor) -> Tensor:
         """Return measurements with a NaN for each push, and for each state that has no sensor, whatever was given."""
         padded = torch.nn.functional.pad(y, (0, len(self.pushed)), value=torch.nan)
-        return padded.masked_fill(self.variance.isinf(), torch.nan)
+        return padded.masked_fill(self.variance.isinf() | padded.isinf(), torch.nan)

@@ -19,7 +19,8 @@ from dynasindy.export import controller_sources
 from dynasindy.export.c_controller import Filter, stop_words
 from dynasindy.export.c_text import fill
 from dynasindy.export.compiler import Native
-from dynasindy.sindy import Oracle
+from dynasindy.sensing import Observer, Sensors
+from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
 from dynasindy.systems.compiler import STRICT, SUFFIX, build, compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -382,3 +383,93 @@ def test_stops_at_states_that_do_not_exist_are_refused(pendulum, positions):
     controller.observer.stops = replace(controller.observer.stops, positions=positions)
     with pytest.raises(ValueError, match="allowed are whole numbers from 0 to 1"):
         controller_sources(controller)
+
+
+GLITCHES = (1e6, -1e38, 1e60, -1e150, 1e155, 1e160, 1e308, math.inf, -math.inf, math.nan)
+
+
+def answers(act, readings, r):
+    """What a controller answers to each reading; None where it refuses."""
+    found = []
+    for y in readings:
+        try:
+            found.append(act(y, r))
+        except ValueError:
+            found.append(None)
+    return found
+
+
+def glitched(controller, seed, periods=120):
+    """Readings of a swing of which a tenth is broken in one sensor or in all, the first one, too."""
+    rng, scale = np.random.default_rng(seed), np.array(controller.signature.x_scale)
+    sensors = [k for k, name in enumerate(controller.signature.state_names) if name in controller._measured()]
+    readings = []
+    for k in range(periods):
+        y = np.full(len(scale), math.nan)
+        y[sensors] = 0.2 * scale[sensors] * math.sin(0.11 * k)
+        if rng.random() < 0.1 or k == 0:
+            y[sensors if rng.random() < 0.3 else rng.choice(sensors)] = rng.choice(GLITCHES)
+        readings.append(y)
+    return readings
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["pendulum", "late", "oven", "rotors"])
+def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, rotors, kind, seed):
+    controller = {
+        "pendulum": lambda: pendulum(integral={"gain": 3.0}, delay=0.0, stops=False),
+        "late": lambda: pendulum(disturbance=False),
+        "oven": oven,
+        "rotors": rotors,
+    }[kind]()
+    readings = glitched(controller, seed, 40 if kind == "rotors" else 120)
+    r = [70.0 if kind == "oven" else 0.1] * len(controller.outputs)
+    expected = answers(controller.act, readings, r)
+    found = answers(Native(controller_sources(controller)).act, readings, r)
+    refused = [bool(np.isinf(y).any()) for y in readings]
+    assert [u is None for u in expected] == refused == [u is None for u in found]
+    assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(expected, found, strict=True) if a is not None)
+
+
+@needs_compiler
+@pytest.mark.parametrize("glitch", [1e2, 1e38, 1e60, 1e155, 1e307])
+def test_one_broken_sample_moves_an_input_no_more_than_a_lost_one(pendulum, glitch):
+    native = Native(controller_sources(pendulum(disturbance=False)))
+
+    def swing(broken):
+        native.reset()
+        readings = [[broken if k == 30 else 0.2 * math.sin(0.1 * k), math.nan] for k in range(60)]
+        return np.array(answers(native.act, readings, [0.1]))
+
+    assert np.abs(swing(glitch) - swing(math.nan)).max() < 0.02
+
+
+@needs_compiler
+@pytest.mark.filterwarnings("ignore:the reference")
+def test_a_refused_call_leaves_the_controller_as_it_was(pendulum):
+    """A reference beyond single precision leaves no finite action, after the observer has moved on."""
+    controller = pendulum(integral={"gain": 3.0})
+    native = Native(controller_sources(controller))
+    whole, kept = [], []
+    for act in (controller.act, native.act):
+        for k in range(40):
+            y = [0.2 * math.sin(0.1 * k), math.nan]
+            (whole if k % 7 == 3 else kept).append(answers(act, [y], [1e308 if k % 7 == 3 else 0.1])[0])
+    assert whole == [None] * 12
+    np.testing.assert_allclose(kept[34:], kept[:34], atol=1e-6)
+
+
+def test_so_many_states_that_a_call_would_overflow_the_stack_are_refused():
+    n = 500
+    names = tuple(f"x{k}" for k in range(n))
+    signature = Signature(names, ("-",) * n, ("u",), (1.0,) * n)
+    model = SindyModel(signature, [*names[:1], "u"])
+    model.set_coefficients(torch.tensor([[-1.0] * n, [1.0] * n], dtype=torch.float64))
+    task = Tracking(signature, Step([[0.0]]), ("x0",), (), TrackingReward((1.0,)), low=[0.0], high=[1.0])
+    setup = ControlSetup(task, 0.1)
+    watching = Observer(model, Sensors({"x0": {"noise": 0.01}}, disturbance=False), setup)
+    watching.load_state_dict({"process_noise": [0.01] * n, "nis": 1.0})
+    policy = actor(task.n_o, 1, (4, 4)).requires_grad_(False)
+    with pytest.raises(ValueError, match="stack"):
+        controller_sources(Controller(policy, setup, watching))

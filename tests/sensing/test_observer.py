@@ -260,6 +260,38 @@ def test_a_state_that_follows_begins_at_what_it_follows_and_a_lost_sample_tells_
     assert still[:2].tolist() == pytest.approx([80.0, 80.0])  # at rest nothing flows
 
 
+def test_what_no_plant_can_do_counts_as_lost_in_its_row_and_its_state_is_doubted():
+    ours, (y, u, _) = observer(), logged(40)
+    belief = ours.begin(y[0])
+    for k in range(30):
+        belief, _, _ = ours.correct(ours.advance(belief, u[: ours.memory]), y[k + 1])
+    rows = y[31].repeat(5, 1)
+    rows[:, 0] = torch.tensor([belief.mean[0], math.nan, 1e38, -1e200, math.inf])
+    after, nis, _ = ours.correct(Belief(belief.mean.expand(5, -1), belief.covariance.expand(5, -1, -1)), rows)
+    assert after.mean[0, 1] != after.mean[1, 1] and nis.isfinite().all()
+    for row in (2, 3, 4):
+        assert torch.equal(after.mean[row], after.mean[1]) and nis[row] == nis[1]
+    more = (after.covariance - after.covariance[1]).diagonal(dim1=-2, dim2=-1)
+    assert more[2].tolist() == more[3].tolist() == pytest.approx([0.1**2, 0.0, 0.0]) and not more[4].any()
+
+
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize("glitch", [30.0, 500.0, 1e5, 1e38, 1e200])
+def test_estimates_are_right_soon_after_a_broken_sample(glitch, first):
+    ours, (y, u, x) = observer(), logged(100)
+    y[0 if first else 40, 0] = glitch
+    means = ours.follow(y, u)[0]
+    assert (means - x)[60:].abs().max() < 0.2 and means.isfinite().all()
+
+
+def test_a_plant_that_is_truly_far_away_is_believed_from_its_second_sample():
+    """A sensor of p begins anew and says 60 more from then on, which would be lost for ever if nothing was doubted."""
+    ours, (y, u, x) = observer(), logged(60)
+    y[20:, 0] += 60.0
+    means = ours.follow(y, u)[0]
+    assert (means - x)[20, 0].abs() < 0.2 and (means - x)[22, 0] == pytest.approx(60.0, abs=5.0)
+
+
 def test_a_model_that_explodes_costs_no_estimate():
     ours = observer()
     ours.model.forward = lambda x, u: torch.full_like(x, torch.inf)

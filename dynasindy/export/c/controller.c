@@ -44,10 +44,15 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
     double x[NX], slope[NR], found[NU];
     int i, fine = 1;
 @end
+    const @name@_state before = *s;
     for (i = 0; i < NR; i++) {
         slope[i] = rate ? rate[i] : 0.0;
         fine = fine && isfinite(r[i]) && isfinite(slope[i]);
     }
+@if observer
+    for (i = 0; i < M; i++)
+        fine = fine && !isinf(y[sensed[i]]);
+@end
 @if !observer
     for (i = 0; i < NX; i++) {
         x[i] = y[i];
@@ -61,7 +66,7 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
 @if observer
     if (s->begun) {
         advance(s);
-        correct(s, y);
+        fine = correct(s, y);
     } else
         begin(s, y);
     s->begun = 1;
@@ -86,7 +91,26 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
             found[i] = least[i];
         fine = fine && isfinite(found[i]);
     }
-    for (i = 0; i < NU && fine; i++)
+@if observer
+    for (i = 0; i < N; i++) {
+        fine = fine && isfinite(s->x[i]);
+        for (j = 0; j < N; j++)
+            fine = fine && isfinite(s->p[i][j]);
+    }
+@end
+@if pushed
+    for (i = 0; i < NX + NU; i++)
+        fine = fine && isfinite(s->shift[i]);
+@end
+@if integral
+    for (i = 0; i < NR; i++)
+        fine = fine && isfinite(s->integral[i]);
+@end
+    if (!fine) {
+        *s = before;
+        return @name@_REFUSED;
+    }
+    for (i = 0; i < NU; i++)
         u[i] = s->u[i] = found[i];
 @if observer
     for (i = 0; i < NU; i++) {
@@ -95,5 +119,5 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
         s->inputs[MEMORY - 1][i] = u[i];
     }
 @end
-    return fine ? @name@_OK : @name@_REFUSED;
+    return @name@_OK;
 }

@@ -53,7 +53,8 @@ void @name@_reset(@name@_state *s);
  * r     where the tracked states are to be
  * rate  how fast the reference moves [per second]; a null pointer for a reference that rests
  *
- * Returns @name@_OK; or @name@_REFUSED where a number was not finite that has to be, and then u is as before.
+ * Returns @name@_OK; or @name@_REFUSED where a number was not finite that has to be, or no finite input follows; then u is as before,
+ * and the controller, too. A measurement that no plant could have made counts as none.
  */
 int @name@_act(@name@_state *s, const double y[@name@_NX], const double r[@name@_NR],
     const double rate[@name@_NR], double u[@name@_NU]);

@@ -5,12 +5,14 @@
 static const double step[N] = {@step@};
 /* Q: variance by which a state leaves the model in a period */
 static const double strays[N] = {@strays@};
-/* variance of what is not measured when it begins */
+/* variance of what is not measured when it begins, and by which a state is doubted */
 static const double unknown[N] = {@unknown@};
 /* places of the states that are measured */
 static const int sensed[M] = {@sensed@};
 /* R: variance of their measurements */
 static const double variance[M] = {@variance@};
+/* least variance of which the bound of an innovation is a multiple */
+static const double narrowest[M] = {@narrowest@};
 /* Move states on by the period whose measurement has just arrived; inputs act @late_words@ later. */
 static void period(double x[N], double inputs[MEMORY][NU])
 {
@@ -31,7 +33,7 @@ static void begin(@name@_state *s, const double y[NX])
         s->p[i][i] = unknown[i];
     }
     for (i = 0; i < M; i++)
-        if (isfinite(y[sensed[i]])) {
+        if (y[sensed[i]] * y[sensed[i]] <= @far@ * unknown[sensed[i]]) {
             s->x[sensed[i]] = y[sensed[i]];
             s->p[sensed[i]][sensed[i]] = variance[i];
         }
@@ -84,23 +86,29 @@ static void advance(@name@_state *s)
     }
 }
 
-/* K = P C' (C P C' + R)^-1, x += K (y - C x), P = (I - K C) P (I - K C)' + K R K'; C picks what was measured. */
-static void correct(@name@_state *s, const double y[NX])
+/* K = P C' (C P C' + R)^-1, x += K (y - C x), P = (I - K C) P (I - K C)' + K R K'; C picks what was measured. What no
+ * plant can do counts as lost, and that state is doubted. Returns 0 where there is no K. */
+static int correct(@name@_state *s, const double y[NX])
 {
     double spread[M][M], gain[M][N], left[N][N], innovation[M], r[M]; /* the gain transposed */
-    int i, j, k;
+    int seen[M], i, j, k;
     for (i = 0; i < M; i++) {
-        const int seen = isfinite(y[sensed[i]]) != 0;
-        innovation[i] = seen ? y[sensed[i]] - s->x[sensed[i]] : 0.0;
-        r[i] = seen ? variance[i] : 0.0;
+        const double own = s->p[sensed[i]][sensed[i]] + variance[i];
+        innovation[i] = y[sensed[i]] - s->x[sensed[i]];
+        seen[i] = innovation[i] * innovation[i] <= @far@ * (own < narrowest[i] ? narrowest[i] : own);
+        if (!seen[i])
+            innovation[i] = 0.0;
+    }
+    for (i = 0; i < M; i++) {
+        r[i] = seen[i] ? variance[i] : 0.0;
         for (j = 0; j < N; j++)
-            gain[i][j] = seen ? s->p[j][sensed[i]] : 0.0;
+            gain[i][j] = seen[i] ? s->p[j][sensed[i]] : 0.0;
         for (j = 0; j < M; j++)
-            spread[i][j] = seen && isfinite(y[sensed[j]]) ? s->p[sensed[i]][sensed[j]] : 0.0;
-        spread[i][i] += seen ? variance[i] : 1.0;
+            spread[i][j] = seen[i] && seen[j] ? s->p[sensed[i]][sensed[j]] : 0.0;
+        spread[i][i] += seen[i] ? variance[i] : 1.0;
     }
     if (!solve(&spread[0][0], &gain[0][0], M, N))
-        return;
+        return 0;
     for (i = 0; i < N; i++)
         for (j = 0; j < N; j++) {
             left[i][j] = s->p[i][j];
@@ -116,6 +124,10 @@ static void correct(@name@_state *s, const double y[NX])
         for (k = 0; k < M; k++)
             s->x[i] += gain[k][i] * innovation[k];
     }
+    for (i = 0; i < M; i++)
+        if (!seen[i] && isfinite(y[sensed[i]]))
+            s->p[sensed[i]][sensed[i]] += unknown[sensed[i]];
+    return 1;
 }
 
 /* Predict the state at the time at which the next input arrives at the plant. */
