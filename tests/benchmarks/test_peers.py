@@ -73,11 +73,11 @@ def test_models_are_scored_on_the_test_log_and_rows_have_ours_beside_them(script
     monkeypatch.setattr(peers, "LOGS", {"tras": lambda folder, seed: (data, peers.row_of("ours", "0", 0.5, "x", 1.0))})
     monkeypatch.setattr(peers, "SCRIPTS", dict.fromkeys(peers.SCRIPTS, script))
     out = tmp_path / "peers.csv"
-    words = ["--peers", "SysIdentPy", "--environments", str(tmp_path), "--seeds", "7", "--out", str(out)]
+    words = ["--peers", "SysIdentPy", "jax-sysid", "--environments", str(tmp_path), "--seeds", "7", "--out", str(out)]
     monkeypatch.setitem(data, "gain", 0.0)
     peers.main(parse("peers", words))
     first, second = read_rows(out)
-    assert (first["peer"], first["value"], second["peer"], second["version"]) == ("ours", "0.5", "SysIdentPy", "1.2")
+    assert (first["peer"], first["value"], second["peer"], second["version"]) == ("ours", "0.5", "jax-sysid", "1.2")
     assert (float(second["value"]), second["cpu_seconds"], second["seed"]) == (0.0, "3.5", "7")
     assert list(first) == list(peers.COLUMNS)
 
