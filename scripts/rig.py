@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
                 if not session.failed:
                     with Progress():  # while the rig rests; in a flight nothing else may draw
                         controller = given or session.learn(knowledge, cfg.seed)
-                    session.fly(controller, wanted, cfg.seconds)
+                    session.run_flight(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:
             told = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again(cfg.folder)}"
             raise Stopped(told, getattr(stop, "signal", 2)) from stop

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.systems import Pendulum
@@ -296,13 +295,6 @@ def test_other_plants_and_finer_samples_are_refused():
     env = pendulum()
     with pytest.raises(ValueError, match=r"env.substeps=5: .* give 1"):
         GymnasiumEnv(env.system, env.task, substeps=5)
-
-
-@pytest.mark.parametrize("make", [pendulum, car])
-def test_specs_hold(make):
-    env = make()
-    check_env_specs(env)
-    check_env_specs(env.with_task(env.task))
 
 
 def test_rows_that_stay_where_they_ended_have_not_moved():

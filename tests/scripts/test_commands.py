@@ -55,12 +55,6 @@ def test_without_a_command_all_of_them_are_listed(commands, words, tmp_path):
     assert done.returncode == 0 and tuple(listed) == commands.COMMANDS
 
 
-def test_a_command_that_does_not_exist_costs_one_line(tmp_path):
-    done = dynasindy("trian", cwd=tmp_path)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("error: 'trian' is no command") and done.stderr.endswith("did you mean 'train'?\n")
-
-
 EVERY_HELP = """
 import contextlib, io, runpy, sys
 for name in {names}:

@@ -82,23 +82,6 @@ def test_integral_action_has_results_of_its_own(run_folder: Path, tmp_path: Path
     assert files[0].read_text() != files[1].read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run=nowhere"], "error: nowhere is not a run folder"),
-        ([], "error: run is not given; give run=PATH"),
-    ],
-)
-def test_mistakes_of_a_user_get_one_line_and_leave_the_working_directory(
-    arguments: list[str], message: str, tmp_path: Path
-) -> None:
-    (tmp_path / "mine.txt").write_text("untouched")
-    done = evaluate(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith(message)
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / "mine.txt"]
-
-
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scenario_is_built_under_its_own_name(name: str, run_folder: Path, saved_run) -> None:
     config = saved_run.load_config(run_folder)

@@ -27,13 +27,6 @@ def _run(folder: Path, *words: str) -> subprocess.CompletedProcess:
     )
 
 
-def test_sensors_of_a_log_are_refused(tmp_path):
-    (tmp_path / "log.csv").write_text("time [s],y,u\n0,1,0\n")
-    done = _run(tmp_path / "run", "data=csv", f"data.path={tmp_path / 'log.csv'}", "sensors=bench")
-    assert done.returncode == 2 and done.stderr.count("\n") == 1
-    assert "sensors=bench makes a simulated plant measured, and data.path is a log" in done.stderr
-
-
 def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     done = _run(tmp_path / "run", "system=pendulum", "excitation.duration=5", "data.validation_seconds=2")
     assert done.returncode == 0, done.stderr
@@ -92,14 +85,6 @@ def test_a_file_without_a_column_costs_one_line(tmp_path):
     assert done.returncode == 2
     assert done.stderr.strip().count("\n") == 0
     assert "has no column 'alpha_p'" in done.stderr
-
-
-def test_a_function_that_is_not_known_is_refused_before_the_plant_moves(tmp_path):
-    """A simulation as long as this would take minutes, and be refused as a file of two rows is."""
-    words = ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"]
-    done = _run(tmp_path / "run", *words)
-    assert (done.returncode, done.stdout) == (2, "") and not (tmp_path / "run").exists()
-    assert done.stderr.startswith("error: function 'sinh' is not known; allowed are abs, ahead, bell, cos")
 
 
 def test_a_log_of_an_unknown_plant_needs_no_file_of_its_own(tmp_path):

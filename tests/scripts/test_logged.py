@@ -48,35 +48,6 @@ WORDS = "plant.library=['1',u,theta,Omega,'sin(theta)']"
 
 
 @pytest.mark.slow
-def test_a_log_gives_a_controller_and_a_prediction(log, tmp_path):
-    words = [
-        "data=csv",
-        f"data.path={log}",
-        *TASK,
-        WORDS,
-        *SHORT,
-        f"folder={tmp_path}/run",
-        "evaluation.must_control=false",
-    ]
-    done = train(*words)
-    assert done.returncode == 0, done.stderr
-    assert "PREDICTED on 3 models fitted to data that the plan never saw" in done.stdout
-    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert metrics["prediction"]["models"] == 3
-    assert "12 u" in metrics["equations"][1]
-    assert dynasindy.load(tmp_path / "run").outputs == ("theta",)
-    planned = ["model=" + str(tmp_path / "run" / "model.json"), *TASK, *SHORT, f"folder={tmp_path}/again"]
-    again = train(*planned, "evaluation.within=0.9")
-    assert again.returncode == 0, again.stderr
-    assert "PREDICTED on the model of the plan itself, which promises nothing of the plant: CONTROLLED" in again.stdout
-    found = json.loads((tmp_path / "again" / "metrics.json").read_text())["prediction"]
-    assert (found["controlled"], found["promised"], found["within"]) == (True, False, 0.9)
-    missed = train("system=logged", *planned, "evaluation.within=1e-9")
-    assert missed.returncode == 1, missed.stderr
-    assert "NOT CONTROLLED, 1e-07 % is asked for" in missed.stdout
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(("plant", "promised"), [("arm", True), ("propeller", False)])
 def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path):
     """An arm that is held, and a propeller whose motor lags and which so short a plan does not hold."""
@@ -140,12 +111,6 @@ def test_the_command_of_the_page_plans_on_a_model_alone(tmp_path):
     assert dynasindy.load(found.parent).outputs == ("theta",)
 
 
-def test_a_model_and_a_plant_are_refused_together(tmp_path):
-    done = train("system=pendulum", f"model={tmp_path}/model.json", *TASK, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "system names one; leave system out" in done.stderr
-
-
 @pytest.mark.slow
 def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     given = [f"data.path={log}", *TASK, WORDS, "planning.lr=-1.0"]
@@ -159,47 +124,6 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     kept = [*given[:-2], "plant.library=['sinh(theta)']", given[-1], f"model={tmp_path}/run/model.json"]
     again = train("data=csv", *kept, f"folder={tmp_path}/again")  # the model has a library: another one is not read
     assert "sinh" not in again.stderr and (tmp_path / "again" / "model.json").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "plant.outputs is not given; say what is to be tracked"),
-        ([*TASK, "planning=dyna"], "leave planning=gradient"),
-        ([*TASK, "evaluation.within=0"], "evaluation.within must be positive, got 0"),
-        ([*TASK, "env.dt=-1.0"], "env.dt must be a time > 0, got -1.0 s"),
-        (
-            ["plant.outputs=[theta]", "plant.low=[-0.6]"],
-            "plant.high is not given; say within which targets theta",
-        ),
-        (["plant.outputs=[theta]"], "of its samples the log lies within plant.low=[-"),
-        (
-            ["plant.outputs=[thta]", *TASK[1:]],
-            "error: plant.outputs names 'thta', which is no state; the states are theta, Omega; did you mean 'theta'?",
-        ),
-        (
-            [*TASK, "plant.start={omega: 0}"],
-            "error: plant.start has omega: 0; name one of the states theta, Omega, with a value or the two ends of a "
-            "range; did you mean 'Omega'?",
-        ),
-        ([*TASK, "plant.library=['1',u,'sinh(theta)']"], "function 'sinh' is not known"),
-        ([*TASK, "data.path=nowhere.csv"], "nowhere.csv does not exist"),
-    ],
-)
-def test_what_is_missing_costs_one_line(log, tmp_path, words, message):
-    done = train("data=csv", f"data.path={log}", *words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stdout == "" and not list(tmp_path.iterdir())  # no fit, and no folder
-
-
-def test_a_log_that_no_job_of_a_sweep_could_read_costs_one_line_before_the_first(tmp_path):
-    done = train("-m", "data=csv", "data.path=nowhere.csv", *TASK, "seed=0,1", cwd=tmp_path)
-    lines = [line for line in done.stderr.splitlines() if not line.startswith("sweep: ")]
-    assert done.returncode == 2 and done.stdout == ""
-    assert len(lines) == 1 and lines[0].startswith("error: nowhere.csv does not exist")
-    assert not list(tmp_path.iterdir())
 
 
 LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.LoggedData", "path": "log.csv"}, "system": None}
@@ -261,14 +185,6 @@ def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and
     column = [float(model.coefficients[model.library.index(name), 1]) for name in ("u", "sin(theta)", "theta_rate")]
     assert column == pytest.approx([12.0, -9.81, -0.5], rel=0.02)
     assert OmegaConf.load(tmp_path / "run" / "config.yaml").plant.rates == ["theta_rate"]
-
-
-def test_a_folder_that_is_a_file_is_found_before_the_fit(log, tmp_path):
-    (tmp_path / "here").write_text("a file")
-    done = train("data=csv", f"data.path={log}", *TASK, f"folder={tmp_path}/here/run")
-    assert done.returncode == 2
-    assert done.stdout == ""  # no fit, and no run folder
-    assert done.stderr == f"error: {tmp_path}/here/run: part of it is a file: give the path of a folder\n"
 
 
 def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monkeypatch):

@@ -1,9 +1,6 @@
-"""The main job as a user runs it."""
+"""Sweeps of any sweeper, and words that are of a sweep alone."""
 
-import csv
-import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,9 +8,6 @@ import forked
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA = ("excitation", "prediction_first_episode", "step_response")
-
-
 ASKING = """
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_store import ConfigStore
@@ -35,73 +29,6 @@ def run(*overrides, cwd, **more):
 
 def command(*overrides):
     return [sys.executable, str(ROOT / "scripts" / "train.py"), *overrides]
-
-
-def test_the_smoke_run_leaves_a_complete_folder_and_says_what_came_of_it(tmp_path):
-    # A process of its own, which imports all that it needs, as that of a user.
-    words = ("experiment=smoke", f"hydra.run.dir={tmp_path / 'run'}")
-    done = subprocess.run(command(*words), cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    folder = tmp_path / "run"
-    files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
-    assert {"config.yaml", "progress.csv", "metrics.json", "policy.pt", "model.json", "identification.txt"} <= files
-    assert {f"data/{name}.csv" for name in DATA} <= files
-    assert {f"figures/{name}.png" for name in (*DATA, "training_data", "model_error")} <= files
-    assert "scalars/scalars/return.csv" in files
-    metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["cost"]["real_steps"] == 600 and metrics["cost"]["plant_seconds"] == pytest.approx(30.0)
-    with (folder / "progress.csv").open() as file:
-        (row,) = csv.DictReader(file)
-    assert int(float(row["real_steps"])) == 600
-    for words in (
-        "Omega_p' = ",
-        "steady-state error",
-        "overshoot",
-        "settling time",
-        "RMSE",
-        "which are 600 control periods",
-        str(folder),
-    ):
-        assert words in done.stdout, words
-
-
-@pytest.mark.slow
-def test_a_run_is_the_same_whatever_the_order_of_words_in_a_set(tmp_path):
-    kept = []
-    for seed in ("1", "2"):
-        words = ("experiment=smoke", f"hydra.run.dir={tmp_path / seed}")
-        environment = os.environ | {"PYTHONHASHSEED": seed}
-        subprocess.run(command(*words), cwd=tmp_path, env=environment, capture_output=True, timeout=300, check=True)
-        with (tmp_path / seed / "progress.csv").open() as file:
-            rows = [
-                {name: cell for name, cell in row.items() if name != "wall_seconds"} for row in csv.DictReader(file)
-            ]
-        kept.append((rows, (tmp_path / seed / "model.json").read_text()))
-    assert kept[0] == kept[1] and len(kept[0][0]) > 0
-
-
-@pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("planning.rolouts=3", "did you mean 'rollouts'?"),
-        ("planning=magic", "'magic' does not exist in 'planning'; allowed are "),
-        ("sensors=null", "'null' does not exist in 'sensors'; allowed are bench, bench_delay, exact"),
-        ("planning=3", "'3' does not exist in 'planning'; allowed are dyna, "),
-        (
-            "system=logged",
-            "system=logged is no plant to train on, only a log of one; choose one of gymnasium, pendul",
-        ),
-        ("env.dt=-0.05", "need dt > 0 s"),
-        ("plant.outputs=[yaw", "'plant.outputs=[yaw' cannot be read; write key=value, close all brackets"),
-        ("task.outputs=[yaw,alpha_p]", "task.outputs names 'yaw', which is no state; the states are alpha_a"),
-    ],
-)
-def test_a_bad_setting_costs_one_line_and_leaves_nothing(tmp_path, override, words):
-    done = run("experiment=smoke", override, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
-    assert words in done.stderr
-    assert not [file for file in tmp_path.rglob("*") if file.is_file()]
 
 
 def test_a_group_without_a_file_is_told_and_not_the_file_of_a_user(tmp_path):
@@ -161,27 +88,3 @@ def test_what_is_for_a_sweep_says_how_to_ask_for_one(tmp_path, word, said):
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith(f"error: {said}") and done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("words", [["planning.lrr=3", "seed=0,1"], ["-m", "seed=0,1", "planning.lrr=3", "sead=1"]])
-def test_a_misspelt_key_is_said_before_that_there_are_several_values_and_before_the_next(tmp_path, words):
-    folder = tmp_path / "own" / "system"  # what the words name may lie in a folder of one's own
-    folder.mkdir(parents=True)
-    (folder / "mine.yaml").write_text((ROOT / "conf" / "system" / "tras.yaml").read_text())
-    done = run(*words, "system=mine", "--config-dir", str(folder.parent), cwd=tmp_path)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("error: 'lrr' does not exist in 'planning'; allowed are check_every, every, held")
-    assert done.stderr.endswith("; did you mean 'lr'?\n") and done.stderr.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_a_sweep_runs_a_job_for_each_setting(tmp_path):
-    done = run(
-        "-m", "experiment=smoke", "planning.rollouts=0,10", "seed=0,1", "train.updates_per_step=0.01",
-        "excitation.duration=2", "task.max_steps=50", "system=xi",
-        f"hydra.sweep.dir={tmp_path / 'sweep'}", cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    runs = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("*/metrics.json"))]
-    imagined = sorted((run["seed"], run["cost"]["imagined_transitions"] > 0) for run in runs)
-    assert imagined == [(0, False), (0, True), (1, False), (1, True)]

@@ -1,0 +1,120 @@
+"""The environments are what TorchRL and Gymnasium expect, and pay and move as the equations say."""
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from scipy.integrate import solve_ivp
+from torchrl.envs.utils import check_env_specs
+
+import dynasindy  # noqa: F401 (registers the environments)
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
+from dynasindy.systems import Pendulum, Tras, Xi
+from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
+
+IDS = ["dynasindy/TwinRotor-v0", "dynasindy/Pendulum-v0"]
+
+
+def rotor(system=None, reference=None, **settings):
+    system = system or Tras()
+    task = Tracking(system.signature, reference or RandomStep([-0.5, -0.5], [0.5, 0.4]))
+    return ControlEnv(system, task, **settings)
+
+
+def pendulum(reference=None, **settings):
+    system, reward = Pendulum(), TrackingReward((2.0,), 0.5, 0.0)
+    task = Tracking(system.signature, reference or RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), reward)
+    return ControlEnv(system, task, **settings)
+
+
+@pytest.mark.parametrize("batch_size", [(), (4,)])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("system", [Tras, Xi])
+def test_torchrl_accepts_the_specs_of_two_rotors(system, dtype, batch_size):
+    check_env_specs(rotor(system(), dtype=dtype, batch_size=batch_size))
+
+
+@pytest.mark.parametrize(("dtype", "batch_size"), [(torch.float32, ()), (torch.float64, (4,))])
+def test_torchrl_accepts_the_specs_of_one_input(dtype, batch_size):
+    check_env_specs(pendulum(dtype=dtype, batch_size=batch_size))
+
+
+def test_torchrl_accepts_the_specs_of_a_model_and_of_a_gymnasium_environment():
+    env = rotor()
+    check_env_specs(env.with_system(Tras()))
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"])
+    task = Tracking(system.signature, Step([[1.0, 0.0]]), ("c", "s"), (), TrackingReward((4.0,)), max_steps=3)
+    check_env_specs(GymnasiumEnv(system, task))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_accepts_the_environments_that_it_makes(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # States have no bounds (rotor speeds follow from the physics), so neither has their space.
+        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
+        # The id ends in -v0 on purpose.
+        warnings.filterwarnings("ignore", message=".*is out of date.*")
+        env = gymnasium.make(name, render_mode="rgb_array")
+        check_env(env.unwrapped)
+    state = np.asarray(env.reset(seed=0)[1]["state"], dtype=float)
+    for _ in range(4):
+        _, reward, terminated, truncated, info = env.step(np.full(env.action_space.shape, 0.4, dtype=np.float32))
+        assert reward < 0 and not terminated and not truncated
+    assert np.abs(np.asarray(info["state"]) - state).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_the_package_is_imported_without_torch(name):
+    code = f"import sys, gymnasium, dynasindy; gymnasium.spec('{name}'); assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def constant(*u):
+    return lambda tensordict: tensordict.set("action", torch.tensor(u).expand(*tensordict.batch_size, len(u)))
+
+
+def test_a_period_moves_a_pendulum_as_scipy_does_and_costs_what_the_error_says():
+    """Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega; a reward of -2 e^2 - 0.5 times the change of the rate, squared."""
+    env, x = pendulum(Step([[0.3]]), dtype=torch.float64, substeps=5), np.zeros(2)
+    rows = env.rollout(20, constant(0.4))
+    assert rows["action"].unique().tolist() == pytest.approx([0.4])
+    for row in rows:
+        moved = solve_ivp(
+            lambda _, y: [y[1], 12 * 0.4 - 9.81 * np.sin(y[0]) - 0.5 * y[1]], (0, 0.05), x, rtol=1e-10, atol=1e-12
+        ).y[:, -1]
+        np.testing.assert_allclose(row["next", "state"].numpy(), moved, atol=1e-6)
+        cost = 2 * (0.3 - moved[0]) ** 2 + 0.5 * (moved[1] - x[1]) ** 2
+        assert row["next", "reward"].item() == pytest.approx(-cost, rel=1e-4)
+        x = moved
+
+
+def test_the_real_plant_and_the_imagined_one_pay_and_move_alike_if_the_model_is_true():
+    env = rotor(dtype=torch.float64, batch_size=(2,))
+    starts = env.reset()
+    flights = [
+        each.rollout(50, constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone())
+        for each in (env, env.with_system(Tras()))
+    ]
+    for key in ("state", "observation", "reward", "at_stop", "reference"):
+        assert torch.equal(flights[0]["next", key], flights[1]["next", key]), key
+    other = env.with_system(Xi()).rollout(50, constant(0.3, 0.9), auto_reset=False, tensordict=starts.clone())
+    assert not torch.allclose(other["next", "state"], flights[0]["next", "state"], atol=1e-3)
+
+
+def test_episodes_are_truncated_at_their_length_and_a_seed_draws_the_same_targets():
+    def targets(seed):
+        env = rotor()
+        env.set_seed(seed)
+        return torch.stack([env.reset()["reference"] for _ in range(3)])
+
+    rows = rotor().rollout(1000, constant(1.0, 1.0))
+    assert rows.shape == (400,) and rows["next", "truncated"][:, 0].tolist() == [False] * 399 + [True]
+    assert not rows["next", "terminated"].any()
+    assert torch.equal(targets(3), targets(3)) and not torch.equal(targets(3), targets(4))
+    assert targets(3).unique(dim=0).shape[0] == 3

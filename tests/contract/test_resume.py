@@ -1,0 +1,188 @@
+"""A run that is killed, terminated or interrupted at any moment goes on, and ends bit for bit as if it never was.
+
+DYNASINDY_MOMENTS=50 tries as many moments of each experiment; DYNASINDY_MOMENTS_CSV names a file for the rows.
+"""
+
+import csv
+import hashlib
+import json
+import os
+import random
+import re
+import resource
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).resolve().parents[2]
+MOMENTS = int(os.environ.get("DYNASINDY_MOMENTS", 1))
+SMALL = (
+    "system=xi", "env.dt=0.1", "env.substeps=3", "task.max_steps=25", "excitation.duration=2.5",
+    "scenario.episodes=2", "scenario.seconds=5", "evaluation.every=2",
+)  # fmt: skip
+EXPERIMENTS = {
+    "dyna": (
+        "experiment=dyna", "evaluation.must_improve=false", "train.episodes=3",
+        "train.updates_per_step=2",
+        "planning.rollouts=20", "planning.horizon=20", "agent.hidden=[32,32]", "replay.capacity=10000",
+        "replay.model_capacity=1500",
+    ),
+    "default": (
+        "evaluation.must_improve=false", "planning.updates=10",
+        "planning.more_updates=10", "planning.rollouts=8", "planning.window=20",
+    ),
+}  # fmt: skip
+CODES = {"SIGKILL": -9, "SIGINT": 130, "SIGTERM": 143}
+
+
+def kept(folder):
+    """Return a digest of each file that a run left, without the times it took."""
+    found = {}
+    for file in sorted(file for file in folder.rglob("*") if file.is_file()):
+        name, raw = str(file.relative_to(folder)), file.read_bytes()
+        if "wall_seconds" in name or name == "origin.json":
+            continue
+        if file.suffix == ".csv":
+            rows = list(csv.reader(raw.decode().splitlines()))
+            drop = [i for i, cell in enumerate(rows[0]) if cell == "wall_seconds"]
+            raw = repr([[cell for i, cell in enumerate(row) if i not in drop] for row in rows]).encode()
+        elif file.suffix == ".pt":
+            raw = repr({key: value.tolist() for key, value in torch.load(file).items()}).encode()
+        elif name == "metrics.json":
+            record = json.loads(raw)
+            del record["cost"]["wall_seconds"], record["checkpoint"]
+            raw = json.dumps(record).encode()
+        elif name == "config.yaml":
+            raw = re.sub(rb"folder: .*", b"", raw)
+        elif file.suffix == ".txt":
+            raw = re.sub(rb"[0-9.e-]+ s\b", b"", raw)
+        found[name] = hashlib.sha256(raw).hexdigest()
+    return found
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, command):
+    """Return, once for each experiment, what the run that nobody stops leaves, and how long it takes [s]."""
+    found = {}
+
+    def make(name):
+        if name not in found:
+            home, begun = tmp_path_factory.mktemp(name), time.perf_counter()
+            done = command("train", *EXPERIMENTS[name], *SMALL, "hydra.run.dir=run", cwd=home, figures=False)
+            assert done.code == 0, done
+            found[name] = kept(home / "run"), time.perf_counter() - begun
+        return found[name]
+
+    return make
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(MOMENTS))
+@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("how", CODES)
+def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(
+    tmp_path, start, command, whole, how, name, number
+):
+    expected, seconds = whole(name)
+    moment = random.Random(f"{how} {name} {number}").uniform(0.0, 1.0)
+    words, home = [*EXPERIMENTS[name], *SMALL, "hydra.run.dir=run"], tmp_path / "home"
+    running = start("train", *words, cwd=home, figures=False)
+    time.sleep(moment * seconds)
+    running.send(getattr(signal, how))
+    done = running.end()
+    stopped = done.code != 0  # it may have ended before
+    if stopped:
+        assert done.code == CODES[how], done
+    if stopped and how != "SIGKILL":
+        assert "Traceback" not in done.err and "Exception ignored" not in done.err, done
+        assert len(re.findall(r"(?:^|[\r\n])stopped", done.err)) == 1, done
+    begun = (home / "run" / "config.yaml").is_file()
+    place = re.findall(r"up to the end of ([^:]*):", done.err)
+    again = command("train", *(["resume=run"] if begun else words), cwd=home, figures=False)
+    assert again.code == 0, again
+    found = kept(home / "run")
+    if file := os.environ.get("DYNASINDY_MOMENTS_CSV"):
+        row = [how, name, number, f"{moment:.3f}", int(stopped), done.code, *place[:1], int(found == expected)]
+        with Path(file).open("a") as table:
+            csv.writer(table, lineterminator="\n").writerow(row)
+    assert found == expected
+
+
+@pytest.mark.parametrize("size", [20_000, 100_000])
+def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, start, command, size, whole):
+    expected, _ = whole("dyna")
+    words, home = [*EXPERIMENTS["dyna"], *SMALL, "hydra.run.dir=run"], tmp_path / "home"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))  # as a full disk, larger files cannot be written
+    try:
+        running = start("train", *words, cwd=home, figures=False)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    done = running.end()
+    assert done.code == 2 and "Traceback" not in done.err
+    last = done.err.splitlines()[-1]
+    assert last.startswith("error: ") and "checkpoints/" in last, done
+    again = command("train", "resume=run", cwd=home, figures=False)
+    assert again.code == 0 and kept(home / "run") == expected
+
+
+FICKLE = """
+import os, signal
+from pathlib import Path
+from dynasindy.systems import Xi
+class Fickle(Xi):
+    def forward(self, x, u):
+        if any(Path("run").glob("checkpoints/*.pt")) and not Path("stopped").exists():
+            Path("stopped").touch()
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().forward(x, u)
+"""
+"""A plant that stops its run once, as soon as there is a checkpoint."""
+
+
+def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_printed(tmp_path, command, monkeypatch):
+    (tmp_path / "fickle.py").write_text(FICKLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = [*EXPERIMENTS["default"], *SMALL, "system._target_=fickle.Fickle", "hydra.run.dir=run"]
+    for name in ("whole", "parts"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "whole" / "stopped").touch()
+    assert command("train", *words, cwd=tmp_path / "whole", figures=False).code == 0
+    done = command("train", *words, cwd=tmp_path / "parts", figures=False)
+    assert done.code == 130, done
+    (told,) = re.findall(r"(python scripts/train\.py .*?) \(", done.err)
+    _, _, *again = shlex.split(told)
+    assert "plugins=[fickle]" in again
+    refused = command("train", *(word for word in again if "plugins" not in word), cwd=tmp_path / "parts")
+    assert refused.code == 2 and "fickle" in refused.err
+    assert command("train", *again, cwd=tmp_path / "parts", figures=False).code == 0
+    ours, theirs = (kept(tmp_path / name / "run") for name in ("parts", "whole"))
+    assert ours == theirs and {"policy.pt", "metrics.json", "progress.csv", "model.json"} <= set(ours)
+
+
+def test_a_signal_during_the_imports_costs_one_line(tmp_path):
+    command = [sys.executable, str(ROOT / "scripts" / "train.py"), "experiment=smoke"]
+    child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while "/torch/lib/" not in Path(f"/proc/{child.pid}/maps").read_text() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    child.send_signal(signal.SIGINT)
+    _, error = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert error.startswith("stopped") and error.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_run_goes_on_with_its_own_settings_only(tmp_path, refused, command):
+    assert "nowhere" in refused("train", "resume=nowhere", cwd=tmp_path)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").write_text("seed: 1\n")
+    done = command("train", "resume=run", "system=xi", cwd=tmp_path)
+    assert done.code == 2 and "system=xi" in done.err and done.err.count("\n") == 1
+    assert (tmp_path / "run" / "config.yaml").read_text() == "seed: 1\n"

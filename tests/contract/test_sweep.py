@@ -1,0 +1,146 @@
+"""A sweep and an ablation: a job for each setting, nothing done twice, and a code that says whether all went well."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = (
+    "system=xi", "env.dt=0.1", "task.max_steps=25", "excitation.duration=2.5",
+    "scenario.episodes=2", "scenario.seconds=5", "train.episodes=1",
+)  # fmt: skip
+SWEEP = ("-m", *TINY, "planning.updates=10", "planning.more_updates=10", "planning.window=20", "planning.rollouts=-5,4")
+ABLATION = (
+    "experiment=smoke", *TINY, "train.updates_per_step=0.02", "setting=direct,rollouts_400", "planning.rollouts=10",
+    "results=results",
+)  # fmt: skip
+CODES = {"SIGKILL": -9, "SIGINT": 130, "SIGTERM": 143}
+
+
+def jobs(folder):
+    return sorted((folder / "runs").rglob("metrics.json"))
+
+
+def rows(folder):
+    with (folder / "results" / "ablation.csv").open() as file:
+        return sorted((row["setting"].partition(",")[0], row["seed"]) for row in csv.DictReader(file))
+
+
+def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(command, tmp_path):
+    times = []
+    for _ in range(2):
+        done = command("train", *SWEEP, cwd=tmp_path, figures=False)
+        last = done.err.splitlines()[-1]
+        assert done.code == 2 and last.startswith("error: 1 ") and "Traceback" not in done.err
+        (metrics,) = (tmp_path / "runs").glob("*/*/metrics.json")
+        (failed,) = (tmp_path / "runs").glob("*/*/error.txt")
+        assert "rollouts=-5" in failed.read_text() and "rollouts-4" in metrics.parent.name
+        assert failed.parent.name in last
+        times.append(metrics.stat().st_mtime_ns)
+    assert times[0] == times[1] and str(metrics.parent) in done.out
+
+
+@pytest.mark.slow
+def test_a_sweep_runs_a_job_for_each_setting(command, tmp_path):
+    words = ("-m", "experiment=smoke", *TINY, "planning.rollouts=0,10", "seed=0,1", "hydra.sweep.dir=sweep")
+    done = command("train", *words, cwd=tmp_path, figures=False)
+    assert done.code == 0, done
+    runs = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("*/metrics.json"))]
+    imagined = sorted((run["seed"], run["cost"]["imagined_transitions"] > 0) for run in runs)
+    assert imagined == [(0, False), (0, True), (1, False), (1, True)]
+    assert len({run["evaluation"]["return"] for run in runs}) == 4
+
+
+def test_what_all_jobs_share_is_checked_before_the_first(refused, tmp_path):
+    box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]", "plant.rates=[Omega_a]")
+    assert "null" in refused("train", "-m", "seed=1,2", "system=tras", *box, cwd=tmp_path)
+    assert "threads" in refused("ablation", *ABLATION, "hydra/launcher=basic", "threads=1000000", cwd=tmp_path)
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "ablation.csv").write_text("\n")
+    assert "ablation.csv" in refused("ablation", *ABLATION, "hydra/launcher=basic", cwd=tmp_path)
+    assert (tmp_path / "results" / "ablation.csv").read_text() == "\n"
+
+
+def test_what_differs_between_jobs_is_left_to_each(command, tmp_path):
+    box = ("plant.outputs=[alpha_a,omega_a]", "plant.low=[-1,-1]", "plant.high=[1,1]")
+    done = command("train", "-m", "system=tras", *box, "plant.rates=[Omega_a],[Omega_p]", cwd=tmp_path)
+    assert done.code == 2 and len(list(tmp_path.rglob("error.txt"))) == 2 and not jobs(tmp_path)
+
+
+def test_jobs_that_all_fail_leave_no_tables(command, tmp_path):
+    words = ("hydra/launcher=basic", "agent.critics=1,0", "setting=direct", "seed=1,2")
+    done = command("ablation", *ABLATION, *words, cwd=tmp_path)
+    assert done.code == 2 and done.err.splitlines()[-1].startswith("error: 4 ")
+    assert len(list(tmp_path.rglob("error.txt"))) == 4 and not list((tmp_path / "results").iterdir())
+
+
+@pytest.mark.slow
+def test_an_interrupted_ablation_goes_on_and_ends_with_tables_and_figures(command, tmp_path):
+    words = (*ABLATION, "seed=1", "hydra/launcher=basic")
+    assert command("ablation", *words, cwd=tmp_path).code == 0
+    interrupted, other = jobs(tmp_path)
+    interrupted.unlink()
+    before = other.stat().st_mtime_ns
+    done = command("ablation", *words, cwd=tmp_path)
+    assert done.code == 0 and other.stat().st_mtime_ns == before
+    assert json.loads(interrupted.read_text())["seed"] == 1
+    with (interrupted.parent / "scalars" / "scalars" / "return.csv").open() as file:
+        assert len(file.readlines()) == 1  # the interrupted run's log did not stay
+    assert rows(tmp_path) == [("direct", "1"), ("rollouts_400", "1")]
+    assert (tmp_path / "results" / "average_rewards_xi_smoke.png").is_file()
+    assert (tmp_path / "results" / "ablation.md").is_file()
+
+
+@pytest.mark.slow
+def test_a_finished_run_of_other_settings_stays_untouched_and_the_refusal_lies_beside_it(command, tmp_path):
+    folder = tmp_path / "runs" / "ablation" / "xi" / "smoke" / "direct" / "seed_1"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").write_text("system:\n  mass: 25.0\n")
+    (folder / "metrics.json").write_text('{"seed": 1}')
+    before = {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()}
+    words = ("experiment=smoke", "system=xi", "setting=direct", "seed=1", "results=results", "hydra/launcher=basic")
+    for _ in range(2):  # the line of an earlier command does not hide that of the next
+        done = command("ablation", *words, cwd=tmp_path)
+        assert {file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.iterdir()} == before
+        assert done.code == 2 and "direct/seed_1.error.txt" in done.err
+    assert folder.with_name("seed_1.error.txt").read_text().startswith("error: ")
+
+
+def workers(folder):
+    """Return the processes that work below a folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if str(folder) in str((process / "cwd").resolve()) and b"python" in (process / "cmdline").read_bytes():
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", CODES)
+def test_an_ablation_that_is_stopped_leaves_no_workers_and_goes_on(command, tmp_path, how):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    words = (*ABLATION, "seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    program = [sys.executable, str(ROOT / "scripts" / "ablation.py"), *words]
+    child = subprocess.Popen(program, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    while not (done := jobs(tmp_path)) and child.poll() is None:
+        time.sleep(0.1)
+    child.send_signal(getattr(signal, how))
+    _, error = child.communicate(timeout=60)
+    assert child.returncode == CODES[how], error
+    deadline = time.monotonic() + 30
+    while workers(tmp_path) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not workers(tmp_path)
+    before = done[0].stat().st_mtime_ns
+    again = command("ablation", *words, cwd=tmp_path)
+    assert again.code == 0 and done[0].stat().st_mtime_ns == before, again
+    assert len(jobs(tmp_path)) == 4 and (tmp_path / "results" / "ablation.md").is_file()
