@@ -70,7 +70,7 @@ def test_a_policy_that_was_trained_behind_sensors_is_evaluated_behind_them(tmp_p
         done = evaluate("run=run", "scenarios=[detuned]", "formats=[svg]", cwd=tmp_path)
         results.append(done.stdout if done.returncode == 0 else done.stderr)
     assert "Scenario 'detuned'" in results[0] and results[0] != results[1]
-    assert "observer.json is damaged (it lacks 'process_noise')" in results[2]
+    assert "observer.json" in results[2] and "'process_noise'" in results[2]
 
 
 def test_integral_action_has_results_of_its_own(run_folder: Path, tmp_path: Path) -> None:
@@ -153,12 +153,12 @@ def test_scenarios_follow_a_plant_with_one_output_and_its_sensors(saved_run) -> 
 
 def test_unknown_scenarios_and_unfinished_runs_are_refused(run_folder: Path, tmp_path: Path, saved_run) -> None:
     config = saved_run.load_config(run_folder)
-    with pytest.raises(ValueError, match=r"scenario 'stepp' is unknown; use some of delay, .*wind"):
+    with pytest.raises(ValueError, match=r"'stepp'.* delay, .*wind"):
         saved_run.load_scenario("stepp", config, None)
-    with pytest.raises(FileNotFoundError, match=r"has no policy\.pt, its run did not end"):
+    with pytest.raises(FileNotFoundError, match=r"policy\.pt"):
         saved_run.load_policy(config, tmp_path)
     torch.save({"weight": torch.zeros(3)}, tmp_path / "policy.pt")
-    with pytest.raises(ValueError, match=r"does not fit the agent of its config\.yaml: .* is missing, the agent's \("):
+    with pytest.raises(ValueError, match=r"config\.yaml"):
         saved_run.load_policy(config, tmp_path)
 
 

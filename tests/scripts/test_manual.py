@@ -73,22 +73,18 @@ def test_the_page_of_a_command(small):
     assert page[:3] == ["What thing does.", "", "What it is for. In two lines."]
     assert page[page.index("Settings:") - 2] == "  part=big  or small"
     settings = page[page.index("Settings:") + 1 : -4]
-    assert (
-        settings
-        == [
-            "  below=text",
-            "      Of the base.",
-            "  number=2",
-            "      How many.",
-            "  low=-1.0  high=1.0",
-            "      Said of both.",
-            "  group.inner={a: 1}  group.empty={}",
-            "      Letters. More of them.",
-            "  folder=runs/DATE_TIME",
-            "      Where it goes.",
-        ]
-        or settings
-    )
+    assert settings == [
+        "  below=text",
+        "      Of the base.",
+        "  number=2",
+        "      How many.",
+        "  low=-1.0  high=1.0",
+        "      Said of both.",
+        "  group.inner={a: 1}  group.empty={}",
+        "      Letters. More of them.",
+        "  folder=runs/DATE_TIME",
+        "      Where it goes.",
+    ]
 
 
 def test_a_group_shows_its_options_and_an_option_its_settings(small):
@@ -104,7 +100,7 @@ def test_a_group_shows_its_options_and_an_option_its_settings(small):
 
 
 def test_a_word_that_is_neither_a_group_nor_a_setting_is_refused_with_the_groups_there_are(small):
-    with pytest.raises(ValueError, match=r"'nosuch' is no group of options.*the groups here are part"):
+    with pytest.raises(ValueError, match=r"'nosuch'.* part"):
         small("nosuch", "--help")
 
 
@@ -152,7 +148,7 @@ def test_values_are_those_of_a_run_not_of_the_file(module):
     page = module.manual("train", [])
     assert "\n  train.episodes=1\n" in page and "\n  planning=gradient  " in page and "gate.state_error=.inf\n" in page
     page = module.manual("train", ["experiment=dyna", "seed=3"])
-    assert page.startswith("experiment=dyna\n    Ours: imagined replay") and "seed" not in page
+    assert page.startswith("experiment=dyna\n") and "seed" not in page
     assert "\n  train.episodes=10\n" in module.manual("ablation", ["train.episodes=10"])
 
 

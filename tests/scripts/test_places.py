@@ -47,7 +47,7 @@ def test_a_sweep_has_the_folder_of_its_settings_wherever_its_options_stand(compl
 
 
 def test_a_run_that_is_resumed_keeps_its_folder(completed, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"is no run folder, it has no config\.yaml"):
+    with pytest.raises(FileNotFoundError, match=r"config\.yaml"):
         completed(f"resume={tmp_path}")
     (tmp_path / "config.yaml").touch()
     line = completed(f"resume={tmp_path}", "--config-dir", "own")

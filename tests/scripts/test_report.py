@@ -33,8 +33,8 @@ def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> No
     assert origin["command"] == "python scripts/train.py system=xi experiment=smoke"
     assert str(tmp_path) not in (kept / "config.yaml").read_text()
     text = " ".join((tmp_path / "docs" / "report" / "report.md").read_text().split())
-    assert "made by `python scripts/train.py system=xi experiment=smoke` at commit" in text
-    assert "![" in text and "docs/report/report.html" in done.stdout and "note:" not in done.stdout
+    assert f"`{origin['command']}`" in text and "![" in text
+    assert "docs/report/report.html" in done.stdout and "note:" not in done.stdout
 
 
 def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:
@@ -42,17 +42,17 @@ def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "docs" / "results" / "runs" / "mine" / "metrics.json").is_file()
     said = next(line for line in done.stdout.splitlines() if line.startswith("note: "))
-    assert "no section of the report reads a run called mine; it reads" in said and "xi_dyna_rollouts_800" in said
+    assert "mine" in said and "xi_dyna_rollouts_800" in said
 
 
 def test_a_folder_without_runs_has_its_line(tmp_path: Path) -> None:
     done = report(f"save={tmp_path}", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and "holds no finished run of seed 0" in done.stderr
+    assert done.stderr.startswith("error: ") and str(tmp_path) in done.stderr
 
 
 def test_a_folder_without_anything_saved_is_refused_and_no_page_is_written(tmp_path: Path) -> None:
     done = report(cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("error: docs/results holds no saved run and no table") and "save=RUN" in done.stderr
+    assert done.stderr.startswith("error: docs/results ") and "save=RUN" in done.stderr
     assert not list(tmp_path.iterdir())

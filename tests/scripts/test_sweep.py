@@ -107,6 +107,6 @@ def test_a_second_sweep_in_a_folder_where_one_has_just_begun_is_refused_in_one_l
     with claimed(folder):
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "begun" not in done.stdout
-    assert done.stderr.splitlines()[-1].startswith(f"error: another process works in {folder}; wait for its end")
+    assert done.stderr.splitlines()[-1].startswith(f"error: another process works in {folder}")
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout == "begun\n"

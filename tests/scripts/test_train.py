@@ -35,7 +35,7 @@ def test_a_group_without_a_file_is_told_and_not_the_file_of_a_user(tmp_path):
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "mine.yaml").write_text((ROOT / "conf" / "system" / "pendulum.yaml").read_text())
     done = run("--config-dir", str(tmp_path), "system=mine", "sensors=null", cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.startswith("error: 'null' does not exist in 'sensors'; allowed are ")
+    assert done.returncode == 2 and "'null'" in done.stderr and "'sensors'" in done.stderr
 
 
 @pytest.fixture
