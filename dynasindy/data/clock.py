@@ -186,7 +186,8 @@ class _Ticks:
             within: Width of the strip about even times in which stamps stay [ticks].
         """
         low = high = last = 0.0
-        number, anew, numbers = -1, 0, []
+        number, anew = -1, 0
+        numbers: list[int] = []
         for stamp in self.at.tolist():
             number += 1
             off = stamp - period * number
