@@ -7,7 +7,7 @@ a leading dimension. `MLP.functional` evaluates such a set on plain tensors: one
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 import torch.nn.functional as F
@@ -66,7 +66,7 @@ class MLP(nn.Module):
     def layers(self, parameters: TensorDictBase | None = None) -> list[Layer]:
         """List the tensors of each layer, from `parameters` (a TensorDict of this module) or its own."""
         if parameters is None:
-            return [Layer(linear.weight, linear.bias) for linear in self.linears]
+            return [Layer(linear.weight, linear.bias) for linear in cast("list[nn.Linear]", list(self.linears))]
         names = [("linears", str(i)) for i in range(len(self.linears))]
         return [Layer(*(parameters.get((*name, kind)) for kind in ("weight", "bias"))) for name in names]
 

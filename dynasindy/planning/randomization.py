@@ -179,13 +179,13 @@ class RandomizedSystem(Altered):
 
     Args:
         system: Nominal vector field.
-        parameters: Half range of g and h.
+        half_range: Half range of g and h.
         rows: Number of versions; states and inputs are `(*batch, rows, n)`.
     """
 
-    def __init__(self, system: System, parameters: float, rows: int) -> None:
+    def __init__(self, system: System, half_range: float, rows: int) -> None:
         super().__init__(system)
-        self.parameters = parameters
+        self.half_range = half_range
         n_x, n_u = system.signature.n_x, system.signature.n_u
         self.gain, self.input_gain = torch.ones(rows, n_x), torch.ones(rows, n_u)
         self.moved = self._moved()
@@ -193,8 +193,8 @@ class RandomizedSystem(Altered):
     def draw(self, new: Tensor, rng: torch.Generator) -> None:
         """Draw new versions for the rows marked in `new`, bool `(rows,)`."""
         for tensor, reach in (
-            (self.gain, self.parameters * self.moved),
-            (self.input_gain, torch.tensor(self.parameters)),
+            (self.gain, self.half_range * self.moved),
+            (self.input_gain, torch.tensor(self.half_range)),
         ):
             fresh = 1.0 + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
             tensor[new] = fresh[new]
