@@ -1,12 +1,23 @@
-"""Slopes and formulas of the elementary functions are those of their values."""
+"""Functions and formulas: their values by hand, what they refuse, and their way through a file."""
 
 import math
 
 import pytest
 import torch
 
-from dynasindy.sindy import functions
-from dynasindy.sindy.functions import FORMULA_FUNCTIONS, function, register_function
+from dynasindy.sindy import SindyModel, functions
+from dynasindy.sindy.functions import (
+    _REGISTRY,
+    FORMULA_FUNCTIONS,
+    FunctionError,
+    formula_texts,
+    function,
+    register_formula,
+    register_function,
+    unregister_formulas,
+)
+from dynasindy.sindy.library import Library, of, parse
+from dynasindy.systems import Signature
 
 PLAIN = {
     **{name: getattr(math, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "fabs")},
@@ -35,30 +46,11 @@ def test_a_formula_in_plain_floats_is_the_value(name, point):
     assert written == pytest.approx(float(value), rel=1e-12, abs=1e-15)
 
 
-@pytest.mark.parametrize("point", POINTS)
-@pytest.mark.parametrize("name", sorted(name for name, f in functions._REGISTRY.items() if f.slope))
-def test_a_slope_is_a_difference_of_values(name, point):
-    known = function(name)
-    z, step = torch.tensor(point[0], dtype=torch.float64), 1e-6
-    number = (abs(point[1]),) if known.parametric else ()
-    slope = (known.compute(z + step, *number) - known.compute(z - step, *number)) / (2 * step)
-    assert float(known.slope(z, *number)) == pytest.approx(float(slope), rel=1e-5, abs=1e-8)
-
-
-@pytest.mark.parametrize("point", POINTS)
-@pytest.mark.parametrize("name", sorted(name for name, f in functions._REGISTRY.items() if f.by_number))
-def test_a_slope_by_the_number_is_a_difference_of_values(name, point):
-    *values, number = arguments(name, point[0], abs(point[1]))
-    z, step = [torch.tensor(v, dtype=torch.float64) for v in values], 1e-6
-    slope = (function(name).compute(*z, number + step) - function(name).compute(*z, number - step)) / (2 * step)
-    assert float(function(name).by_number(*z, number)) == pytest.approx(float(slope), rel=1e-5, abs=1e-8)
-
-
 def test_a_formula_calls_what_every_language_has(monkeypatch):
     monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
     register_function("soft", lambda z: z / (1 + z.abs()), formula="{0} / (1 + fabs({0}))")
     assert function("soft").latex == r"\operatorname{{soft}}({0})"
-    with pytest.raises(ValueError, match="a formula with 'system'"):
+    with pytest.raises(ValueError, match="system"):
         register_function("evil", torch.sin, formula="system({0})")
     with pytest.raises(ValueError, match="identifier"):
         register_function("no name", torch.sin)
@@ -66,19 +58,182 @@ def test_a_formula_calls_what_every_language_has(monkeypatch):
         function("evil")
 
 
-@pytest.mark.parametrize("point", POINTS)
-@pytest.mark.parametrize("name", sorted(name for name, f in functions._REGISTRY.items() if f.slopes))
-def test_slopes_by_each_of_two_angles_are_differences_of_values(name, point):
-    known, step = function(name), 1e-6
-    a, b = (torch.tensor(v, dtype=torch.float64) for v in (point[0], 0.25))
-    number = (abs(point[1]),) if known.parametric else ()
-    by_a = (known.compute(a + step, b, *number) - known.compute(a - step, b, *number)) / (2 * step)
-    by_b = (known.compute(a, b + step, *number) - known.compute(a, b - step, *number)) / (2 * step)
-    found = [float(slope(a, b, *number)) for slope in known.slopes]
-    assert found == pytest.approx([float(by_a), float(by_b)], rel=1e-5, abs=1e-8)
+def another_process(monkeypatch):
+    """Know the functions of the package alone."""
+    monkeypatch.setattr("dynasindy.sindy.functions._REGISTRY", dict(_REGISTRY))
 
 
-def test_functions_of_two_angles_are_those_of_their_sum_and_difference():
-    a, b = torch.tensor([0.3, -1.2]), torch.tensor([0.9, 2.0])
-    torch.testing.assert_close(function("sin_sum").compute(a, b), a.sin() * b.cos() + a.cos() * b.sin())
-    torch.testing.assert_close(function("cos_gap").compute(a, b), a.cos() * b.cos() + a.sin() * b.sin())
+@pytest.fixture(autouse=True)
+def clean(monkeypatch):
+    another_process(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("formula", "z", "value", "slope"),
+    [
+        ("1 / (1 + exp(-{0}))", 0.7, 1 / (1 + math.exp(-0.7)), math.exp(-0.7) / (1 + math.exp(-0.7)) ** 2),
+        ("{0} * fabs({0}) - 3", -2.0, -7.0, 4.0),
+        ("-square({0}) / 2", 3.0, -4.5, -3.0),
+        ("larger({0}, 0.5) * sin({0})", 0.2, 0.5 * math.sin(0.2), 0.5 * math.cos(0.2)),
+        ("sqrt({0}) + tanh({0}) + cos({0}) + sign({0})", 4.0, 3 + math.tanh(4) + math.cos(4), None),
+    ],
+)
+def test_a_formula_is_its_value_and_its_slope(formula, z, value, slope):
+    own = register_formula("own", formula)
+    argument = torch.tensor([z, z], dtype=torch.float64, requires_grad=True)
+    result = own.compute(argument)
+    assert result.tolist() == pytest.approx([value, value], rel=1e-12)
+    (found,) = torch.autograd.grad(result.sum(), argument)
+    if slope is not None:
+        assert found.tolist() == pytest.approx([slope, slope], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "formula",
+    [
+        "__import__('os').system('true')",
+        "{0}.real",
+        "{0.__class__}",
+        "{0} ** 9",
+        "(lambda: {0})()",
+        "[{0}][0]",
+        "{1} + 2",
+        "{2} + {0}",
+        "{10} + {0}",
+        "sin({0}, {0})",
+        "larger({0})",
+        "exp(x={0})",
+        "'a' * 3 + {0}",
+        "1e999 * {0}",
+        "z + {0}",
+        "{0} if {0} else 1",
+        "True * {0}",
+        "{0} +",
+        "3",
+        "",
+        "sin * {0}",
+        "exp - {0}",
+        "0x" + "f" * 280 + " * {0}",
+        "(" * 290,
+        "{0}" * 200,
+        None,
+        4,
+    ],
+)
+def test_anything_else_than_a_formula_costs_one_line(formula):
+    with pytest.raises(ValueError, match="own") as error:
+        register_formula("own", formula)
+    assert "\n" not in str(error.value) and "own" not in _REGISTRY
+
+
+def test_functions_of_the_package_stay_as_they_are():
+    with pytest.raises(ValueError, match="'sin'"):
+        register_formula("sin", "2 * {0}")
+    assert function("sin").compute(torch.tensor(0.5)).item() == pytest.approx(math.sin(0.5))
+
+
+def test_a_model_takes_its_functions_with_it(monkeypatch, tmp_path):
+    register_formula("softened", "{0} / (1 + fabs({0}))")
+    signature = Signature(("x",), ("m",), ("u",), (1.0,))
+    model = SindyModel(signature, Library(signature, [parse(text) for text in ("x", "u", "softened(x)")]))
+    model.coefficients = torch.tensor([[0.0], [2.0], [-3.0]], dtype=torch.float64)
+    model.save(tmp_path / "model.json")
+    another_process(monkeypatch)
+    with pytest.raises(ValueError, match="softened"):
+        function("softened")
+    read = SindyModel.load(tmp_path / "model.json")
+    x, u = torch.tensor([[0.5]], dtype=torch.float64), torch.tensor([[0.25]], dtype=torch.float64)
+    assert read(x, u).item() == pytest.approx(2 * 0.25 - 3 * 0.5 / 1.5)
+
+
+def test_a_file_replaces_no_function_and_leaves_none_behind_if_it_is_damaged(tmp_path):
+    signature = Signature(("x",), ("m",), ("u",), (1.0,))
+    register_formula("softened", "{0} / (1 + fabs({0}))")
+    model = SindyModel(signature, Library(signature, [parse("softened(x)")]))
+    model.coefficients = torch.tensor([[1.0]], dtype=torch.float64)
+    model.save(tmp_path / "model.json")
+    unregister_formulas(["softened"])
+    register_function("softened", torch.relu)
+    with pytest.raises(ValueError, match="softened"):
+        SindyModel.load(tmp_path / "model.json")
+    assert function("softened").compute(torch.tensor(-2.0)).item() == 0.0
+    unregister_formulas(["softened"])
+    (tmp_path / "model.json").write_text((tmp_path / "model.json").read_text().replace('"x_scale"', '"scale"'))
+    with pytest.raises(ValueError, match="damaged"):
+        SindyModel.load(tmp_path / "model.json")
+    with pytest.raises(ValueError, match="not known"):
+        function("softened")
+
+
+def test_other_languages_read_what_torch_computes():
+    """Floats, where C would divide whole numbers, and nothing of a comment, which other languages might run."""
+    own = register_formula("own", "1/2*{0} - -0x10 # {0.__doc__}")
+    assert own.formula == "(((1.0 / 2.0) * {0}) - (0.0 - 16.0))"
+    assert own.compute(torch.tensor(2.0)).item() == 17.0 == eval(own.formula.format("2"))
+
+
+TANKS = Signature(("h1", "h2"), ("m", "m"), ("u",), (1.0, 1.0))
+FLOW = "{0} / sqrt(larger(fabs({0}), 0.001))"
+
+
+def of_tanks(*functions: str) -> SindyModel:
+    """Return a model whose second level rises by the sum of some functions."""
+    model = SindyModel(TANKS, Library(TANKS, [parse(text) for text in ("u", *functions)]))
+    model.coefficients = torch.tensor([[1.0, 0.0], *([0.0, 1.0] for _ in functions)], dtype=torch.float64)
+    return model
+
+
+def torricelli(d: float) -> float:
+    return math.copysign(math.sqrt(abs(d)), d)
+
+
+@pytest.mark.parametrize("written", ["flow(h1 - h2)", "between(h1, h2)"])
+@pytest.mark.parametrize("levels", [(0.9, 0.3), (0.2, 0.7)])
+def test_a_function_of_a_difference_goes_through_a_file_into_another_process(monkeypatch, tmp_path, written, levels):
+    """The oracle is Torricelli's flow between two tanks, sign(d) sqrt|d|, and its slope 1 / (2 sqrt|d|)."""
+    gap = FLOW.replace("{0}", "({0} - {1})")
+    register_function("flow", lambda z: z.sign() * z.abs().clamp_min(1e-3).sqrt(), formula=FLOW)
+    register_function("between", lambda a, b: (a - b) / (a - b).abs().clamp_min(1e-3).sqrt(), formula=gap)
+    of_tanks(written).save(tmp_path / "model.json")
+    another_process(monkeypatch)
+    read = SindyModel.load(tmp_path / "model.json")
+    assert read.library.names[1] == written
+    x = torch.tensor([levels], dtype=torch.float64, requires_grad=True)
+    rise = read(x, torch.zeros(1, 1, dtype=torch.float64))[0, 1]
+    d = levels[0] - levels[1]
+    assert rise.item() == pytest.approx(torricelli(d), rel=1e-12)
+    slopes = torch.autograd.grad(rise, x)[0][0].tolist()
+    assert slopes == pytest.approx([0.5 / math.sqrt(abs(d)), -0.5 / math.sqrt(abs(d))], rel=1e-12)
+    read.save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_text() == (tmp_path / "model.json").read_text()
+
+
+def test_a_function_without_a_formula_is_missed_and_nothing_is_called_damaged(monkeypatch, tmp_path):
+    register_function("secret", torch.erf)
+    of_tanks("secret(h1 - h2)").save(tmp_path / "model.json")
+    another_process(monkeypatch)
+    with pytest.raises(FunctionError, match="'secret'") as error:
+        SindyModel.load(tmp_path / "model.json")
+    assert "damaged" not in str(error.value)
+
+
+def test_a_function_of_python_serves_a_file_of_its_formula_and_no_other(tmp_path):
+    own = register_function("flow", lambda z: z / 2, formula="{0} / 2")
+    assert register_formula("flow", "{0} / 2") is own
+    with pytest.raises(FunctionError, match="'flow'"):
+        register_formula("flow", "{0} / 3")
+
+
+def test_a_formula_that_no_file_may_hold_is_left_out():
+    register_function("cubed", lambda z: z**3, formula="{0} ** 3")
+    assert formula_texts(["cubed", "sin"]) == {}
+
+
+def test_a_formula_of_two_arguments_says_where_it_gets_another_number():
+    register_formula("between", "{0} * fabs({1})")
+    with pytest.raises(ValueError, match="takes 2"):
+        parse("between(h1)")
+    with pytest.raises(ValueError, match="between"):
+        parse("between(h1 - h2)")
+    with pytest.raises(ValueError, match="takes 2"):
+        of("between", "h1", "h2", "u")

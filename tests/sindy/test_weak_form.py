@@ -81,15 +81,6 @@ def test_the_bump_is_that_of_the_eighth_power():
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_functions_are_those_of_the_middle_of_an_interval_and_of_its_own_input():
-    data = chain(3, 4)
-    functions, rates = weak_form(theta, data, data, {}, 1)
-    middle, u = (0.5 * (data.x + data.x_next)).numpy(), data.u[:, 0].numpy()
-    np.testing.assert_allclose(functions[:, 1:4], 0.5 * (middle[:-1] + middle[1:]))
-    np.testing.assert_allclose(functions[:, 4], 0.5 * (u[:-1] + u[1:]))
-    np.testing.assert_allclose(rates, (data.x_next[1:] - data.x[:-1]) / (2 * DT))
-
-
 def test_no_row_reaches_over_two_segments_and_short_ones_have_short_bumps():
     parts = [chain(30, 5), chain(1, 6), chain(7, 7), chain(2, 8)]
     functions, rates = weak_form(theta, whole := Transitions.cat(parts), whole, {}, 5)
@@ -98,5 +89,5 @@ def test_no_row_reaches_over_two_segments_and_short_ones_have_short_bumps():
     apart = [weak_form(theta, part, part, {}, half) for part, half in zip(parts[::2] + parts[3:], (5, 3, 1))]
     torch.testing.assert_close(functions, torch.cat([f for f, _ in apart]))
     assert len(rates) == (29 - 9 + 1) + (6 - 5 + 1) + 1
-    with pytest.raises(ValueError, match="segments"):
+    with pytest.raises(ValueError, match="two transitions"):
         weak_form(theta, parts[1], parts[1], {}, 5)
