@@ -49,15 +49,6 @@ def test_rates_of_change_are_those_of_a_first_guess_where_these_are_larger():
     assert likely(LIBRARY, guess, data.x, data)[3, 0].item() == pytest.approx(SHARE * 2.0 / size)
 
 
-def test_noise_of_single_samples_is_no_rate_of_change():
-    x = torch.stack([torch.arange(9.0) + torch.tensor([0.0, 5.0] * 4 + [0.0]), torch.zeros(9)], -1).double()
-    data = Transitions.from_trajectory(x, torch.ones(8, 1).double(), 0.5)
-    none, size = torch.zeros(4, 2).double(), math.sqrt(float(x[:8, 0].cos().square().mean()))
-    by_one, by_two = (likely(LIBRARY, none, data.x, data, window)[3, 0].item() for window in (1, 2))
-    assert by_two == pytest.approx(SHARE * 2.0 / size)  # 2 in 1 s
-    assert by_one == pytest.approx(SHARE * math.sqrt((4 * 12.0**2 + 3 * 8.0**2) / 7) / size)
-
-
 def test_functions_of_angles_have_a_prior_and_others_have_none():
     words = ["1", "b", "b^2", "u", "tanh(20 b)", "b |b|", "a", "a^2 u", "sin(a)", "cos(a) b", "sin(2 a) u"]
     found = shares(Library(SIGNATURE, [parse(word) for word in words]))
@@ -109,13 +100,3 @@ def test_functions_that_look_alike_cancel_one_another_only_without_it(share, few
         assert (np.count_nonzero(found) <= 4) == few and (terms.max() > 1e6) == large
         assert terms.max() < 30 or large
         assert found[6] == pytest.approx(2.0, abs=0.01)
-
-
-def test_what_data_tell_the_prior_leaves_alone():
-    theta, target = columns(1e-6)
-    theta, target = theta[:, [1, 6]], target
-    sums = RunningSums(2, 1)
-    sums.add((torch.from_numpy(theta), torch.from_numpy(target)))
-    free, nothing = torch.ones(2, 1, dtype=torch.bool), torch.zeros(2, 1).double()
-    found = Regression("bic").solve(sums, free, nothing, torch.full((2,), SHARE).double())[:, 0]
-    assert found.tolist() == pytest.approx([-9.0, 2.0], rel=1e-5)

@@ -8,17 +8,19 @@ import pysindy
 import pytest
 import torch
 
-from dynasindy.sindy import regression
 from dynasindy.sindy.regression import (
     Regression,
     RunningSums,
     eliminate,
     integral_form,
+    least_missed,
     least_squares,
-    means,
+    reconsider,
     simpson_form,
     stlsq,
+    walk_down,
 )
+from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.transitions import Transitions
 
 
@@ -57,22 +59,12 @@ def test_running_sums_hold_all_that_a_fit_needs():
     assert np.allclose(least_squares(sums.theta() / size, sums.targets()), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_a_copy_does_not_grow():
-    theta, dx, _ = problem()
-    sums = sums_of(theta, dx)
-    copied = sums.copy()
-    before = copied.norms()
-    sums.add((theta, dx))
-    assert copied.count == 300 and torch.equal(copied.norms(), before) and sums.count == 600
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_samples_that_are_not_finite_are_refused_and_counted(bad):
     theta, dx, _ = problem()
     theta[3, 1] = theta[7, 2] = dx[7, 1] = bad
-    with pytest.raises(ValueError, match="finite") as error:
+    with pytest.raises(ValueError, match="2 of 300"):
         sums_of(theta, dx)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.filterwarnings("ignore:Sparsity parameter is too big")
@@ -86,12 +78,6 @@ def test_thresholding_equals_pysindy_on_the_same_data(threshold):
     assert np.allclose(ours.mT, theirs.coef_, rtol=1e-8)
 
 
-def test_thresholds_lie_between_all_and_nothing():
-    theta, dx, xi = problem(noise=3.0)
-    counts = [int((solve(Regression(threshold=t), theta, dx) != 0).sum()) for t in (0.0, 10.0, 1e9)]
-    assert counts == [16, int((xi != 0).sum()), 0]
-
-
 def test_thresholding_is_repeated_until_the_support_stands_still():
     # Orthonormal columns: a coefficient is the projection, so that the limit is exact on either side.
     theta = torch.eye(4, dtype=torch.float64)
@@ -100,31 +86,6 @@ def test_thresholding_is_repeated_until_the_support_stands_still():
     assert found.flatten().tolist() == pytest.approx([3.0, 0.0, -0.51, 0.0])
     masked = stlsq(theta, target, torch.tensor([[False], [True], [True], [True]]), torch.tensor([0.505]))
     assert masked.flatten().tolist() == pytest.approx([0.0, 0.0, -0.51, 0.0])
-
-
-def test_a_threshold_on_rms_columns_does_not_weaken_as_samples_accumulate():
-    theta, dx, _ = problem(noise=3.0)
-    many = [theta.repeat(40, 1), dx.repeat(40, 1)]
-
-    def support(normalize, data):
-        return solve(Regression(threshold=10.0, normalize=normalize), *data) != 0
-
-    assert torch.equal(support("rms", [theta, dx]), support("rms", many))
-    assert int(support("two_norm", many).sum()) > int(support("two_norm", [theta, dx]).sum())
-
-
-def test_both_normalisations_agree_at_a_thousand_samples():
-    theta, dx, _ = problem(1000, noise=30.0)
-    one, two = (solve(Regression(threshold=60.0, normalize=n), theta, dx) for n in ("rms", "two_norm"))
-    assert torch.allclose(one, two, rtol=1e-12) and 0 < int((one != 0).sum()) < 16
-
-
-def test_scaled_targets_make_the_threshold_independent_of_units():
-    theta, dx, _ = problem(noise=0.3)
-    scaled = Regression(threshold=0.5, scale_targets=True)
-    in_thousandths = solve(scaled, theta, dx * torch.tensor([1000.0, 0.001]))
-    assert torch.allclose(in_thousandths, solve(scaled, theta, dx) * torch.tensor([1000.0, 0.001]), rtol=1e-8)
-    assert 0 < int((in_thousandths != 0).sum()) < 16
 
 
 def criterion(theta, target, chosen, tolerance) -> float:
@@ -172,12 +133,6 @@ def test_given_coefficients_stay_and_silent_functions_get_none(method):
     assert torch.allclose(found[:, 1], xi[:, 1], rtol=1e-8, atol=1e-12)
 
 
-def decay(dt: float) -> Transitions:
-    """x' = -x^2 from x = 1: x(t) = 1 / (1 + t)."""
-    t = torch.arange(21, dtype=torch.float64) * dt
-    return Transitions.from_trajectory((1 / (1 + t)).unsqueeze(-1), torch.zeros(20, 1), dt)
-
-
 def squared(x, u):
     return x**2
 
@@ -189,23 +144,10 @@ def test_the_trapezoidal_rule_within_an_interval_is_as_written_down():
     assert theta.dtype == dx.dtype == torch.float64
 
 
-def test_errors_of_the_two_integral_forms_shrink_by_the_second_and_the_fourth_order():
-    trapezoid, simpson = [], []
-    for dt in (0.1, 0.05):
-        theta, dx = integral_form(squared, decay(dt))
-        trapezoid.append(float((theta + dx)[0].abs()))
-        theta, dx = simpson_form(squared, lambda x, u: -(x**2), decay(dt))
-        simpson.append(float((theta + dx)[0].abs()))
-    assert trapezoid[0] / trapezoid[1] == pytest.approx(4, rel=0.15)
-    assert simpson[0] / simpson[1] == pytest.approx(16, rel=0.25)
-    assert simpson[0] < 0.05 * trapezoid[0]
-
-
 @pytest.mark.parametrize("wrong", [{"method": "lasso"}, {"normalize": "max"}, {"threshold": -0.1}])
 def test_settings_that_are_not_allowed_are_refused(wrong):
-    with pytest.raises(ValueError, match="allowed") as error:
+    with pytest.raises(ValueError, match="allowed"):
         Regression(**wrong)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("count", [50, 400])
@@ -227,17 +169,6 @@ def test_below_the_tolerance_more_terms_gain_nothing():
     target = torch.tensor([[1.0], [1e-7], [0.0]], dtype=torch.float64)
     for tolerance, kept in ((1e-9, 2), (1e-5, 1)):
         assert int((eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), 100, tolerance) != 0).sum()) == kept
-
-
-def test_terms_that_may_not_occur_do_not_whatever_they_are_worth():
-    theta, dx, xi = problem(noise=0.0)
-    theta, dx = theta / theta.norm(dim=0), dx / dx.norm(dim=0)
-    support = torch.ones(8, 2, dtype=torch.bool)
-    support[6, 0] = False
-    found = eliminate(theta, dx, support, 300, 1e-5)
-    assert found[6, 0] == 0 and found[:, 1].nonzero().flatten().tolist() == xi[:, 1].nonzero().flatten().tolist()
-    nothing = eliminate(theta, dx, torch.zeros(8, 2, dtype=torch.bool), 300, 1e-5)
-    assert not nothing.any()
 
 
 def unit_problem(count):
@@ -279,17 +210,6 @@ def test_the_number_of_refits_is_limited():
     assert supports[0] == 4 and supports[1] == supports[2] == 3
 
 
-def test_by_default_a_target_is_refitted_twenty_times_at_most(monkeypatch):
-    # Each fit leaves ones, and one coefficient that is too small: 30 functions lose one per refit.
-    def fit(theta, target):
-        return torch.cat([torch.zeros(1, *target.shape[1:]), torch.ones(theta.shape[1] - 1, *target.shape[1:])])
-
-    monkeypatch.setattr(regression, "least_squares", fit)
-    theta = torch.eye(30)
-    found = stlsq(theta, theta[:, :1], torch.ones(30, 1, dtype=torch.bool), torch.tensor([0.5]))
-    assert found.flatten().nonzero().flatten().tolist() == [*range(21, 30)]
-
-
 def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
     x, u = torch.tensor([[1.0], [2.0]]), torch.tensor([[3.0]])
     data = Transitions.from_trajectory(x, u, 0.8)
@@ -299,9 +219,90 @@ def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
     assert dx.item() == pytest.approx(1 / 0.8)
 
 
-def test_means_are_those_of_rows_that_follow_each_other():
-    rows = torch.arange(12.0).reshape(6, 2), torch.arange(6.0).square().reshape(6, 1)
-    theta, dx = means(rows, 3)
-    assert theta.tolist() == [[2, 3], [4, 5], [6, 7], [8, 9]]
-    assert dx[:, 0].tolist() == pytest.approx([5 / 3, 14 / 3, 29 / 3, 50 / 3])
-    assert means(rows, 1) is rows and [len(part) for part in means(rows, 7)] == [0, 0]
+def _problem(seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    columns = torch.randn(60, 5, generator=generator, dtype=torch.float64)
+    target = columns[:, :1] - 2 * columns[:, 2:3] + 0.1 * torch.randn(60, 1, generator=generator, dtype=torch.float64)
+    return columns, target
+
+
+def _squared(columns: torch.Tensor, target: torch.Tensor) -> float:
+    return float((target - columns @ torch.linalg.pinv(columns) @ target).square().sum())
+
+
+def _triangle(*parts: torch.Tensor) -> torch.Tensor:
+    return torch.linalg.qr(torch.cat(parts, -1), mode="r")[1]
+
+
+def test_walking_down_ends_at_the_best_subset_of_its_size():
+    columns, target = _problem()
+    kept, values = walk_down(_triangle(columns, target) / 0.1, torch.ones(5, dtype=torch.bool), 12.0)
+    best = min(itertools.combinations(range(5), 2), key=lambda s: _squared(columns[:, list(s)], target))
+    assert tuple(kept.tolist()) == best == (0, 2)
+    assert torch.allclose(values, (torch.linalg.pinv(columns[:, [0, 2]]) @ target).squeeze(-1))
+
+
+def diagonal(*targets: float, rest: float = 1.0) -> torch.Tensor:
+    """Orthonormal columns: dropping one costs the square of its target."""
+    n = len(targets)
+    column = torch.tensor([*targets, rest], dtype=torch.float64).unsqueeze(-1)
+    return torch.cat([torch.eye(n + 1, n, dtype=torch.float64), column], -1)
+
+
+def test_a_column_stays_if_it_costs_as_much_as_the_limit():
+    for value, kept in ((3.0, [0, 1, 2]), (2.99, [0, 2])):
+        found, values = walk_down(diagonal(5.0, value, -4.0), torch.ones(3, dtype=torch.bool), 9.0)
+        assert found.tolist() == kept
+        assert values.tolist() == pytest.approx([{0: 5.0, 1: value, 2: -4.0}[k] for k in kept])
+
+
+def test_a_dependent_column_goes_for_nothing_unless_it_must_stay():
+    triangle = diagonal(5.0, 3.0)
+    triangle[1, 1] = 1e-14
+    assert least_missed(triangle, 2) == (1, 0.0)
+    assert least_missed(triangle, 2, torch.tensor([True, False]))[0] == 0
+    assert least_missed(triangle, 0) == (-1, float("inf"))
+    assert least_missed(triangle, 2, torch.zeros(2, dtype=torch.bool)) == (-1, float("inf"))
+
+
+def test_a_function_comes_in_if_it_is_worth_twice_the_limit_the_best_of_each_equation():
+    active = Parameters(torch.tensor([0]), torch.tensor([0]))
+    others = Parameters(torch.tensor([1, 2, 1, 2]), torch.tensor([0, 0, 1, 1]))
+    # Squared errors 9 and 16 in the first equation, 8.1 and 7.9 in the second; the start state is always there.
+    triangle = diagonal(1.0, 5.0, 3.0, 4.0, 8.1**0.5, 7.9**0.5)
+    assert reconsider(triangle, 1, active, others, 4.0).tolist() == [0, 2, 3]
+    assert reconsider(triangle, 1, active, others, 4.1).tolist() == [0, 2]
+    assert reconsider(triangle, 1, active, others, 8.1) is None
+
+
+def exchange(states: list[int], n_fixed: int = 0) -> list[int] | None:
+    """Three functions whose sum is the target, and the sum itself outside the model."""
+    n = 3 + n_fixed
+    columns = torch.eye(n + 2, n + 1, dtype=torch.float64)
+    columns[:, n] = 0.0
+    columns[n_fixed:n, n] = 1.0
+    columns[n, n] = 1e-3
+    target = 10.0 * columns[:, n : n + 1].clone()
+    target[n] = 0.0
+    target[:n_fixed] = 7.0
+    active = Parameters(torch.tensor([0, 1, 2]), torch.tensor(states))
+    others = Parameters(torch.tensor([3]), torch.tensor([0]))
+    better = reconsider(_triangle(columns, target), n_fixed, active, others, 1.0)
+    return None if better is None else better.tolist()
+
+
+def test_three_functions_are_exchanged_for_one_whichever_equations_they_are_of():
+    for states in ([0, 0, 0], [0, 0, 1], [0, 1, 1]):
+        assert exchange(states) == exchange(states, n_fixed=2) == [3]
+
+
+def test_an_exchange_one_for_one_is_within_an_equation():
+    """The target is the sum of what is outside and of the second function; the first one nearly is what is outside."""
+    columns = torch.eye(4, dtype=torch.float64)
+    columns[:, 2] = columns[:, 0] + 0.01 * columns[:, 3]
+    target = 10 * (columns[:, 2:3] + columns[:, 1:2])
+    others = Parameters(torch.tensor([2]), torch.tensor([0]))
+    for states, found in (([0, 1], [1, 2]), ([1, 0], None)):
+        active = Parameters(torch.tensor([0, 1]), torch.tensor(states))
+        better = reconsider(_triangle(columns[:, :3], target) / 0.04, 0, active, others, 5.0)
+        assert (better if better is None else better.tolist()) == found

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.model_file import FORMAT, load_model, save_model
 from dynasindy.sindy.named_libraries import build_library
@@ -59,11 +58,10 @@ def test_a_file_can_be_read_by_a_person(written):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "is not JSON"),
-        ("{", "is not JSON"),
-        ("[1, 2]", "is not of the format"),
-        ('{"format": "another 2"}', "is not of the format"),
-        (json.dumps({"format": FORMAT}), "is damaged"),
+        ("{", "JSON"),
+        ("[1, 2]", "format"),
+        ('{"format": "another 2"}', "format"),
+        (json.dumps({"format": FORMAT}), "damaged"),
     ],
 )
 def test_other_files_are_refused(tmp_path, text, said):
@@ -71,38 +69,6 @@ def test_other_files_are_refused(tmp_path, text, said):
     with pytest.raises(ValueError, match=said) as error:
         load_model(tmp_path / "model.json")
     assert "\n" not in str(error.value) and "model.json" in str(error.value)
-
-
-def test_a_file_cut_short_is_refused(written):
-    written.write_text(written.read_text()[:-200])
-    with pytest.raises(ValueError, match="is not JSON"):
-        load_model(written)
-
-
-def remove_row(data):
-    del data["coefficients"]["omega_p"]
-
-
-def write_word(data):
-    data["coefficients"]["omega_p"]["u_p"] = "many"
-
-
-def forget_unit(data):
-    del data["signature"]["state_units"]
-
-
-def shorten_function(data):
-    data["library"]["u_p"] = [[["u_p"], "id"]]
-
-
-@pytest.mark.parametrize("damage", [remove_row, write_word, forget_unit, shorten_function])
-def test_a_file_damaged_inside_is_refused(written, damage):
-    data = json.loads(written.read_text())
-    damage(data)
-    written.write_text(json.dumps(data))
-    with pytest.raises(ValueError, match="is damaged") as error:
-        load_model(written)
-    assert "\n" not in str(error.value)
 
 
 CALL = "__import__('os').system('touch canary')"
@@ -176,6 +142,13 @@ HOSTILE = {
     "many functions": put({str(k): [[["u_p"], "sin", 1, k + 0.5]] for k in range(20_000)}, "library"),
     "constraints": put({"alpha_a": {"free": [], "given": {"u_p": float("nan")}}}, "constraints"),
     "list for constraints": put([1], "constraints"),
+    "no row of a state": lambda data: data["coefficients"].pop("omega_p"),
+    "no units": lambda data: data["signature"].pop("state_units"),
+    "half a function": put([[["u_p"], "id"]], "library", "u_p"),
+    "negative delay": put(-0.01, "delay"),
+    "delay that is no number": put(float("nan"), "delay"),
+    "word for a delay": put("0.1", "delay"),
+    "nothing for a frequency": put([[["u_p"], "tanh", 1, None, 1.0]], "library", "u_p"),
 }
 
 
@@ -189,18 +162,6 @@ def test_a_model_of_a_stranger_is_numbers_and_registered_names_or_is_refused(wri
         load_model(written)
     assert "\n" not in str(error.value) and len(str(error.value)) < 2000
     assert not (tmp_path / "canary").exists()
-
-
-@pytest.mark.parametrize("place", [3, 4])
-@pytest.mark.parametrize("value", [".inf", "1.0", None, True, [1.0], float("nan")])
-def test_what_is_no_number_inside_a_function_is_said(written, place, value):
-    factor = [["u_p"], "tanh", 1, 1.0, 1.0]
-    factor[place] = value
-    data = json.loads(written.read_text())
-    data["library"]["u_p"] = [factor]
-    written.write_text(json.dumps(data))
-    with pytest.raises(ValueError, match="TypeError"):
-        load_model(written)
 
 
 def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
@@ -217,13 +178,6 @@ def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
     )
 
 
-@pytest.mark.parametrize("delay", [-0.01, float("nan"), "0.1", [0.1]])
-def test_a_delay_is_no_less_than_nothing(written, delay):
-    written.write_text(json.dumps({**json.loads(written.read_text()), "delay": delay}))
-    with pytest.raises(ValueError, match="is damaged"):
-        load_model(written)
-
-
 def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):
     for kind, content in (("deep", b"[" * 200_000), ("bytes", b"\xff{}"), ("digits", b"9" * 5000)):
         (tmp_path / kind).write_bytes(content)
@@ -232,7 +186,7 @@ def test_what_cannot_be_read_at_all_costs_a_line(tmp_path):
     with (tmp_path / "large").open("wb") as file:
         file.truncate(1_000_000_000)
     for path in tmp_path.iterdir():
-        with pytest.raises(ValueError, match="is not JSON") as error:
+        with pytest.raises(ValueError, match="JSON") as error:
             load_model(path)
         assert "\n" not in str(error.value)
     with pytest.raises(FileNotFoundError):
@@ -243,22 +197,8 @@ def test_a_coefficient_of_no_function_is_refused(written):
     data = json.loads(written.read_text())
     data["coefficients"]["omega_p"]["u_p^3"] = 1.0
     written.write_text(json.dumps(data))
-    with pytest.raises(ValueError, match="u_p"):
+    with pytest.raises(ValueError, match=r"u_p\^3"):
         load_model(written)
-
-
-def test_a_user_s_function_must_be_registered_before_loading(tmp_path, monkeypatch):
-    from dynasindy.sindy.named_libraries import functions
-
-    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
-    register_function("cube_of_file_test", lambda z: z**3)
-    library = Library(Xi().signature, [of("cube_of_file_test", "Omega_a")])
-    save_model(library, torch.ones(1, 6), tmp_path / "model.json")
-    x, u = torch.full((1, 6), 2.0), torch.zeros(1, 2)
-    assert load_model(tmp_path / "model.json")[0](x, u).item() == 8.0
-    del functions._REGISTRY["cube_of_file_test"]
-    with pytest.raises(ValueError, match="cube_of_file_test"):
-        load_model(tmp_path / "model.json")
 
 
 def test_what_is_known_of_the_equations_comes_back(tmp_path):
@@ -267,11 +207,6 @@ def test_what_is_known_of_the_equations_comes_back(tmp_path):
     save_model(library, coefficients(library), tmp_path / "model.json", constraints)
     back = load_model(tmp_path / "model.json")[2]
     assert torch.equal(back.free, constraints.free) and torch.equal(back.offset, constraints.offset)
-
-
-def test_a_file_without_a_word_of_constraints_has_none(written):
-    back = load_model(written)[2]
-    assert bool(back.free.all()) and not bool(back.offset.any())
 
 
 def known_coefficients(columns: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -291,10 +226,6 @@ def test_the_covariance_of_coefficients_survives_its_file(tmp_path, columns):
     np.testing.assert_allclose(factor @ factor.mT / size / size.unsqueeze(-1), wanted, atol=1e-13)
     told = json.loads((tmp_path / "model.json").read_text())["uncertainty"]["standard_errors"]
     assert told["alpha_a"][library.names[5]] == pytest.approx(float(size[1])) and told["alpha_p"] == {}
-
-
-def test_a_file_of_before_tells_no_covariance(written):
-    assert "uncertainty" not in json.loads(written.read_text()) and load_model(written)[4] is None
 
 
 @pytest.mark.parametrize(

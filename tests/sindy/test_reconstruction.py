@@ -1,34 +1,34 @@
-"""States are guessed from measurements by local cubics, which are exact for cubics, and by a first model."""
+"""States and rates are guessed from measurements by local cubics, exact for cubics, and by a first model."""
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.reconstruction import (
+    BRIEF,
     LENGTHS,
-    LONGEST_BUMP,
-    SHORTEST_BUMP,
-    RegressionData,
+    DelayedRecording,
     best_length,
+    find_missing_rates,
     has_gaps,
     interpolate_gaps,
     lag_signals,
     local_cubic,
     rate_states,
     reconstruct,
-    settle_lag_states,
     simulate_hidden_states,
-    start_lag_states,
     with_rate_ranges,
 )
-from dynasindy.sindy.regression import DEPENDENT, simpson_form
-from dynasindy.sindy.weak_form import weak_form
-from dynasindy.systems.base import Signature
+from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 
 DT = 0.05
@@ -70,24 +70,6 @@ def test_lost_samples_lie_on_the_line_between_their_neighbours():
     assert interpolate_gaps(lost(3)) is None
 
 
-def test_the_length_weighs_the_noise_against_the_bend():
-    t, noise = DT * np.arange(400), np.random.default_rng(0).normal(size=400)
-    slow, fast = np.sin(0.3 * t), np.sin(9 * t)
-    assert best_length(slow + 0.1 * noise) == LENGTHS[-1]
-    assert best_length(fast + 1e-3 * noise) <= 9 < best_length(fast + 0.3 * noise) <= 35
-    # As long as it pays: the error at samples that are left out is hardly above the least.
-    errors = {}
-    noisy = fast + 0.1 * noise
-    for length in (7, 9, 13, 17, 25):
-        half, places = length // 2, np.arange(-(length // 2), length // 2 + 1)
-        rest = places[places != 0]
-        left_out = [noisy[k] - np.polyfit(rest, noisy[k + rest], 3)[-1] for k in range(half, len(noisy) - half)]
-        errors[length] = np.square(left_out).mean()
-    least = min(errors.values())
-    assert best_length(noisy) == max(n for n, e in errors.items() if e <= 1.1 * least)
-    assert best_length(noise[:6]) == 5 and best_length(noise[:3]) == 5
-
-
 def test_a_rate_is_the_derivative_of_the_angle_that_was_measured():
     t = DT * np.arange(30)
     data = recording(cubic(t), lost(30), lost(30))
@@ -124,37 +106,6 @@ def test_a_state_follows_if_its_equation_may_have_nothing_else():
     assert lag_signals(*store({"T": ["(T - b)"], "b": ["T"]})[:2]) == {}  # T' of itself and of what follows it
     fixed = Constraints.build(library, {}, {"b": []}, {"b": {"(T - b)": 0.25}})
     assert lag_signals(library, fixed) == {"b": "T"}
-
-
-def test_where_a_state_that_follows_began_is_told_by_the_rates_that_it_acts_on():
-    """Both stretches obey the equations exactly, b from 30 K and from -20 K while T is at 80 K and at 10 K."""
-    library, _, xi = store()
-    a = torch.tensor([[-0.2, 0.2], [0.25, -0.25]], dtype=torch.float64)
-    parts = []
-    for start in ([80.0, 30.0], [10.0, -20.0]):
-        times = 0.02 * torch.arange(401, dtype=torch.float64)
-        path = torch.linalg.matrix_exp(times[:, None, None] * a) @ torch.tensor(start, dtype=torch.float64)
-        parts.append(Transitions.from_trajectory(path, torch.zeros(400, 1).double(), 0.02))
-    true = Transitions.cat(parts)
-    rest = settle_lag_states(true, {1: 0})
-    assert torch.equal(rest.x[:, 1], true.x[:, 0]) and torch.equal(rest.x_next[:, 1], true.x_next[:, 0])
-    assert settle_lag_states(true, {}) is true
-    b = true.x.clone(), true.x_next.clone()
-    for part, off in zip((slice(0, 400), slice(400, 800)), (50.0, 30.0), strict=True):  # as if it began at rest
-        left = off * torch.exp(-0.25 * 0.02 * torch.arange(401).double())
-        b[0][part, 1] += left[:-1]
-        b[1][part, 1] += left[1:]
-    found = start_lag_states(library, xi, replace(true, x=b[0], x_next=b[1]), {1: 0})
-    np.testing.assert_allclose(found.x, true.x, atol=1e-2)
-    np.testing.assert_allclose(found.x_next, true.x_next, atol=1e-2)
-
-
-def test_functions_of_angles_have_a_prior_where_there_is_noise():
-    data = recording(cubic(np.arange(40.0)))
-    library = Library(Signature(("a",), ("rad",), ("u",), (1.0,)), [of("sin", "a"), variable("u")])
-    assert RegressionData.of(data, data, {}).shares(library) is None
-    told = RegressionData.of(data, data, {}, noisy=True).shares(library)
-    assert told is not None and told.isfinite().tolist() == [True, False]
 
 
 def test_segments_are_guessed_apart():
@@ -204,20 +155,6 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     assert torch.equal(found.x[:, :2], guess.x[:, :2]) and torch.equal(found.x_next[:, :2], guess.x_next[:, :2])
 
 
-def test_a_hidden_state_of_a_difference_equation_is_led_by_where_each_step_begins():
-    """h[k+1] = -0.6 h[k] + 0.3 a[k] + 0.4 u[k], which no differential equation follows."""
-    rng = np.random.default_rng(1)
-    a, u = rng.normal(size=25), rng.normal(size=24)
-    data, guess = recording(a, 0 * a, lost(25), u=u), recording(a, 0 * a, 0 * a, u=u)
-    xi = torch.zeros(5, 3).double()
-    xi[[3, 1, 4], 2] = torch.tensor([-1.6, 0.3, 0.4], dtype=torch.float64) / DT
-    found = simulate_hidden_states(LIBRARY.with_step(DT), xi, data, guess, {})
-    h, expected = 0.0, []
-    for begin, held in zip(a[:-1], u, strict=True):
-        expected.append(h := -0.6 * h + 0.3 * begin + 0.4 * held)
-    np.testing.assert_allclose(found.x_next[:, 2], expected, atol=1e-12)
-
-
 def test_what_the_model_says_of_measured_states_does_not_lead():
     # h' = a, a recorded as a line, so h is its integral; the model's own a' = -3 would run elsewhere.
     t = DT * np.arange(40)
@@ -226,21 +163,6 @@ def test_what_the_model_says_of_measured_states_does_not_lead():
     xi[1, 2], xi[0, 0] = 1.0, -3.0
     found = simulate_hidden_states(LIBRARY, xi, data, reconstruct(data, {}), {})
     np.testing.assert_allclose(found.x_next[:, 2], t[1:] ** 2 / 2, atol=1e-9)
-
-
-def test_the_rate_of_a_measured_angle_stays_as_it_was_differentiated():
-    # A first model that is wrong of the rate, w' = -9, must not undo what the angle tells; h' = w is led by the rate.
-    t = DT * np.arange(40)
-    data, xi = recording(cubic(t), lost(40), lost(40)), torch.zeros(5, 3).double()
-    xi[0, 1], xi[2, 2] = -9.0, 1.0
-    found = simulate_hidden_states(LIBRARY, xi, data, reconstruct(data, {1: 0}), {1: 0})
-    np.testing.assert_allclose(found.x[:, 1], cubic(t[:-1], 1), atol=1e-8)
-    np.testing.assert_allclose(found.x_next[:, 1], cubic(t[1:], 1), atol=1e-8)
-    expected = np.cumsum(DT / 2 * (cubic(t[:-1], 1) + cubic(t[1:], 1)))  # the rate moves evenly between samples
-    np.testing.assert_allclose(found.x_next[:, 2], expected, atol=1e-7)
-    # The rate of a state that was not measured either is seen in no form.
-    blind = recording(lost(40), lost(40), t)
-    assert bool(simulate_hidden_states(LIBRARY, xi, blind, reconstruct(blind, {1: 0}), {1: 0}).x_next[:, 1].all())
 
 
 def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_runs_away_is_not_followed():
@@ -256,32 +178,6 @@ def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_run
     mad = Library(SIGNATURE, [variable("a", 3)])
     xi = torch.tensor([[0.0, 0.0, 1.0]]).double()
     assert not bool(simulate_hidden_states(mad, xi, hidden, reconstruct(hidden, {}), {}).x_next[:, 2].any())
-
-
-def test_rows_are_those_of_the_weak_form_only_where_a_state_was_not_measured():
-    t = DT * np.arange(60)
-    data = recording(cubic(t), cubic(t, 1), np.sin(t))
-    xi = torch.zeros(5, 3).double()
-
-    def field(x, u):
-        return LIBRARY(x, u) @ xi
-
-    seen = RegressionData.of(data, data, {1: 0})
-    assert (seen.half, seen.dependent) == (0, DEPENDENT)
-    torch.testing.assert_close(seen.rows(LIBRARY, field), simpson_form(LIBRARY, field, data))
-    gaps = recording(cubic(t), lost(60), np.sin(t))
-    guess = reconstruct(gaps, {1: 0})
-    seen = RegressionData.of(guess, gaps, {1: 0})
-    assert SHORTEST_BUMP <= seen.half <= LONGEST_BUMP and seen.dependent > DEPENDENT
-    torch.testing.assert_close(seen.rows(LIBRARY, field), weak_form(LIBRARY, gaps, guess, {1: 0}, seen.half))
-
-
-@pytest.mark.parametrize(("rate", "noise", "half"), [(15.0, 1e-6, SHORTEST_BUMP), (0.01, 0.1, LONGEST_BUMP)])
-def test_the_bump_is_longer_for_noise_and_within_bounds(rate, noise, half):
-    t = DT * np.arange(400)
-    a = np.sin(rate * t) + noise * np.random.default_rng(0).normal(size=400)
-    data = recording(a, lost(400), a)
-    assert RegressionData.of(reconstruct(data, {1: 0}), data, {1: 0}).half == half
 
 
 def test_a_hidden_state_that_follows_fast_is_imagined_in_as_many_steps_as_it_needs():
@@ -304,3 +200,136 @@ def test_a_rate_without_a_sensor_has_the_range_in_which_its_state_moved():
     assert with_rate_ranges(SIGNATURE, data, {"a": "2 w", "h": "u"}).x_scale == SIGNATURE.x_scale
     seen = recording(3 * np.sin(2 * t), 6 * np.cos(2 * t), lost(400))
     assert with_rate_ranges(SIGNATURE, seen, {"a": "w"}).x_scale == SIGNATURE.x_scale
+
+
+PERIOD, N = 0.02, 600
+ONE = Signature(("y",), ("-",), ("u",), (1.0,))
+TWO = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
+
+
+def recorded(rate, size, columns, late=0, noise=0.0):
+    """Integrate `size` states by scipy under inputs held for ten samples that act `late` samples later."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-1, 1, N // 10), 10)
+    acting = np.concatenate([np.full(late, u[0]), u])[:N]
+    x, samples = np.full(size, 0.3), []
+    edges = [0, *(np.flatnonzero(np.diff(acting)) + 1), N - 1]
+    for k, end in pairwise(edges):
+        times = PERIOD * np.arange(end - k + 1)
+        found = solve_ivp(lambda t, x: rate(x, acting[k]), times[[0, -1]], x, t_eval=times, rtol=1e-9, atol=1e-12)  # noqa: B023
+        samples.append(found.y[:, :-1].T)
+        x = found.y[:, -1]
+    samples.append(x[None])
+    x = np.concatenate(samples)[:, columns]
+    x = x + noise * x.std(0) * rng.normal(size=x.shape)
+    return Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u[:-1, None]), PERIOD)
+
+
+def swing(x, u):
+    return np.array([x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]])
+
+
+def lag(x, u):
+    return np.array([3 * u - 2 * np.sqrt(np.abs(x[0])) * np.sign(x[0])])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_an_angle_alone_misses_its_rate(noise):
+    assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0], noise=noise)) == ["y"]
+
+
+def test_a_difference_equation_misses_no_rate():
+    """What follows from an angle and the one before is a state more to it, and no rate."""
+    assert find_missing_rates(polynomial(ONE).with_step(PERIOD), recorded(swing, 2, [0])) == []
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_an_angle_with_its_rate_misses_nothing(noise):
+    assert find_missing_rates(polynomial(TWO), recorded(swing, 2, [0, 1], noise=noise)) == []
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_first_order_plant_misses_nothing_though_its_root_is_no_polynomial(late):
+    assert find_missing_rates(polynomial(ONE), recorded(lag, 1, [0], late=late)) == []
+
+
+def test_a_state_that_was_not_measured_is_not_judged():
+    data = recorded(swing, 2, [0])
+    data.x[:, 0] = torch.nan
+    assert find_missing_rates(polynomial(ONE), data) == []
+
+
+def test_a_delay_is_not_made_up_where_a_rate_is_missing():
+    """The inputs act at once; a delay of the first-order model would be the best that stands for its rate."""
+    model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=0.1))
+    report = model.fit(recorded(swing, 2, [0]))
+    assert model.delay == 0
+    assert any("rate of y" in note for note in report.notes)
+
+
+def test_a_delay_at_the_end_of_what_was_looked_for_is_said_to_be_one():
+    """The inputs act 0.06 s late; 0.04 s at most are looked for."""
+    data = recorded(lambda x, u: np.array([3 * u - 2 * x[0]]), 1, [0], late=3)
+    model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=2 * PERIOD))
+    report = model.fit(data)
+    assert model.delay == pytest.approx(0.04) and report.delay_at_end
+    assert any("longest_delay=0.08" in note for note in report.notes)
+    longer = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=5 * PERIOD))
+    assert not longer.fit(data).delay_at_end
+    assert longer.delay == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_without_a_time_a_delay_beyond_two_control_periods_is_found_where_a_regression_tells_it(substeps):
+    """The inputs act three samples, 0.06 s, late; a control period has one or two samples."""
+    data = replace(recorded(lambda x, u: np.array([3 * u - 2 * x[0]]), 1, [0], late=3), substeps=substeps)
+    model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=None))
+    model.fit(data)
+    assert model.delay == pytest.approx(0.06)
+
+
+def test_a_recording_of_a_few_samples_is_not_judged():
+    assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0]).select(torch.arange(N - 1) < 7)) == []
+
+
+def lossy(data: Transitions, kept: np.ndarray, column: int = 0) -> Transitions:
+    """Lose the samples of a state that are not kept, bool `(N + 1,)`."""
+    x = torch.cat([data.x, data.x_next[-1:]])
+    x[torch.from_numpy(~kept), column] = torch.nan
+    return Transitions.from_trajectory(x, data.u, data.dt)
+
+
+@pytest.mark.parametrize("kept", [np.random.default_rng(1).random(N) > 0.1, np.arange(N) % 3 == 0])
+def test_lost_samples_hide_neither_a_missing_rate_nor_one_that_is_there(kept):
+    assert find_missing_rates(polynomial(ONE), lossy(recorded(swing, 2, [0]), kept)) == ["y"]
+    assert find_missing_rates(polynomial(TWO), lossy(recorded(swing, 2, [0, 1]), kept)) == []
+    assert find_missing_rates(polynomial(ONE), lossy(recorded(lag, 1, [0]), kept)) == []
+
+
+def test_the_length_weighs_the_noise_against_the_bend():
+    t, noise = DT * np.arange(400), np.random.default_rng(0).normal(size=400)
+    slow, fast = np.sin(0.3 * t), np.sin(9 * t)
+    assert best_length(slow + 0.1 * noise) == LENGTHS[-1]
+    assert best_length(fast + 1e-3 * noise) <= 9 < best_length(fast + 0.3 * noise) <= 35
+    # As long as it pays: the error at samples that are left out is hardly above the least.
+    errors = {}
+    noisy = fast + 0.1 * noise
+    for length in (7, 9, 13, 17, 25):
+        half, places = length // 2, np.arange(-(length // 2), length // 2 + 1)
+        rest = places[places != 0]
+        left_out = [noisy[k] - np.polyfit(rest, noisy[k + rest], 3)[-1] for k in range(half, len(noisy) - half)]
+        errors[length] = np.square(left_out).mean()
+    least = min(errors.values())
+    assert best_length(noisy) == max(n for n, e in errors.items() if e <= 1.1 * least)
+    assert best_length(noise[:6]) == 5 and best_length(noise[:3]) == 5
+
+
+def test_a_long_recording_is_cut_to_stretches_whose_first_inputs_are_not_known_and_a_short_one_stays():
+    """A counter as state and input, a tenth of a second between samples, whose inputs may act 0.5 s later."""
+    for n in (100, 3 * BRIEF):
+        count = torch.arange(n + 1, dtype=torch.float64)[:, None]
+        data = Transitions.from_trajectory(count, count[:-1], 0.1)
+        whole = DelayedRecording.of(data, data, {}, 0.5)
+        brief = whole.brief(0.5)
+        assert (brief is whole) == (n == 100)
+    assert len(brief.data) == BRIEF and len(brief.data.segment.unique()) == 10 and int((~brief.known).sum()) == 10 * 5

@@ -9,8 +9,7 @@ import torch
 from scipy.optimize import least_squares
 
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.one_step_fit import linear_model, one_step_covariance, one_step_errors, refine_one_step, steps_in
-from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step, steps_in
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -41,17 +40,6 @@ def column(*values: float) -> torch.Tensor:
 FREE = torch.ones(4, 1, dtype=torch.bool)
 
 
-def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_ones_by_the_fastest_rate():
-    def steps(dt: float, rate: float) -> int:
-        return steps_in(replace(recording(), dt=dt), LIBRARY, column(-rate, 1.0, 0.0, 0.0))
-
-    assert [steps(dt, 1.0) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
-    assert steps(60.0, 0.001) == 10, "a column that is sampled every minute and takes a quarter of an hour"
-    assert steps(1.0, 1.5) == 30, "1.5 radians in steps of a twentieth"
-    assert steps(60.0, 1.0) == 200, "60 radians, and no more steps than that"
-    assert steps(0.1, 1000.0) == 20, "no shorter than five milliseconds"
-
-
 def test_the_part_of_the_changes_that_steps_miss_is_that_of_the_closed_form():
     """y' = A y changes y by (exp(A dt) - 1) y over a step."""
     x = torch.tensor([[0.3], [-1.0], [2.0]], dtype=torch.float64)
@@ -79,25 +67,6 @@ def test_with_process_noise_it_is_the_least_squares_fit_of_the_discrete_form():
     assert abs(a - A) > 1e-3  # the noise does move the estimate
 
 
-def test_its_spread_over_recordings_is_the_cramer_rao_bound():
-    estimates, bounds = [], []
-    support = torch.tensor([[True], [True], [False], [False]])
-    for seed in range(60):
-        data = recording(0.05, n=200, seed=seed)
-        estimates.append(
-            coefficients_of(refine_one_step, LIBRARY, column(A, B, 0.0, 0.0), support, data, 1e-9)[:2, 0].numpy()
-        )
-        phi = math.exp(A * DT)
-        # d y+ / d a and d y+ / d b of y+ = e^(a dt) y + b (e^(a dt) - 1) / a u
-        x, u = data.x.numpy().ravel(), data.u.numpy().ravel()
-        by_a = DT * phi * x + B * (DT * phi * A - phi + 1) / A**2 * u
-        slopes = np.stack([by_a, (phi - 1) / A * u], -1)
-        bounds.append(np.diag(np.linalg.inv(slopes.T @ slopes / 0.05**2)))
-    bound = np.sqrt(np.mean(bounds, 0))
-    assert np.all(np.abs(np.mean(estimates, 0) - [A, B]) < 4 * bound / math.sqrt(60))
-    assert np.all(np.abs(np.std(estimates, 0, ddof=1) / bound - 1) < 0.3)
-
-
 def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
     data = recording(0.02)
     dropped = coefficients_of(refine_one_step, LIBRARY, column(A, B, 0.1, 0.1), FREE, data, 1e-6)
@@ -118,20 +87,6 @@ def test_coefficients_that_are_not_free_stay():
     assert found[0, 0].item() == pytest.approx(least_squares(errors, [-1.0], xtol=1e-12, ftol=1e-12).x[0], rel=1e-5)
 
 
-def test_the_linear_model_of_the_error_has_the_slopes_of_the_closed_form():
-    data = recording(0.05, n=30)
-    parameters = Parameters.where(torch.tensor([[True], [True], [False], [False]]))
-    rows, target, scale = linear_model(LIBRARY, column(A, B, 0.0, 0.0), parameters, data, torch.zeros(1).double())
-    phi, x, u = math.exp(A * DT), data.x[:, 0], data.u[:, 0]
-    by_a = DT * phi * x + B * (DT * phi * A - phi + 1) / A**2 * u
-    slopes = torch.stack([by_a, (phi - 1) / A * u], -1)
-    error = data.x_next[:, 0] - phi * x - B * (phi - 1) / A * u
-    weight = 1 / error.square().mean().sqrt()
-    assert torch.allclose(rows * scale, slopes * weight, rtol=1e-6, atol=1e-8)
-    assert torch.allclose(target[:, 0], weight * (error + slopes @ torch.tensor([A, B]).double()), rtol=1e-5, atol=1e-6)
-    assert torch.allclose(rows.norm(dim=0), torch.ones(2).double())
-
-
 def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
     """phi and gamma are a linear regression; a = log(phi) / dt and b = a gamma / (phi - 1) follow by their slopes."""
     fits, stated, support = [], [], torch.tensor([[True], [True], [False], [False]])
@@ -150,3 +105,14 @@ def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
     told = torch.stack(stated).square().mean(0).sqrt()
     np.testing.assert_allclose(told, closed, rtol=0.25)
     np.testing.assert_allclose(told, torch.stack(fits).std(0), rtol=0.35)
+
+
+def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_ones_by_the_fastest_rate():
+    def steps(dt: float, rate: float) -> int:
+        return steps_in(replace(recording(), dt=dt), LIBRARY, column(-rate, 1.0, 0.0, 0.0))
+
+    assert [steps(dt, 1.0) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
+    assert steps(60.0, 0.001) == 10, "a column that is sampled every minute and takes a quarter of an hour"
+    assert steps(1.0, 1.5) == 30, "1.5 radians in steps of a twentieth"
+    assert steps(60.0, 1.0) == 200, "60 radians, and no more steps than that"
+    assert steps(0.1, 1000.0) == 20, "no shorter than five milliseconds"
