@@ -13,13 +13,13 @@ from reader import while_read
 from saved_run import load_config, load_policy
 
 from dynasindy.safe_io import read_json, reading
-from dynasindy.viz.controllers import by_planning, named
+from dynasindy.viz.controllers import controller_name, name_by_planning
 
 
 def controller(config: DictConfig) -> tuple[str, str]:
     """Return the name of a run's controller and where its model is from."""
-    name = by_planning(config.planning)
-    if name == named("rollouts_0"):
+    name = name_by_planning(config.planning)
+    if name == controller_name("rollouts_0"):
         return name, "none"
     return name, "true" if config.world_model._target_.endswith("Oracle") else "identified"
 

@@ -32,7 +32,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.export.write import Exported
     from dynasindy.progress import say, track
     from dynasindy.safe_io import add_to_json, write_json
-    from dynasindy.viz.check import draw
+    from dynasindy.viz.check import draw_check
     from dynasindy.viz.style import save
 
     torch.set_num_threads(cfg.threads)
@@ -62,7 +62,7 @@ def main(cfg: DictConfig) -> None:
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", in_figures(found, findings))
-    figures = draw(found)
+    figures = draw_check(found)
     for name, figure in track("figures", figures.items(), len(figures), "files"):
         save(figure, folder / name)
     say(

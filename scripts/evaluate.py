@@ -19,7 +19,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.viz.animation import animate
-    from dynasindy.viz.controllers import by_planning, with_integral
+    from dynasindy.viz.controllers import name_by_planning, name_with_integral
     from dynasindy.viz.evaluation import draw_evaluation
 
     torch.set_num_threads(cfg.threads)
@@ -30,9 +30,9 @@ def main(cfg: DictConfig) -> None:
     check(config, str(folder / "config.yaml"))
     env, policy = load_policy(config, folder)
     sensing = load_sensing(config, folder, env)
-    name = by_planning(config.planning)
+    name = name_by_planning(config.planning)
     if cfg.integral:
-        policy, name = IntegralAction(policy, env), with_integral(name)
+        policy, name = IntegralAction(policy, env), name_with_integral(name)
     out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:

@@ -28,7 +28,7 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sindy import SindyModel
-from dynasindy.viz.controllers import named
+from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.evaluation import draw_evaluation
 from dynasindy.workbench import damped, rates_of
 
@@ -110,7 +110,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         prediction = judged(controller, model, source, wanted)
     write(folder, controller, model, prediction)
     if prediction.shown:
-        draw_evaluation(prediction.shown, figures, named("gradient"), place=prediction.place)
+        draw_evaluation(prediction.shown, figures, controller_name("gradient"), place=prediction.place)
     say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task

@@ -92,7 +92,7 @@ def again(folder: str) -> str:
 def draw(session: "Session") -> None:
     """Draw the excitations of the folder, and each flight with its references and what ended it early."""
     from dynasindy.rig.log import samples
-    from dynasindy.viz.flight import excitation, flight
+    from dynasindy.viz.flight import draw_flight, draw_rig_excitation
     from dynasindy.viz.style import save
 
     for path, rows in session.logs("excitation").items():
@@ -100,11 +100,11 @@ def draw(session: "Session") -> None:
             flown = session.flights.get(path.stem)  # what ended one of an earlier session is not known
             ended = f", ended by {flown.ended}" if flown is not None and flown.ended else ""
             title = f"{path.stem.replace('_', ' ').capitalize()} of the rig{ended}"
-            figure = excitation(samples(path, session.wiring.signature), session.wiring, session.guard, title)
+            figure = draw_rig_excitation(samples(path, session.wiring.signature), session.wiring, session.guard, title)
             save(figure, session.folder / "figures" / path.stem)
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample
-            figure = flight(shown, session.wiring, session.guard, name)
+            figure = draw_flight(shown, session.wiring, session.guard, name)
             save(figure, session.folder / "figures" / name)
 
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import SHARE, Level, Row, read_ablation
 from dynasindy.safe_io import file_name
-from dynasindy.viz.controllers import FAMILIES, named
-from dynasindy.viz.learning import average_rewards, draw_bands, single
+from dynasindy.viz.controllers import FAMILIES, controller_name
+from dynasindy.viz.learning import average_rewards, draw_bands, single_episode
 from dynasindy.viz.style import BLACK, Array, legend_beside, panels, save, styled
 
 ValueOf = Callable[[Row], float]
@@ -55,7 +55,7 @@ def steady_state_errors(
 
 
 @styled
-def controls(
+def draw_controls(
     families: Mapping[str, Mapping[str, ArrayLike]],
     level: float,
     episode: ArrayLike | None = None,
@@ -71,7 +71,7 @@ def controls(
         title: of the figure.
         unit: of errors and level.
     """
-    once = all(map(single, families.values()))  # then each panel has a strip for each of its settings
+    once = all(map(single_episode, families.values()))  # then each panel has a strip for each of its settings
     figure, axes = panels(len(families), 1, (10.0, 0.6 + 2.6 * len(families)), title, sharex=not once)
     for axis in axes[1:]:
         axis.sharey(axes[0])
@@ -114,19 +114,19 @@ def draw_ablation(
         episodes = sorted({float(row["episode"] or 0.0) for row in lines})
         chosen = [name for name in errors if _family(name) == MAIN] or list(errors)
         figure = average_rewards(
-            {named(name): returns[name] for name in chosen}, episodes, window=1, title=average, log=True
+            {controller_name(name): returns[name] for name in chosen}, episodes, window=1, title=average, log=True
         )
         files += save(figure, results / f"average_rewards_{case}", formats)
         main = {name: errors.pop(name) for name in chosen}
-        shown = {named(name): values for name, values in main.items()}
+        shown = {controller_name(name): values for name, values in main.items()}
         figure = steady_state_errors(shown, judged[0], episodes, f"Steady-state error, {title}", judged[1])
         files += save(figure, results / f"steady_state_error_{case}", formats)
         if errors:
-            told = {
-                family: {named(name): values for name, values in members.items()}
-                for family, members in families(errors, main.get(REFERENCE)).items()
+            panels_of = {
+                family: {controller_name(name): values for name, values in members.items()}
+                for family, members in control_families(errors, main.get(REFERENCE)).items()
             }
-            figure = controls(told, judged[0], episodes, f"Controls: steady-state error, {title}", judged[1])
+            figure = draw_controls(panels_of, judged[0], episodes, f"Controls: steady-state error, {title}", judged[1])
             files += save(figure, results / f"controls_{case}", formats)
     return files
 
@@ -142,7 +142,7 @@ def _draw_errors(
     legend_beside(axis)
 
 
-def families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
+def control_families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
     """Return the controls by what they vary, each beside the reference but where the amount of data would differ.
 
     Args:

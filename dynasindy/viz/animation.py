@@ -23,7 +23,7 @@ from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.progress import track
 from dynasindy.safe_io import replace_file, write_bytes
 from dynasindy.text import duration_unit
-from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, span, time_axis
+from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, time_axis, time_span
 
 SUFFIXES = (".gif", ".mp4")
 RATE = 10
@@ -54,7 +54,7 @@ class Chart:
             figure.subplots_adjust(left=0.2, right=0.96, bottom=0.19, top=0.92, hspace=0.32)
             for k, axis in enumerate(axes):
                 self._frame(axis, k)
-            time_axis(axes[-1], span(self.time))
+            time_axis(axes[-1], time_span(self.time))
             figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
             canvas.draw()
         self.ground = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
@@ -97,7 +97,7 @@ class Chart:
         return [(float(u), self.ground.height - float(v)) for u, v in points]
 
 
-def bar_ends(evaluation: Evaluation, row: int, output: int) -> tuple[float, float]:
+def bar_limits(evaluation: Evaluation, row: int, output: int) -> tuple[float, float]:
     """Return the ends of the bar of an output [its unit]: the plant's bounds, so that a level reads as a level.
 
     Where there are none, the bar begins at zero, or at the lowest value if that is below, and it reaches up to the
@@ -128,7 +128,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
     x, reference = evaluation.trajectory["state"][row].tolist(), evaluation.references[row].tolist()
     speed = every * RATE * float(evaluation.time[1] - evaluation.time[0])
     fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
-    ends = [bar_ends(evaluation, row, n) for n in range(len(evaluation.columns))]
+    ends = [bar_limits(evaluation, row, n) for n in range(len(evaluation.columns))]
     turned, unit = [0.0, 0.0], duration_unit(evaluation.seconds)
     for k in range(0, len(x), every):
         words = f"t = {evaluation.time[k] / unit.seconds:.1f} {unit.name}{fast}"

@@ -31,7 +31,6 @@ from dynasindy.viz.style import (
     RED,
     SKY,
     array,
-    held,
     input_axis,
     label,
     legend_above,
@@ -40,6 +39,7 @@ from dynasindy.viz.style import (
     styled,
     symbol,
     time_axis,
+    zero_order_hold,
 )
 
 SHOWN = 15
@@ -56,7 +56,7 @@ NAMED = 9
 """Loops that have a colour and a name of their own, those that come nearest to -1 first."""
 
 
-class Tracked(NamedTuple):
+class TrackedOutput(NamedTuple):
     """An output in the figure of a step.
 
     Attributes:
@@ -74,7 +74,7 @@ class Tracked(NamedTuple):
     reach: float = math.inf
 
 
-def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure]:
+def draw_check(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure]:
     """Return all figures of a check by name, with the thresholds of its verdict."""
     signature, limits = found.loop.signature, thresholds or Thresholds()
     figures: dict[str, Figure] = {}
@@ -84,19 +84,19 @@ def draw(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure
             f"{format_duration(found.seconds)} to {100 * TOLERANCE:g} % of each output's range "
             f"(asked for: {100 * limits.recovered:.0f} % of them)"
         )
-        figures["recovery"] = recovery(planes, words)
+        figures["recovery"] = draw_recovery(planes, words)
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
     if stable and signature.n_u:
         rows = [found.rest.linear.row(k) for k in stable]
         curves = {_target(found, k): open_loop(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)}
         title = "\n".join(["Loop opened at each input", *_left_out(found)])
-        figures["nyquist"] = nyquist(curves, signature.input_names, limits.disk, title)
+        figures["nyquist"] = draw_nyquist(curves, signature.input_names, limits.disk, title)
     figures["steps"] = _steps(found, limits)
     single = slice(found.spread.draws, None)
     if found.spread.labels[single]:
         number = len(stable)
         title = f"Stability if one coefficient is wrong, at the worst of {number} target{'s' * (number > 1)}"
-        figures["coefficients"] = coefficients(found.spread.labels[single], found.spread.worst[single], title)
+        figures["coefficients"] = draw_stability(found.spread.labels[single], found.spread.worst[single], title)
     return figures
 
 
@@ -120,8 +120,8 @@ def _left_out(found: Check) -> list[str]:
         "the closed loop is not stable": [k for k in lost if found.rest.still[k]],
         "the closed loop never comes to rest": [k for k in lost if not found.rest.still[k]],
     }
-    told = [f"{words} at {_listed(found, ks)}" for words, ks in why.items() if ks]
-    return [f"left out, {len(lost)} of {len(found.targets)} targets: {'; '.join(told)}"]
+    text = [f"{words} at {_listed(found, ks)}" for words, ks in why.items() if ks]
+    return [f"left out, {len(lost)} of {len(found.targets)} targets: {'; '.join(text)}"]
 
 
 def _listed(found: Check, targets: Sequence[int]) -> str:
@@ -139,11 +139,11 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
     names, units, ranges = signature.state_names, signature.state_units, signature.x_scale
     tracked = zip(outputs, found.targets[far].tolist(), found.reach.tolist(), strict=True)
-    return steps(
+    return draw_steps(
         found.steps.dt,
         array(x[:, :, outputs]),
         array(u),
-        [Tracked(names[i], units[i], r, limits.error * ranges[i], reach) for i, r, reach in tracked],
+        [TrackedOutput(names[i], units[i], r, limits.error * ranges[i], reach) for i, r, reach in tracked],
         signature,
         f"Step from {found.beginning(symbol)} to {_target(found, far)}, the farthest target",
         f"coefficients {found.spread.how.by}",
@@ -151,7 +151,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
 
 
 @styled
-def nyquist(
+def draw_nyquist(
     curves: Mapping[str, ArrayLike],
     names: Sequence[str],
     disk: float = Thresholds.disk,
@@ -183,8 +183,8 @@ def nyquist(
             values = np.asarray(curves[target])[:, i]
             axis.plot(values.real, values.imag, linewidth=1.0, zorder=2.5 - 0.01 * k, **look)
         axis.plot(np.cos(angle), np.sin(angle), color=GREY, linestyle=":", linewidth=0.9, label="gain 1")
-        told = f"disk margin < {disk:g}"
-        axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=told))
+        text = f"disk margin < {disk:g}"
+        axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=text))
         axis.plot([-1], [0], color=BLACK, marker="+", markersize=10, linestyle="none", label="critical point -1")
         axis.set_xlim(-3, 1.5)
         axis.set_ylim(-2.25, 2.25)
@@ -196,11 +196,11 @@ def nyquist(
 
 
 @styled
-def steps(
+def draw_steps(
     dt: float,
     outputs: ArrayLike,
     inputs: ArrayLike,
-    tracked: Sequence[Tracked],
+    tracked: Sequence[TrackedOutput],
     signature: Signature,
     title: str = "Step",
     how: str = "other coefficients",
@@ -240,7 +240,7 @@ def steps(
         axis.set_ylabel(label(output.name, output.unit))
     for i, axis in enumerate(axes[len(tracked) :]):
         for row, look in zip(signature.in_own_units(u), looks, strict=True):
-            axis.step(*held(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
+            axis.step(*zero_order_hold(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
         input_axis(axis, signature, i)
     legend_above(axes[0])
     time_axis(axes[-1], seconds)
@@ -257,13 +257,13 @@ def _looks(stays: NDArray[np.bool_], how: str) -> list[dict[str, Any]]:
     model = "the model itself" if stays[0] else "the model itself, which runs away"
     looks: list[dict[str, Any]] = [{"color": BLUE, "zorder": 3, "label": model}]
     for held_near in stays[1:].tolist():
-        color, told = SKY if held_near else ORANGE, words.pop(held_near, "_")
-        looks.append({"color": color, "linewidth": 0.8, "label": told})
+        color, text = SKY if held_near else ORANGE, words.pop(held_near, "_")
+        looks.append({"color": color, "linewidth": 0.8, "label": text})
     return looks
 
 
 @styled
-def coefficients(
+def draw_stability(
     labels: Sequence[str], radius: ArrayLike, title: str = "Stability if one coefficient is wrong"
 ) -> Figure:
     """Draw the spectral radius with each change, the worst first; what never rests is drawn at the right edge.
@@ -321,7 +321,7 @@ Drawn = tuple[tuple[str, str], tuple[str, str], ArrayLike, ArrayLike, ArrayLike]
 
 
 @styled
-def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors") -> Figure:
+def draw_recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors") -> Figure:
     """Draw from which initial errors a plant comes back, one panel per pair of states.
 
     Args:
@@ -335,8 +335,10 @@ def recovery(planes: Sequence[Drawn], title: str = "Comes back from these errors
         )
         axis.set_title(f"{100 * np.mean(array(back)):.0f} % come back")
         _named(axis, names, units)
-    told = [Patch(color=color, alpha=0.6, label=words) for color, words in ((GREEN, "comes back"), (RED, "does not"))]
-    figure.legend(handles=told, loc="outside lower center", ncols=2)
+    handles = [
+        Patch(color=color, alpha=0.6, label=words) for color, words in ((GREEN, "comes back"), (RED, "does not"))
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 

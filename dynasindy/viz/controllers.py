@@ -61,7 +61,7 @@ PATTERNS = ((r"rollouts_(\d+)", "{} rollouts"), (r"horizon_(\d+)", "rollouts of 
 """Words for settings of other numbers than those above."""
 
 
-def named(setting: str) -> str:
+def controller_name(setting: str) -> str:
     """Return the words for a setting: `rollouts_800` is `800 rollouts`, `real_share_05` is `5 % of a batch real`."""
     if setting in CONTROLLERS:
         return CONTROLLERS[setting].words
@@ -71,7 +71,7 @@ def named(setting: str) -> str:
     return setting if "," in setting else setting.replace("_", " ")
 
 
-def by_planning(planning: Mapping[str, Any]) -> str:
+def name_by_planning(planning: Mapping[str, Any]) -> str:
     """Return the words for a controller by the settings of its planning, as a run's config has them.
 
     Args:
@@ -79,16 +79,16 @@ def by_planning(planning: Mapping[str, Any]) -> str:
     """
     kind = str(planning.get("_target_", "")).rpartition(".")[2]
     if kind in ("NoPlanning", "ImaginedReplay"):
-        return named(f"rollouts_{planning.get('rollouts') or 0}")
-    return named({"GradientPlanning": "gradient"}.get(kind, "policy"))
+        return controller_name(f"rollouts_{planning.get('rollouts') or 0}")
+    return controller_name({"GradientPlanning": "gradient"}.get(kind, "policy"))
 
 
-def with_integral(words: str) -> str:
+def name_with_integral(words: str) -> str:
     """Return the words for a controller with integral action around it."""
     return f"{words}, integral action"
 
 
-def looks(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return colour and dashes per controller of a figure, by its setting or its words, as matplotlib takes them.
 
     One that is known looks the same everywhere; others take the colours of the cycle that are left, in their order.

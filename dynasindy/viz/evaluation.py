@@ -10,7 +10,7 @@ from torch import Tensor
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.viz.response import error_fan, step_response, tracking
-from dynasindy.viz.style import ORANGE, legend_above, save_all, spelt, styled
+from dynasindy.viz.style import ORANGE, legend_above, save_all, spell_names, styled
 
 
 def draw_evaluation(
@@ -32,10 +32,10 @@ def draw_evaluation(
     Returns:
         The files.
     """
-    return save_all(figures(evaluation, label, place=place), folder, formats)
+    return save_all(evaluation_figures(evaluation, label, place=place), folder, formats)
 
 
-def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> dict[str, Figure]:
+def evaluation_figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> dict[str, Figure]:
     """Return the figures by name of file: one episode over time and, of several ones, the spread of the error.
 
     Titles say which episode is shown, what disturbed it, and where it was flown, unless on the plant.
@@ -44,7 +44,7 @@ def figures(evaluation: Evaluation, label: str = "policy", place: str = "") -> d
     shown = representative_episode(evaluation)
     row, name = shown.row, evaluation.scenario
     disturbed = (words.removeprefix(f"{name}: ") for words in evaluation.disturbances)  # which the name says already
-    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spelt, disturbed)])
+    scenario = "; ".join([f"Scenario '{name}'{where}", *map(spell_names, disturbed)])
     title = "\n".join(filter(None, [scenario, shown.words]))
     if not evaluation.columns:
         return {name: _untracked(evaluation, label, row, title)}

@@ -24,7 +24,7 @@ LATE = 0.02
 
 
 @styled
-def flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
+def draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
     """Draw a flight on the time that was planned for it.
 
     Args:
@@ -48,7 +48,7 @@ def flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figu
         for line in axis.lines:
             if line.get_label() == "reference":  # a target is held, and the next one follows at once
                 line.set_drawstyle("steps-post")
-        _alone(axis, shown.time, shown.outputs[:, column])
+        _mark_isolated_samples(axis, shown.time, shown.outputs[:, column])
         _draw_range(figure, axis, guard.ranges.get(output, ()))
     for axis in figure.axes:
         if shown.fault:
@@ -60,7 +60,7 @@ def flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figu
 
 
 @styled
-def excitation(samples: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
+def draw_rig_excitation(samples: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
     """Draw what an excitation moved, and the ranges of the guard where they are near.
 
     Args:
@@ -89,7 +89,7 @@ def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
             figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
 
 
-def _alone(axis: Axes, time: Array, values: Array) -> None:
+def _mark_isolated_samples(axis: Axes, time: Array, values: Array) -> None:
     """Mark samples between two that were lost, of which a line shows nothing."""
     known = np.isfinite(np.concatenate([[np.nan], values, [np.nan]]))
     alone = known[1:-1] & ~known[:-2] & ~known[2:]

@@ -19,9 +19,9 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
+    draw_named_values,
     legend_beside,
-    mark_away,
-    named_dots,
+    mark_divergence,
     panels,
     styled,
 )
@@ -59,7 +59,9 @@ def gate(
     """
     columns = {name: array(values) for name, values in decisions.items()}
     if len(columns["episode"]) == 1:
-        return _once({name: float(values[0]) for name, values in columns.items()}, title, unit, windows or {})
+        return _single_episode_gate(
+            {name: float(values[0]) for name, values in columns.items()}, title, unit, windows or {}
+        )
     x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
     figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
     dots: dict[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
@@ -71,14 +73,14 @@ def gate(
         bound = np.pad(columns[name], 1, mode="edge")
         upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
     for number, closed in enumerate(x[columns["open"] == 0]):
-        told = "_" * (number > 0) + "model not trusted"
-        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label=told)
+        text = "_" * (number > 0) + "model not trusted"
+        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label=text)
     upper.set_yscale("log")
     bounds = [columns[name] for name in ("open_below", "close_above")]
     upper.set_ylim(*_around(np.concatenate([columns["reward_error"], columns["judged_reward_error"], *bounds])))
     _ticks(upper.yaxis)
-    mark_away(upper, x[~np.isfinite(columns["reward_error"])], GREY)
-    mark_away(upper, x[np.isinf(columns["judged_reward_error"])], BLUE)
+    mark_divergence(upper, x[~np.isfinite(columns["reward_error"])], GREY)
+    mark_divergence(upper, x[np.isinf(columns["judged_reward_error"])], BLUE)
     upper.set_ylabel(f"reward error\n[{unit}]")
     legend_beside(upper)
     lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
@@ -100,7 +102,9 @@ def gate(
     return figure
 
 
-def _once(columns: Mapping[str, float], title: str, unit: str, windows: Mapping[str, ArrayLike]) -> Figure:
+def _single_episode_gate(
+    columns: Mapping[str, float], title: str, unit: str, windows: Mapping[str, ArrayLike]
+) -> Figure:
     """Draw what the gate saw in the only episode: errors along the axis, one below the other, and those of windows."""
     figure, (upper, lower) = panels(2, 1, (8.5, 3.2), title, sharex=False)
     closed = "" if columns["open"] else ", closes the gate"
@@ -113,8 +117,8 @@ def _once(columns: Mapping[str, float], title: str, unit: str, windows: Mapping[
     _rows(upper, columns, errors, f"reward error [{unit}]", (judged, 1, BLUE))
     for name, line, words in (("open_below", ":", OPENS), ("close_above", "--", CLOSES)):
         if np.isfinite(columns[name]):
-            told = f"{words} {columns[name]:g}"
-            upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=told)
+            text = f"{words} {columns[name]:g}"
+            upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=text)
             left, right = upper.get_xlim()
             upper.set_xlim(left, max(right, 2 * columns[name]))
     if upper.get_legend_handles_labels()[0]:
@@ -150,7 +154,7 @@ def _rows(
     if len(single):
         look: dict[str, Any] = {"color": color, "marker": "|", "markersize": 9, "linestyle": "none"}
         axis.plot(single, np.full(len(single), height + 0.3), label=f"each of {len(single)} windows", **look)
-    named_dots(axis, {words: (columns[name], color) for words, (name, color) in rows.items()}, what)
+    draw_named_values(axis, {words: (columns[name], color) for words, (name, color) in rows.items()}, what)
     values = np.concatenate([[columns[name] for name, _ in rows.values()], single])
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):

@@ -20,18 +20,18 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
+    format_number,
     input_axis,
     label,
+    label_single_point,
     legend_above,
     legend_beside,
-    mark_away,
-    name_single,
+    mark_divergence,
     panels,
-    short,
-    span,
     styled,
     symbol,
     time_axis,
+    time_span,
 )
 
 BEYOND = 0.6
@@ -157,8 +157,8 @@ def prediction(
         x, seen, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, seen, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        told = _fit(truths[:, i], model[:, i], f"{short(float(wide))} {signature.state_units[i]}, {whose}")
-        axes[i].set_title(told, fontsize=8.5, loc="right")
+        text = _fit(truths[:, i], model[:, i], f"{format_number(float(wide))} {signature.state_units[i]}, {whose}")
+        axes[i].set_title(text, fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             axes[i].set_ylim(*_limits(known, ended, wide))
@@ -198,7 +198,7 @@ def model_error(
     dots: dict[str, Any] = {"marker": "o", "markersize": 2.5}
     color, label = (RED, None) if judged is None else (GREY, EPISODE)  # grey as beside the gate's decisions
     middle = _draw_positive(axis, x, np.median(y, axis=1), color, label=label, **dots)
-    name_single(axis, x, middle, color)
+    label_single_point(axis, x, middle, color)
     windows = np.full(len(x), np.nan) if judged is None else array(judged)
     if judged is not None:
         _draw_positive(axis, x, windows, color=BLUE, label=JUDGED, **dots)
@@ -211,8 +211,8 @@ def model_error(
     axis.set_yscale("log")
     for (words, level), line in zip((thresholds or {}).items(), cycle((":", "--"))):
         axis.axhline(level, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {level:g}")
-    mark_away(axis, x[~np.isfinite(y).all(axis=1)], color)
-    mark_away(axis, x[np.isinf(windows)], BLUE)
+    mark_divergence(axis, x[~np.isfinite(y).all(axis=1)], color)
+    mark_divergence(axis, x[np.isinf(windows)], BLUE)
     if axis.get_legend_handles_labels()[0]:
         legend_beside(axis)
     axis.set_xlabel("real episode")
@@ -295,7 +295,7 @@ def _input(
 ) -> None:
     """Draw an input of `(T, n_u)` as it is held, up to the end of its last period, in its own unit."""
     x, u = _broken(seconds, segment), _broken(signature.in_own_units(values)[:, place], segment)
-    axis.step(np.append(x, span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE)
+    axis.step(np.append(x, time_span(seconds)[1]), np.append(u, u[-1:]), where="post", color=BLUE)
     input_axis(axis, signature, place)
 
 
@@ -350,9 +350,9 @@ def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLi
     words = "time without the gaps" if _breaks(segment) else "time"
     shown = [axis for axis in axes if axis.get_visible()]
     for axis in shown[-columns:]:  # the last one of each column, above an empty place, too
-        time_axis(axis, span(seconds), words)
+        time_axis(axis, time_span(seconds), words)
         axis.tick_params(labelbottom=True)
-    axes[0].set_xlim(*span(seconds))
+    axes[0].set_xlim(*time_span(seconds))
 
 
 def _fit(real: Array, predicted: Array, whole: str) -> str:

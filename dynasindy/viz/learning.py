@@ -8,13 +8,12 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
-from dynasindy.viz.controllers import looks
-from dynasindy.viz.style import BLUE, GREY, RED, Array, array, legend_beside, name_single, panels, styled
+from dynasindy.viz.controllers import line_styles
+from dynasindy.viz.style import BLUE, GREY, RED, Array, array, label_single_point, legend_beside, panels, styled
 
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
@@ -53,7 +52,7 @@ def learning_curve(
     if len(y) > window:
         axis.plot(x, moving_mean(y, window), color=BLUE, label=f"mean of {window} episodes")
     if eval_episode is None or eval_return is None:
-        name_single(axis, x, y, BLUE)
+        label_single_point(axis, x, y, BLUE)
     else:
         at, mean = array(eval_episode), array(eval_return)
         axis.plot(at, mean, color=RED, marker="o", markersize=3.5, label="evaluated policy")
@@ -107,9 +106,8 @@ def average_rewards(
 def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike | None = None, seed: int = 0) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
-    Where there are fewer than three seeds, each is a line of its own, and nothing is a band. Where there is a band, the
-    single seeds are lines that are not visible, for a page that can switch them on. After a single episode there is no
-    course: settings stand side by side, and so do the seeds of each.
+    Where there are fewer than three seeds, each is a line of its own, and nothing is a band. After a single episode
+    there is no course: settings stand side by side, and so do the seeds of each.
 
     Args:
         axis: Where to draw.
@@ -117,8 +115,8 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
         episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
         seed: Seed of the bootstrap.
     """
-    banded, once = False, single(curves)
-    for place, ((name, values), line) in enumerate(zip(curves.items(), looks(curves).values())):
+    banded, once = False, single_episode(curves)
+    for place, ((name, values), line) in enumerate(zip(curves.items(), line_styles(curves).values())):
         rows = np.atleast_2d(array(values))
         x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
         x = np.array([float(place)]) if once else x
@@ -131,13 +129,11 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
                 beside = APART * (number - (len(rows) - 1) / 2) if once else 0.0
                 axis.plot(x + beside, row, label="_" * (number > 0) + label, **look)
         else:
-            middle, low, high = band(rows, seed)
+            middle, low, high = bootstrap_band(rows, seed)
             axis.plot(x, middle, label=label, **look)
             axis.fill_between(x, low, high, color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
             if len(x) == 1:
                 axis.vlines(x, low, high, color=line["color"], alpha=0.3, linewidth=7)
-            for row in rows:  # added apart, so that they do not widen the limits
-                axis.add_artist(Line2D(x, row, linewidth=0.9, **line, label=f"_{label}", visible=False))
             banded = True
     if banded:
         few = any(len(np.atleast_2d(array(values))) < FEWEST for values in curves.values())
@@ -157,7 +153,7 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
     axis.set_xlabel("real episode")
 
 
-def single(curves: Mapping[str, ArrayLike]) -> bool:
+def single_episode(curves: Mapping[str, ArrayLike]) -> bool:
     """Return whether no curve, `(n_seeds, n_episodes)` each, has more than one episode."""
     return bool(curves) and all(np.atleast_2d(array(values)).shape[1] == 1 for values in curves.values())
 
@@ -174,13 +170,13 @@ def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
 
 def _draw_longer(axis: Axes, longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]], known: Sequence[str]) -> None:
     """Draw single runs as thin lines in the colours of their settings, and widen the axis to their ends."""
-    of = looks(dict.fromkeys([*known, *longer]))
+    of = line_styles(dict.fromkeys([*known, *longer]))
     for name, runs in longer.items():
         words = name.replace("$", r"\$")
         label = f"{words}, longer ({len(runs)} seed{'s' * (len(runs) > 1)})"
         for number, (x, y) in enumerate(runs):
-            told = "_" * (number > 0) + label
-            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=told, **of[name])
+            text = "_" * (number > 0) + label
+            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=text, **of[name])
     ends = [float(array(x).max()) for runs in longer.values() for x, _ in runs]
     if ends:
         left, right = axis.get_xlim()
@@ -211,7 +207,7 @@ def moving_mean(values: Array, window: int) -> Array:
     return (total[end] - total[start]) / (end - start)
 
 
-def band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
+def bootstrap_band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
     """Return interquartile mean and interval over seeds at each episode of `(n_seeds, n_episodes)`."""
     by_episode = torch.as_tensor(returns.T)
     low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=seed)

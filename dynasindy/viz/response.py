@@ -12,21 +12,21 @@ from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.text import format_duration
-from dynasindy.viz.controllers import looks
+from dynasindy.viz.controllers import line_styles
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
     GREY,
     Array,
     array,
-    held,
     input_axis,
     label,
     legend_above,
     panels,
-    span,
     styled,
     time_axis,
+    time_span,
+    zero_order_hold,
 )
 
 AXES = SIGNATURE.state_names[:2]
@@ -62,14 +62,14 @@ def tracking(
     for i, name in enumerate(names):
         if target is not None:
             look: Any = {"color": BLACK, "linestyle": "--", "linewidth": 1.2}
-            axes[i].plot(_moments(seconds, target), target[:, i], label="reference", **look)
+            axes[i].plot(_row_times(seconds, target), target[:, i], label="reference", **look)
         _lines(axes[i], seconds, outputs, i)
         axes[i].set_ylabel(label(*_with_unit(name)))
     for i in range(n_u):
         _inputs(axes[len(names) + i], seconds, inputs, i, signature)
     legend_above(axes[0])
-    time_axis(axes[-1], span(seconds))
-    axes[-1].set_xlim(*span(seconds))
+    time_axis(axes[-1], time_span(seconds))
+    axes[-1].set_xlim(*time_span(seconds))
     return figure
 
 
@@ -92,9 +92,9 @@ def step_response(
         half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
         band = f"{100 * SETTLING_BAND:g} % band"
         axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
-        start, end = span(seconds)
-        told = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
-        axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=told)
+        start, end = time_span(seconds)
+        text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
+        axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
     legend_above(figure.axes[0])
     return figure
 
@@ -129,8 +129,8 @@ def error_fan(
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
         unit = _with_unit(name)[1]
         least_paid = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else [])])
-        told = f"the reward pays a bonus below {least_paid}"
-        axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=told)
+        text = f"the reward pays a bonus below {least_paid}"
+        axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=text)
         axis.set_yscale("log")
         # The middle half stays inside, and the wide band nearly all the time; what is less, or zero, leaves the axis
         # and is not laid flat on a floor.
@@ -140,8 +140,8 @@ def error_fan(
         axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
         axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
     legend_above(axes[0])
-    time_axis(axes[-1], span(seconds))
-    axes[-1].set_xlim(*span(seconds))
+    time_axis(axes[-1], time_span(seconds))
+    axes[-1].set_xlim(*time_span(seconds))
     return figure
 
 
@@ -151,20 +151,20 @@ def _with_unit(name: str) -> tuple[str, str]:
     return bare, unit.removesuffix("]") or "rad"
 
 
-def _moments(seconds: Array, rows: Array) -> Array:
+def _row_times(seconds: Array, rows: Array) -> Array:
     """Return the times of rows, the last of which may be a row after the last control period."""
-    return seconds if len(rows) <= len(seconds) else np.append(seconds, span(seconds)[1])
+    return seconds if len(rows) <= len(seconds) else np.append(seconds, time_span(seconds)[1])
 
 
 def _lines(axis: Axes, seconds: Array, outputs: Mapping[str, ArrayLike], column: int) -> None:
-    for (name, values), look in zip(outputs.items(), looks(outputs).values()):
+    for (name, values), look in zip(outputs.items(), line_styles(outputs).values()):
         rows = array(values)
-        axis.plot(_moments(seconds, rows), rows[:, column], label=name, **look)
+        axis.plot(_row_times(seconds, rows), rows[:, column], label=name, **look)
 
 
 def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, signature: Signature) -> None:
-    for (of, values), look in zip(inputs.items(), looks(inputs).values()):
+    for (of, values), look in zip(inputs.items(), line_styles(inputs).values()):
         # Zero-order hold: the input is constant until the next sample, the last one until the end.
         own = signature.in_own_units(array(values))[:, column]
-        axis.step(*held(seconds, own), where="post", linewidth=1.0, label=of, **look)
+        axis.step(*zero_order_hold(seconds, own), where="post", linewidth=1.0, label=of, **look)
     input_axis(axis, signature, column)

@@ -38,7 +38,7 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
 """Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
-AWAY = "ran away, above the axis"
+DIVERGED = "ran away, above the axis"
 ROW = 95
 """Letters that a row of a legend above an axis holds."""
 
@@ -98,11 +98,11 @@ def panels(
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
         letters = int(11 * size[0])  # some eleven an inch
-        figure.suptitle("\n".join(row for line in title.split("\n") for row in wrapped(line, letters)), fontsize=11)
+        figure.suptitle("\n".join(row for line in title.split("\n") for row in wrap_title(line, letters)), fontsize=11)
     return figure, list(axes.flat)
 
 
-def wrapped(line: str, letters: int) -> list[str]:
+def wrap_title(line: str, letters: int) -> list[str]:
     """Return a line as few lines of at most so many letters, which break between clauses or are of equal length."""
     if len(line) <= letters:
         return [line]
@@ -139,7 +139,7 @@ def label(name: str, unit: str = "") -> str:
     return f"{words}{symbol(name)}" + (f" [{unit}]" if unit else "")
 
 
-def spelt(text: str) -> str:
+def spell_names(text: str) -> str:
     """Return a text with words for the names of the twin rotor, and units with raised exponents.
 
     What a plant's equation makes of a state is told with a stroke, `Omega_a'`, and is the change of it. Names of other
@@ -174,7 +174,7 @@ def array(values: ArrayLike) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-def span(seconds: Array) -> tuple[float, float]:
+def time_span(seconds: Array) -> tuple[float, float]:
     """Return the start and the end of a run in time: the last sample is held for a period, too.
 
     A start or an end that misses a whole second by less than a period is drawn at it, as every other sample is saved.
@@ -195,21 +195,21 @@ def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
     """
     unit = duration_unit(float(np.ptp(array(seconds)))) if np.size(seconds) else duration_unit(0.0)
     TIMED[axis] = words, unit
-    _told_in(axis, words, unit)
+    _label_time_axis(axis, words, unit)
 
 
 TIMED: WeakKeyDictionary[Axes, tuple[str, TimeUnit]] = WeakKeyDictionary()
 """Axes of time, with what they show and the unit that they have by themselves."""
 
 
-def in_one_unit(figures: Iterable[Figure]) -> None:
+def share_time_unit(figures: Iterable[Figure]) -> None:
     """Tell the times of all figures in one unit, the smallest of those that they have by themselves."""
     timed = [(axis, *TIMED[axis]) for figure in figures for axis in figure.axes if axis in TIMED]
     for axis, words, _ in timed:
-        _told_in(axis, words, min((unit for *_, unit in timed), key=lambda unit: unit.seconds))
+        _label_time_axis(axis, words, min((unit for *_, unit in timed), key=lambda unit: unit.seconds))
 
 
-def _told_in(axis: Axes, words: str, unit: TimeUnit) -> None:
+def _label_time_axis(axis: Axes, words: str, unit: TimeUnit) -> None:
     axis.set_xlabel(f"{words} [{unit.name}]")
     if unit.seconds != 1 or isinstance(axis.xaxis.get_major_locator(), _Scaled):  # which had another unit before
         axis.xaxis.set_major_locator(_Scaled(unit.seconds))
@@ -228,17 +228,17 @@ class _Scaled(MaxNLocator):
         return [self.unit * tick for tick in super().tick_values(vmin / self.unit, vmax / self.unit)]
 
 
-def held(seconds: Array, values: Array) -> tuple[Array, Array]:
+def zero_order_hold(seconds: Array, values: Array) -> tuple[Array, Array]:
     """Return times and values of an input that is held, its last sample up to the end of the run."""
-    return np.append(seconds, span(seconds)[1]), np.concatenate([values, values[-1:]])
+    return np.append(seconds, time_span(seconds)[1]), np.concatenate([values, values[-1:]])
 
 
-def short(value: float) -> str:
+def format_number(value: float) -> str:
     """Return a number with three digits, or all those before the point."""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def named_dots(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -> None:
+def draw_named_values(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -> None:
     """Draw single values along an axis, one below the other, each with its name in front and its number beside it.
 
     Args:
@@ -251,13 +251,15 @@ def named_dots(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -
             axis.plot(value, height, color=color, marker="o", markersize=6)
             at = (value, height)
             ground = {"facecolor": "white", "linewidth": 0, "pad": 1}  # the line of the grid would run through it
-            axis.annotate(short(value), at, (8, 0), textcoords="offset points", va="center", color=color, bbox=ground)
+            axis.annotate(
+                format_number(value), at, (8, 0), textcoords="offset points", va="center", color=color, bbox=ground
+            )
     axis.set_yticks(range(len(values)), list(values))
     axis.set_ylim(len(values) - 0.5, -0.5)
     axis.set_xlabel(what)
 
 
-def name_single(axis: Axes, x: Array, y: Array, color: str) -> None:
+def label_single_point(axis: Axes, x: Array, y: Array, color: str) -> None:
     """Write its value beside a curve that has only one point, which is easily overlooked."""
     seen = np.isfinite(y)
     if seen.sum() == 1:
@@ -284,18 +286,18 @@ def legend_beside(axis: Axes) -> None:
     axis.legend(list(named.values()), list(named), loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def mark_away(axis: Axes, x: Array, color: str) -> None:
+def mark_divergence(axis: Axes, x: Array, color: str) -> None:
     """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
     low, top = axis.get_ylim()
     axis.set_ylim(low, top)
     if len(x):
         look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
-        axis.plot(x, np.full(len(x), top), color=color, label=AWAY, **look)
+        axis.plot(x, np.full(len(x), top), color=color, label=DIVERGED, **look)
 
 
 def save_all(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write figures that belong together, their times in one unit, as `folder/NAME`, and return the files."""
-    in_one_unit(figures.values())
+    share_time_unit(figures.values())
     return [file for name, figure in figures.items() for file in save(figure, folder / name, formats)]
 
 

@@ -37,14 +37,14 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems import System
 from dynasindy.systems.tracing import program
 from dynasindy.tasks import Wave, references
-from dynasindy.viz.controllers import named
+from dynasindy.viz.controllers import controller_name
 
 OUT = Path("docs/results/baselines.csv")
 KEY = ("plant", "controller", "model", "seed")
 COLUMNS = (*KEY, "real_seconds", "scenario", "metric", "azimuth", "pitch", "ms_per_action")
 METRICS = ("rmse", "mean_abs_error", "steady_state_error", "control_variation")
 HEADINGS = ("RMSE [rad]", "mean abs error [rad]", "steady-state error [rad]", "control variation [1/s]")
-LEARNED = (named("gradient"), named("gradient_integral"))
+LEARNED = (controller_name("gradient"), controller_name("gradient_integral"))
 RIVALS = ("LQI", "MPC")
 """Controllers of the package until they went: their rows stay in the table."""
 GOALS = (("step", "steady_state_error"), ("sine", "rmse"), ("square", "rmse"))

@@ -1,6 +1,5 @@
 """Figures of an evaluation: which kind is drawn for which scenario."""
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,11 +8,11 @@ import torch
 from matplotlib.colors import to_rgb
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
+from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
-from dynasindy.viz.evaluation import draw_evaluation, figures
+from dynasindy.viz.evaluation import draw_evaluation, evaluation_figures
 from dynasindy.viz.style import ORANGE
 
 
@@ -33,15 +32,15 @@ def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Pa
 
 
 def test_steps_show_their_settling_band_and_waves_do_not() -> None:
-    assert figures(run(Step([[0.1, 0.1]]), 1))["short"].axes[0].patches
-    assert not figures(run(Wave([0.3, 0.2], [0.5, 0.5]), 1))["short"].axes[0].patches
+    assert evaluation_figures(run(Step([[0.1, 0.1]]), 1))["short"].axes[0].patches
+    assert not evaluation_figures(run(Wave([0.3, 0.2], [0.5, 0.5]), 1))["short"].axes[0].patches
 
 
 def test_the_gust_is_shaded_in_every_panel() -> None:
     system = Tras()
     env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.1]])), substeps=1)
     gust = Scenario("wind", None, 2, 3.0, partial(Pushed, push={"Omega_p": 0.5}), [(1.0, 2.0)])
-    drawn = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), gust))
+    drawn = evaluation_figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), gust))
     for figure in drawn.values():
         for axis in figure.axes:
             shades = [patch for patch in axis.patches if patch.get_facecolor()[:3] == to_rgb(ORANGE)]
@@ -57,43 +56,16 @@ def test_other_plants_get_their_own_labels() -> None:
         lambda td: td.set("action", torch.zeros(*td.batch_size, 1)),
         Scenario("hang", seconds=1.0),
     )
-    labels = [axis.get_ylabel() for axis in figures(result)["hang"].axes]
+    labels = [axis.get_ylabel() for axis in evaluation_figures(result)["hang"].axes]
     assert labels == [r"$\theta$ [rad]", "$u$ [-]"]
-
-
-def test_titles_say_where_it_was_flown_unless_on_the_plant() -> None:
-    evaluation = run(Step([[0.1, 0.1]]), 3)
-    titles = [figure.get_suptitle() for figure in figures(evaluation, place="on a model").values()]
-    assert titles[0].startswith("Scenario 'short' on a model\nepisode 1 of 3, ")
-    assert titles[1] == "Scenario 'short' on a model: error over all references (3)"
-    assert "model" not in figures(evaluation)["short"].get_suptitle()
 
 
 def test_without_references_all_states_are_drawn_and_no_errors(settle) -> None:
     env = ControlEnv(Pendulum(), settle(Pendulum().signature), substeps=1)
     zero = Scenario("task", None, 3, 1.0)
-    drawn = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), zero))
+    drawn = evaluation_figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), zero))
     assert list(drawn) == ["task"]
     assert [len(axis.lines) for axis in drawn["task"].axes] == [1, 1, 1]
-
-
-def test_the_figures_of_a_disturbed_flight_say_how_large_the_disturbance_is() -> None:
-    system = Tras()
-    env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.1]])), substeps=1)
-    late = Scenario("delay", None, 2, 1.0, wrappers=[partial(DelayedActuator, periods=3)])
-    found = figures(evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 2)), late))
-    for figure in found.values():
-        assert figure.get_suptitle().startswith("Scenario 'delay'; inputs late by 3 control periods, 0.15 s")
-
-
-def test_a_title_does_not_say_the_name_of_a_disturbance_twice() -> None:
-    result = replace(run(Step([[0.1, 0.1]]), 2), scenario="detuned", disturbances=("detuned: J times 1.1",))
-    assert [figure.get_suptitle().split("\n")[0] for figure in figures(result).values()] == [
-        "Scenario 'detuned'; J times 1.1",
-        "Scenario 'detuned'; J times 1.1: error over all references (2)",
-    ]
-    other = figures(replace(result, scenario="mine"))["mine"]
-    assert other.get_suptitle().startswith("Scenario 'mine'; detuned: J times 1.1")
 
 
 def test_the_episode_that_begins_farthest_is_drawn() -> None:
@@ -105,6 +77,6 @@ def test_the_episode_that_begins_farthest_is_drawn() -> None:
     env = ControlEnv(system, task, substeps=1)
     result = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), Scenario("swing", None, 9, 0.5))
     starts = result.outputs[:, 0, 0].abs()
-    figure = figures(result)["swing"]
+    figure = evaluation_figures(result)["swing"]
     assert abs(figure.axes[0].lines[1].get_ydata()[0]) == starts.max()
     assert f"episode {int(starts.argmax()) + 1} of 9" in figure.get_suptitle()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.viz.gate import _around, gate
+from dynasindy.viz.gate import gate
 
 
 def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
@@ -36,46 +36,7 @@ def test_where_the_model_ran_away_there_is_a_mark_at_the_upper_edge():
     # Where no planning was due nothing was judged: that is no flight.
     assert [line.get_xdata().tolist() for line in marks] == [[2.0, 3.0], [4.0]]
     assert {height for line in marks for height in line.get_ydata()} == {upper.get_ylim()[1]}
-    words = [text.get_text() for text in upper.get_legend().get_texts()]
-    assert words.count("ran away, above the axis") == 1
     assert not [line for line in lower.lines if line.get_marker() == "^"]
-
-
-@pytest.mark.parametrize(
-    ("values", "ends"),
-    [
-        ([1.52e-7, 1.53e-7], (1e-7, 5e-7)),  # at least a factor of 5
-        ([0.2, 0.5], (0.1, 1.0)),  # on a tick: to the next one
-        ([0.03, 4.0, np.nan, 0.0], (0.02, 5.0)),
-        ([3e-9, 0.1], (2e-9, 0.2)),
-        ([0.0108, 0.095], (0.005, 0.2)),  # within a tenth of a tick
-        ([0.0111, 0.09], (0.01, 0.1)),
-        ([np.nan], (1.0, 10.0)),
-    ],
-)
-def test_an_axis_ends_at_the_next_tick_and_not_a_decade_later(values, ends):
-    assert _around(np.array(values)) == pytest.approx(ends)
-
-
-def test_nothing_lies_on_the_frame():
-    # The thresholds are ticks themselves, and the errors are below and above them.
-    errors = {"reward_error": [0.2, 0.4, 0.3], "judged_reward_error": [0.1, 0.2, 5.0]}
-    bounds = {"open_below": [0.05] * 3, "close_above": [0.1] * 3, "open": [1] * 3, "episode": [1, 2, 3]}
-    tests = {"held_out_error_before": [0.5, 0.2, 1.0], "held_out_error_after": [0.2, 0.1, 0.5], "refit_kept": [1] * 3}
-    for axis in gate(errors | bounds | tests).axes:
-        low, high = axis.get_ylim()
-        drawn = np.concatenate([np.asarray(line.get_ydata()) for line in axis.lines])
-        assert low * 1.09 < drawn.min() and drawn.max() * 1.09 < high
-
-
-def test_ends_near_to_each_other_have_ticks_between_the_powers_of_ten():
-    upper, lower = single(held_out_error_before=0.012, reward_error=1e-7)
-    assert lower.get_xlim() == (0.01, 0.05)
-    ticks = [text.get_text() for text in lower.get_xticklabels()]
-    assert {"0.01", "0.02", "0.05"} <= set(ticks)
-    # Far ends have the powers alone; both thresholds are on the axis.
-    assert upper.get_xlim() == pytest.approx((5e-8, 0.5))
-    assert all(np.log10(at) % 1 == pytest.approx(0, abs=1e-9) for at in upper.get_xticks())
 
 
 def single(**changed):
@@ -95,8 +56,6 @@ def test_a_single_episode_has_a_line_for_each_figure():
         "no longer trusted above 0.1": 0.1,
     }
     assert [text.get_text() for axis in (upper, lower) for text in axis.texts] == ["0.03", "0.02", "0.0123"]
-    names = [text.get_text() for axis in (upper, lower) for text in axis.get_yticklabels()]
-    assert names[1:] == ["held-out windows, judged", "before the refit", "after the refit"]
 
 
 def test_a_single_episode_shows_its_windows_beneath_what_sums_them_up():
@@ -110,28 +69,3 @@ def test_a_single_episode_shows_its_windows_beneath_what_sums_them_up():
         assert judged.tolist() == [[0.003, 1.3], [0.04, 1.3], [0.5, 1.3]]
         assert states.tolist() == [[0.001, height], [0.02, height]]
         assert upper.get_xlim()[0] < 0.003 and upper.get_xlim()[1] > 0.5
-        assert upper.get_legend().get_texts()[0].get_text() == "each of 3 windows"
-
-
-def test_the_number_of_an_episode_that_the_model_lost_stays_beside_its_dot_on_the_axis():
-    # Of an unstable plant, an open-loop replay errs by 13 decades more than the windows that are judged.
-    columns = {"episode": [1], "reward_error": [502656.0], "judged_reward_error": [1.28e-7], "open": [1]}
-    columns |= {"open_below": [0.05], "close_above": [0.1], "refit_kept": [1]}
-    figure = gate(columns | {"held_out_error_before": [1e-6], "held_out_error_after": [2e-7]})
-    figure.canvas.draw()
-    figure.canvas.draw()  # the layout takes another round
-    upper = figure.axes[0]
-    (told,) = (text for text in upper.texts if text.get_text().startswith("5"))
-    assert told.get_window_extent().x1 < upper.get_window_extent().x1
-
-
-@pytest.mark.parametrize(
-    ("changed", "where", "words"),
-    [
-        ({"open": 0}, 0, "held-out windows, judged, closes the gate"),
-        ({"refit_kept": 0}, 1, "after the refit, rolled back"),
-        ({"refit_kept": np.nan}, 1, "after the refit, not tested"),
-    ],
-)
-def test_what_became_of_a_single_episode_is_said(changed, where, words):
-    assert single(**changed)[where].get_yticklabels()[1].get_text() == words

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynasindy.systems import Pendulum, Signature, Tras
+from dynasindy.systems import Pendulum, Tras
 from dynasindy.viz import coefficient_table, excitation, model_error, prediction, training_data
 from dynasindy.viz.identification import growing_error
 
@@ -16,24 +16,8 @@ STATES = np.linspace(0, 1, 100)[:, None] * np.array([1.0, 2.0, 3.0, 4.0, 1000.0,
 def test_prediction_titles_say_the_error_in_percent_of_the_range() -> None:
     figure = prediction(TIME, STATES, STATES + np.array([0.1, 0, 0, 0, 0, 0]))
     titles = [axis.get_title(loc="right") for axis in figure.axes]
-    assert titles[0] == "RMSE 10 % of 1 rad, the real range"
-    assert titles[5] == "RMSE below 0.001 % of 2000 rpm, the real range"
-    figure = prediction(TIME, STATES, STATES + np.array([3.2e-5, 1.5, 0, 0, 0, 40.0]))
-    titles = [figure.axes[k].get_title(loc="right") for k in (0, 1, 5)]
-    assert titles == [
-        "RMSE 0.0032 % of 1 rad, the real range",
-        "RMSE 75 % of 2 rad, the real range, cut off",
-        "RMSE 2 % of 2000 rpm, the real range",
-    ]
-    told = prediction(TIME, STATES, 3 * STATES, truth="log").axes[0].get_title(loc="right")
-    assert told == "RMSE 116 % of 1 rad, the log's range, cut off"
+    assert titles[0].startswith("RMSE 10 %") and " 0.001 %" in titles[5]
     assert figure.axes[4].get_ylabel().endswith("[rpm]")
-
-
-def test_curves_fill_their_panels_unless_the_model_leaves_the_plant_far_behind() -> None:
-    """The plant goes from 0 to 1; the model beside it, a fifth beyond it, and three times as far."""
-    ends = [prediction(TIME, STATES, k * STATES).axes[0].get_ylim() for k in (1.0, 1.2, 3.0)]
-    np.testing.assert_allclose(ends, [(-0.06, 1.06), (-0.06, 1.26), (-0.06, 1.6)])
 
 
 def test_a_model_that_runs_away_is_said_and_does_not_flatten_the_plant() -> None:
@@ -42,7 +26,6 @@ def test_a_model_that_runs_away_is_said_and_does_not_flatten_the_plant() -> None
     wild[50:, 1] = np.nan
     figure = prediction(TIME, STATES, wild)
     assert figure.axes[0].get_ylim()[1] < 2
-    assert figure.axes[1].get_title(loc="right") == "runs away"
 
 
 def test_a_state_that_nobody_measured_is_drawn_as_far_as_its_range() -> None:
@@ -81,7 +64,6 @@ def test_a_rate_that_nobody_measured_has_no_empty_panel_and_is_named() -> None:
     figure = training_data(TIME, x, STATES[:, 2:3], Pendulum().signature)
     assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", "$u$ [-]"]
     np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), STATES[:, 0])
-    assert figure.get_suptitle() == "Training data; not measured: Omega"
 
 
 def test_model_error_is_the_median_on_a_log_axis_with_refits() -> None:
@@ -100,11 +82,6 @@ def test_the_thresholds_of_the_models_error_are_drawn_and_named() -> None:
     assert [text.get_text() for text in axis.get_legend().get_texts()] == list(levels)
 
 
-def test_an_error_of_zero_stays_on_the_figure() -> None:
-    axis = model_error([1, 2], [0.0, 1.0]).axes[0]
-    assert axis.get_ylim()[0] < axis.lines[1].get_ydata()[0] < 1.0 and axis.lines[1].get_xdata() == [1.0]
-
-
 def test_the_table_holds_the_used_features_only() -> None:
     coefficients = np.zeros((3, 2))
     coefficients[0, 1], coefficients[2, 0] = -9.81, 1.0
@@ -112,10 +89,6 @@ def test_the_table_holds_the_used_features_only() -> None:
     cells = {place: cell.get_text().get_text() for place, cell in figure.axes[0].tables[0].get_celld().items()}
     assert [cells[k, -1] for k in (1, 2)] == ["1", "Omega"]
     assert [cells[1, 0], cells[1, 1], cells[2, 0], cells[2, 1]] == ["", "-9.81", "1", ""]
-
-
-def test_an_empty_model_still_has_a_table() -> None:
-    assert coefficient_table(np.zeros((3, 2)), ["1", "a", "b"], ["a", "b"]).axes[0].tables
 
 
 def test_lines_break_between_stretches_of_a_log() -> None:
@@ -129,19 +102,11 @@ def test_lines_break_between_stretches_of_a_log() -> None:
     assert figure.axes[-1].get_xlabel() == "time without the gaps [s]"
 
 
-def test_the_error_of_a_single_episode_is_written_out() -> None:
-    axis = model_error([1], [0.00321]).axes[0]
-    assert [text.get_text() for text in axis.texts] == ["0.00321"]
-    assert axis.get_xlim() == (0.5, 1.5) and axis.get_xticks().tolist() == [0, 1, 2]
-    assert not model_error([1, 2], [1.0, 2.0]).axes[0].texts
-
-
 def test_the_error_of_a_prediction_is_drawn_over_time_and_never_at_zero() -> None:
     (axis,) = growing_error([0.0, 0.5, 1.0], [0.0, 0.1, 0.4]).axes
     line, mark = axis.lines
     np.testing.assert_array_equal(line.get_ydata(), [np.nan, 0.1, 0.4])
     assert mark.get_xydata().tolist() == [[0.0, 0.05]] and mark.get_marker() == "v"
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["exactly 0, below the axis"]
     assert axis.get_yscale() == "log" and axis.get_xlim() == (0.0, 1.0)
     assert axis.get_ylim()[0] > 1e-3  # and not twelve decades below the errors
 
@@ -150,12 +115,6 @@ def test_an_error_that_is_tiny_is_drawn_as_it_is_and_one_that_is_zero_is_said_to
     (axis,) = model_error([1, 2, 3], [1e-14, 0.0, 3e-13]).axes
     np.testing.assert_array_equal(axis.lines[0].get_ydata(), [1e-14, np.nan, 3e-13])
     assert axis.lines[1].get_xydata().tolist() == [[2.0, 5e-15]]
-    assert "exactly 0, below the axis" in [text.get_text() for text in axis.get_legend().get_texts()]
-    assert model_error([1, 2], [0.1, 0.2]).axes[0].get_legend() is None
-
-
-def words(figure) -> list[str]:
-    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 def test_training_data_show_the_inputs_as_they_are_held_and_what_the_fit_leaves_out() -> None:
@@ -167,7 +126,6 @@ def test_training_data_show_the_inputs_as_they_are_held_and_what_the_fit_leaves_
     for axis in figure.axes:
         (shade,) = axis.patches
         assert (shade.get_x(), round(shade.get_width(), 9)) == (0.2, 0.1)
-    assert words(figure) == ["at a stop, left out of the fit"]
 
 
 def test_where_an_excitation_began_anew_is_marked_in_every_panel() -> None:
@@ -176,7 +134,6 @@ def test_where_an_excitation_began_anew_is_marked_in_every_panel() -> None:
     figure = training_data(TIME, x, u, Pendulum().signature)
     for axis in (*figure.axes, *excitation(TIME, u, Pendulum().signature).axes):
         assert [line.get_xdata()[0] for line in axis.lines if line.get_linestyle() == "--"] == [TIME[40]]
-    assert words(figure) == ["ended early, began anew"]
 
 
 def test_lost_samples_of_a_log_are_no_restarts() -> None:
@@ -187,34 +144,12 @@ def test_lost_samples_of_a_log_are_no_restarts() -> None:
         for segment in (None, np.zeros(100)):
             figure = training_data(TIME, x, u, Pendulum().signature, segment=segment)
             assert not [line for axis in figure.axes for line in axis.lines if line.get_linestyle() == "--"]
-            assert words(figure) == []
 
 
 def test_gaps_of_a_log_are_marked_unless_they_are_everywhere() -> None:
     figure = training_data(TIME, STATES, segment=np.repeat([0, 1, 4], [30, 50, 20]))
     assert [line.get_xdata()[0] for line in figure.axes[5].lines[1:]] == [TIME[30], TIME[80]]
-    assert words(figure) == ["gap: samples missing or left out"]
-    assert not words(training_data(TIME, STATES, segment=np.arange(100)))
-
-
-def test_a_prediction_says_what_it_is_compared_with_and_what_was_not_measured() -> None:
-    log = STATES.copy()
-    log[:, 2] = np.nan
-    figure = prediction(TIME, log, STATES, truth="log")
-    assert words(figure) == ["log", "predicted"]
-    assert [axis.get_title(loc="right") for axis in figure.axes[1:4]] == [
-        "RMSE below 0.001 % of 2 rad, the log's range",
-        "not measured",
-        "RMSE below 0.001 % of 4 rad/s, the log's range",
-    ]
-    assert words(prediction(TIME, STATES, STATES)) == ["real", "predicted"]
-
-
-def test_the_panel_above_an_empty_place_has_its_times() -> None:
-    signature = Signature(("a", "b", "c", "d"), ("m",) * 4, ("u",), (1.0,) * 4)
-    figure = training_data(TIME, STATES[:, :4], TIME[:, None], signature)
-    assert [axis.get_xlabel() for axis in figure.axes] == ["", "", "", "time [s]", "time [s]", ""]
-    assert not figure.axes[5].get_visible() and figure.axes[3].xaxis.get_tick_params()["labelbottom"]
+    assert len(training_data(TIME, STATES, segment=np.arange(100)).axes[5].lines) == 1
 
 
 def test_a_prediction_ends_where_it_is_lost() -> None:

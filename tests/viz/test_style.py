@@ -10,28 +10,25 @@ from matplotlib.mathtext import MathTextParser
 
 from dynasindy.systems import Signature
 from dynasindy.viz.style import (
-    CYCLE,
-    held,
     input_axis,
     label,
-    legend_above,
     panels,
     save,
     save_all,
-    span,
-    spelt,
+    spell_names,
     styled,
     symbol,
     time_axis,
-    wrapped,
+    time_span,
+    zero_order_hold,
 )
 
 
 def test_names_in_a_sentence_become_words():
     detuned = "detuned: change of azimuth rate times 0.9, main input times 0.8"
-    assert spelt("pushed by 0.5 rad/s^2 on Omega_a") == "pushed by 0.5 rad/s² on azimuth rate"
-    assert spelt("detuned: Omega_a' times 0.9, u_p times 0.8") == detuned
-    assert spelt("pushed by 2 m/s^2 on m, s") == "pushed by 2 m/s² on m, s"
+    assert spell_names("pushed by 0.5 rad/s^2 on Omega_a") == "pushed by 0.5 rad/s² on azimuth rate"
+    assert spell_names("detuned: Omega_a' times 0.9, u_p times 0.8") == detuned
+    assert spell_names("pushed by 2 m/s^2 on m, s") == "pushed by 2 m/s² on m, s"
 
 
 @pytest.mark.parametrize(
@@ -109,14 +106,6 @@ def test_drawing_leaves_the_global_settings_alone() -> None:
     assert dict(matplotlib.rcParams) == before
 
 
-def test_colours_differ_in_lightness_for_readers_without_colour_vision() -> None:
-    # Rec. 709 luma of the first four colours of the cycle, those that most figures use.
-    rgb = np.array([matplotlib.colors.to_rgb(c) for c in CYCLE[:4]])
-    luma = np.sort(rgb @ [0.2126, 0.7152, 0.0722])
-    assert len(set(CYCLE)) == len(CYCLE)
-    assert np.diff(luma).min() > 0.02
-
-
 def test_equal_data_give_equal_files(tmp_path: Path) -> None:
     for name in ("one", "two"):
         figure, (axis,) = panels(1)
@@ -130,31 +119,6 @@ def test_equal_data_give_equal_files(tmp_path: Path) -> None:
 
 def test_a_dot_in_the_name_is_kept(tmp_path: Path) -> None:
     assert save(panels(1)[0], tmp_path / "lambda_0.9")[0].name == "lambda_0.9.png"
-
-
-def test_a_legend_above_an_axis_takes_a_second_row_before_it_is_wider_than_the_axis() -> None:
-    for names, columns in ((["reference", "policy"], 2), ([f"{k} controllers of a kind" for k in range(6)], 3)):
-        axis = Figure().subplots()
-        for name in names:
-            axis.plot([0, 1], label=name)
-        legend_above(axis)
-        assert axis.get_legend()._ncols == columns
-
-
-@pytest.mark.parametrize(
-    ("line", "rows"),
-    [
-        ("short", ["short"]),
-        # Clauses stay whole where that costs no further line,
-        ("episode 1 of 64, the same for all; 54 have less", ["episode 1 of 64, the same for all;", "54 have less"]),
-        # and where it would, or where there are none, the lines are of equal length.
-        ("aaaa bbbb cccc dddd eeee ffff gggg hhhh", ["aaaa bbbb cccc dddd", "eeee ffff gggg hhhh"]),
-        ("a: bbbb cccc dddd eeee ffff gggg hhhh iiii", ["a: bbbb cccc dddd eeee", "ffff gggg hhhh iiii"]),
-        ("x" * 50 + " y", ["x" * 50, "y"]),
-    ],
-)
-def test_a_long_title_breaks_between_clauses_or_in_equal_lines(line, rows):
-    assert wrapped(line, 36) == rows
 
 
 @pytest.mark.parametrize(
@@ -193,11 +157,11 @@ def test_the_time_of_a_slow_plant_is_drawn_in_minutes_or_hours(end, what, ticks)
     ],
 )
 def test_a_run_ends_with_its_last_period(times, ends) -> None:
-    assert span(times) == pytest.approx(ends)
+    assert time_span(times) == pytest.approx(ends)
 
 
 def test_the_last_input_is_held_to_the_end() -> None:
-    times, values = held(np.array([0.0, 0.5]), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    times, values = zero_order_hold(np.array([0.0, 0.5]), np.array([[1.0, 2.0], [3.0, 4.0]]))
     assert times.tolist() == [0.0, 0.5, 1.0] and values.tolist() == [[1, 2], [3, 4], [3, 4]]
 
 

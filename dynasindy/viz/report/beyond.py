@@ -14,7 +14,7 @@ from dynasindy.evaluation.metrics import UNITS
 from dynasindy.evaluation.statistics import FEWEST, interquartile_mean
 from dynasindy.evaluation.summary import WORDS
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.controllers import named
+from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.gate import gate
 from dynasindy.viz.report.document import Part, Picture, Section, Table, Text
 from dynasindy.viz.report.paper import AXES
@@ -106,7 +106,7 @@ def gradient(results: Results) -> Section:
         return parts
 
     def _of(plant: str, scenario: str) -> list[Part]:
-        run, step, name = results.main_run(plant), scenario == "step", named("gradient")
+        run, step, name = results.main_run(plant), scenario == "step", controller_name("gradient")
         columns = run.table("data/step_response.csv" if step else f"evaluation/{scenario}.csv")
         target, y = stacked(columns, [f"reference_{axis}" for axis in AXES]), {name: stacked(columns, tuple(AXES))}
         title = f"{scenario.capitalize()}, planning by gradient: plant {plant}"

@@ -41,7 +41,7 @@ COLOURS = {
 }
 """Class of a cell that begins with a verdict."""
 WIDTH = 120
-SVG: dict[str, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
+SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
 """Letters stay text, which is smaller than outlines and can be searched."""
 
 

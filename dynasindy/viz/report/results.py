@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dynasindy.safe_io import read_json, read_rows, reading
-from dynasindy.viz.controllers import named
+from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.report.document import Finding, Part, Statement, Text
 from dynasindy.viz.run import Table, read_table
 
@@ -16,7 +16,7 @@ REPORT = "python scripts/report.py"
 PLANTS = ("xi", "tras")
 CASES = tuple((plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper"))
 """What the ablation compares its settings in."""
-SETTINGS = {setting: named(setting) for setting in ("rollouts_0", "rollouts_400", "rollouts_800")}
+SETTINGS = {setting: controller_name(setting) for setting in ("rollouts_0", "rollouts_400", "rollouts_800")}
 NONE, SOME, MANY = SETTINGS.values()
 ABLATION = "python scripts/ablation.py system={} experiment={}"
 Row = Mapping[str, str]

@@ -15,7 +15,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.sindy.prediction import open_loop
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.controllers import named
+from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.framework import framework
 from dynasindy.viz.identification import BEYOND, CLOSES, OPENS, excitation, model_error, prediction, training_data
 from dynasindy.viz.learning import average_rewards
@@ -282,7 +282,7 @@ def rewards(results: Results) -> Section:
         for name in (*seeds, *MODEL_FREE):
             own = [row for row in runs if row["setting"] == name]
             lengths = " or ".join(dict.fromkeys(f"{float(row['episodes']):g}" for row in own))
-            words = SETTINGS.get(name) or f"{named(name)} ({lengths} episodes)"
+            words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
             if own or name in seeds:
                 to_level[words] = [float(row["episodes_to_level"] or np.inf) for row in own]
         last = max(episodes)
