@@ -1,7 +1,8 @@
-"""Trajectories of windows and their condensed linear model: closed forms, and one step to least squares."""
+"""Windows, their trajectories and sensitivities, the linear model of their errors, and the unit of a hidden state."""
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,18 +11,25 @@ from benchmarks.textbook_systems import CASES, cramer_rao
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.data.rollout_data import disturb
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.named_libraries import build_library, polynomial
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
+    EXACT,
     Descent,
     Estimate,
     Flow,
     RunsAway,
     cost_of,
+    free_scales,
     left_over,
     linearise_windows,
     move,
+    relative_step,
     shooting_covariance,
+    states_without_scale,
+    substeps_for,
 )
 from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.sindy.windows import Windows
@@ -29,69 +37,6 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 INPUTS = inputs(4)
-
-
-def test_condensing_leaves_the_slopes_of_one_long_trajectory():
-    # Windows that join exactly are one trajectory: the moves of the nodes are the slopes of its closed form.
-    y = motion(A, B, Y0, INPUTS)
-    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    windows = Windows.of(data, 10)
-    estimate = Estimate(LIBRARY, column(A, B, 0.0, 0.0), torch.from_numpy(y[:40:10])[:, None])
-    model = linearise_windows(Flow.of(estimate, Parameters.where(TWO), windows), torch.ones(1).double())
-    place, slopes = np.array([Y0, A, B]), []
-    for step in 1e-5 * np.eye(3):
-        up, down = (motion(p[1], p[2], p[0], INPUTS) for p in (place + step, place - step))
-        slopes.append((up - down) / 2e-5)
-    slopes = np.array(slopes).T
-    assert np.allclose(model.moves[:, 0, :3], slopes[:40:10], atol=1e-6)
-    assert np.allclose(model.moves[:, 0, 3], 0.0, atol=1e-6)
-    # The triangle holds the start's own error and those of all 40 samples.
-    square = (model.triangle[:, :3] * model.scale).numpy()
-    assert np.allclose(square.T @ square, slopes.T @ slopes, rtol=1e-4, atol=1e-6)
-    assert model.cost < 1e-9
-
-
-def test_the_cost_counts_samples_starts_and_gaps_each_by_its_weight():
-    # y' = 0: every state stays where its window begins.
-    x = torch.tensor([1.0, 2.0, 4.0, 8.0, 16.0, 32.0]).double().unsqueeze(-1)
-    data = Transitions.from_trajectory(x, torch.zeros(5, 1).double(), 0.1)
-    windows = Windows.of(data, 2)
-    nodes = torch.tensor([1.5, 5.0, 17.0]).double().unsqueeze(-1)
-    none = torch.zeros(4, 1).double()
-    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
-    flow = Flow.of(Estimate(LIBRARY, none, nodes), parameters, windows)
-    model = linearise_windows(flow, torch.tensor([2.0]).double())
-    samples = (2 - 1.5) ** 2 + (4 - 1.5) ** 2 + (8 - 5) ** 2 + (16 - 5) ** 2 + (32 - 17) ** 2
-    start = (1 - 1.5) ** 2
-    gaps = (1.5 - 5) ** 2 + (5 - 17) ** 2
-    assert model.cost == pytest.approx((samples + start + 10 * 2 * gaps) / 2.0**2)
-    free = linearise_windows(flow)
-    assert free.sigma.item() == pytest.approx((samples / 5) ** 0.5)
-    # The first node moves by itself; each other one closes its gap and follows: by the start, 0.2 s of the constant.
-    expected = [[1.0, 0.0, 0.0], [1.0, 0.2, -3.5], [1.0, 0.4, -15.5]]
-    torch.testing.assert_close(model.moves[:, 0], torch.tensor(expected).double())
-
-
-def test_a_step_solves_the_linear_problem_of_starts_and_coefficients():
-    # y' = c is linear in all unknowns: one undamped step is the least-squares line, whatever the nodes.
-    generator = np.random.default_rng(0)
-    y = generator.normal(size=8)
-    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
-    windows = Windows.of(data, 3)
-    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
-    estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.from_numpy(generator.normal(size=(3, 1))))
-    flow = Flow.of(estimate, parameters, windows)
-    model = linearise_windows(flow, torch.ones(1).double())
-    found = move(flow, model, torch.arange(2))
-    slope, start = np.polyfit(0.5 * np.arange(8), y, 1)
-    assert found.xi.flatten().tolist() == pytest.approx([0, 0, slope, 0], abs=1e-9)
-    assert found.nodes.flatten().tolist() == pytest.approx([start + 1.5 * k * slope for k in range(3)], abs=1e-9)
-    # Without the constant the best start is the mean, and an infinite damping leaves the start where it is.
-    mean = move(flow, model, torch.tensor([0]))
-    assert mean.xi[2, 0] == 0 and mean.nodes[0, 0].item() == pytest.approx(y.mean())
-    still = move(flow, model, torch.arange(2), damping=1e12)
-    assert still.xi[2, 0].item() == pytest.approx(3.0, rel=1e-6)
-    assert still.nodes[0, 0].item() == pytest.approx(estimate.nodes[0, 0].item(), abs=1e-6)
 
 
 def test_windows_that_run_away_are_counted_and_the_first_is_named():
@@ -103,7 +48,7 @@ def test_windows_that_run_away_are_counted_and_the_first_is_named():
     flow = Flow.of(estimate, parameters, windows)
     assert flow.lost().tolist() == [False, True, False]
     assert flow.predicted[2, -1].item() == pytest.approx(-1 / (1 + 2.0), rel=1e-4)
-    with pytest.raises(RunsAway, match="windows"):
+    with pytest.raises(RunsAway, match="number 1"):
         linearise_windows(flow)
 
 
@@ -137,23 +82,6 @@ def test_a_gap_of_a_hidden_state_is_weighed_by_the_errors_of_the_others():
     assert (square.mT @ square)[1].tolist() == pytest.approx([0.0, 0.25, 0.0, 0.0])
 
 
-def test_windows_that_are_not_joined_have_a_start_each():
-    y = np.random.default_rng(1).normal(size=8)
-    data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
-    windows = Windows.of(data, 3, joined=False)
-    parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
-    estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(3, 1).double())
-    flow = Flow.of(estimate, parameters, windows)
-    model = linearise_windows(flow, torch.ones(1).double())
-    found = move(flow, model, torch.arange(1))  # the starts are eliminated
-    # Least squares of three lines of one slope, each through the samples of its window, its first one included.
-    places = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 3), (1, 4), (1, 5), (1, 6), (2, 6), (2, 7)]
-    rows = np.array([[float(w == j) for j in range(3)] + [0.5 * (k - 3 * w)] for w, k in places])
-    theirs = np.linalg.lstsq(rows, y[[k for _, k in places]], rcond=None)[0]
-    assert found.nodes.flatten().tolist() == pytest.approx(theirs[:3].tolist(), abs=1e-9)
-    assert found.xi[2, 0].item() == pytest.approx(theirs[3], abs=1e-9)
-
-
 def test_a_number_inside_a_function_moves_as_in_least_squares():
     # y' = 2 max(0, u - p) with u > p is linear in p: y = y0 + sum of 2 dt (u - p).
     rng = np.random.default_rng(2)
@@ -171,24 +99,6 @@ def test_a_number_inside_a_function_moves_as_in_least_squares():
     assert found.library.shapes[0].frequency == pytest.approx(number)
     assert found.nodes[:, 0].tolist() == pytest.approx((start + driven - number * time)[[0, 5, 10]].tolist())
     assert found.xi.item() == 2.0 and estimate.library.shapes[0].frequency == 0.4
-
-
-def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
-    # h follows u and y follows h, both within a sample: of where h began, e^-40 is left in what was measured.
-    signature = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
-    library = Library(signature, [variable("y"), variable("h"), variable("u")])
-    xi = torch.tensor([[-100.0, 0.0], [100.0, -100.0], [0.0, 80.0]], dtype=torch.float64)
-    noisy = INPUTS + 0.01 * np.random.default_rng(8).normal(size=40)
-    y = torch.from_numpy(np.stack([noisy, np.full(40, math.nan)], -1)).roll(1, 0)
-    data = Transitions.from_trajectory(y, torch.from_numpy(INPUTS[:-1, None]), 0.4)
-    windows = Windows.of(data, 10, substeps=40)
-    estimate = Estimate(library, xi, torch.from_numpy(0.1 * INPUTS[:40:10, None].repeat(2, 1)))
-    parameters = Parameters.where(torch.tensor([[False, False], [False, False], [False, True]]))
-    flow = Flow.of(estimate, parameters, windows)
-    model = linearise_windows(flow)
-    moved = move(flow, model, torch.arange(len(model.scale)))
-    assert float((moved.nodes - estimate.nodes).abs().max()) < 10
-    assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
 
 
 @pytest.mark.parametrize("joined", [True, False])
@@ -272,35 +182,6 @@ def test_standard_errors_are_those_of_the_scatter_where_errors_last(joined):
     assert (textbook < 0.5).all()  # which takes every sample for a witness of its own
 
 
-@pytest.mark.parametrize("joined", [True, False])
-def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
-    """Of twelve windows ten parts, the first two of them of two windows: least squares on closed forms without each.
-
-    Windows that join are one trajectory, whose measured start always counts; each of the others has a start of its own.
-    """
-    data = pushed(0, 240)
-    flow = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, data, Descent(20, joined)).flow
-    starts = 1 if joined else 12
-    y, u = torch.cat([data.x[:1], data.x_next])[:, 0].numpy(), data.u[:, 0].numpy().reshape(starts, -1)
-    place = torch.cat([flow.estimate.nodes[:starts, 0], flow.estimate.xi[:2, 0]]).numpy()
-
-    def predicted(p):
-        return np.stack([motion(p[-2], p[-1], p[k], u[k]) for k in range(starts)])
-
-    measured = np.stack([y[k * u.shape[1] : (k + 1) * u.shape[1] + 1] for k in range(starts)])
-    slopes = [(predicted(place + by) - predicted(place - by)) / 2e-5 for by in 1e-5 * np.eye(len(place))]
-    rows = np.stack([*slopes, measured - predicted(place)], -1)
-    always = rows[:1, 0] if joined else np.zeros((1, len(place) + 1))
-    windows = np.split(rows[0, 1:], 12) if joined else list(rows)
-    parts = np.split(np.arange(12), [2, *range(4, 12)])
-    moved = []
-    for part in parts:
-        left = np.concatenate([always, *(window for k, window in enumerate(windows) if k not in part)])
-        moved.append(np.linalg.lstsq(left[:, :-1], left[:, -1], rcond=1e-12)[0][-2:])
-    wanted = np.sqrt(0.9 * len(parts) * np.var(moved, 0))
-    np.testing.assert_allclose(shooting_covariance(flow).errors, wanted, rtol=0.01)
-
-
 def test_a_single_window_still_tells_standard_errors():
     found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
     assert len(found.flow.windows) == 1 and (shooting_covariance(found.flow).errors > 0).all()
@@ -310,3 +191,234 @@ def test_a_fit_that_leaves_no_function_tells_no_standard_errors():
     flow = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60)).flow
     none = replace(flow, parameters=flow.parameters.take(torch.tensor([], dtype=torch.long)))
     assert shooting_covariance(none) is None
+
+
+def test_a_flow_is_the_closed_form_and_its_errors_are_those_of_what_was_measured():
+    y = motion(A, B, Y0, INPUTS)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    windows = Windows.of(data, 20)
+    nodes = torch.from_numpy(y[:40:20])[:, None]
+    flow = Flow.of(Estimate(LIBRARY, column(A, B, 0.0, 0.0), nodes + 0.5), Parameters.where(TWO), windows)
+    decay = np.exp(A * DT * np.arange(1, 21))
+    expected = y[1:].reshape(2, 20) + 0.5 * decay
+    assert np.allclose(flow.predicted[..., 0], expected, atol=1e-9)
+    assert np.allclose(flow.s[..., 0, 0], decay, atol=1e-9)
+    assert flow.sigma().item() == pytest.approx(0.5 * np.sqrt(np.mean(decay**2)), rel=1e-6)
+    # Half of the samples lost: the root mean square of the others.
+    data.x_next[::2] = torch.nan
+    flow = replace(flow, windows=Windows.of(data, 20))
+    assert flow.sigma().item() == pytest.approx(0.5 * np.sqrt(np.mean(decay[1::2] ** 2)), rel=1e-6)
+    data.x_next[:] = torch.nan
+    assert replace(flow, windows=Windows.of(data, 20)).sigma().item() == EXACT
+
+
+def test_coefficients_that_are_no_numbers_are_lost_in_all_windows():
+    data = Transitions.from_trajectory(torch.zeros(21, 1).double(), torch.zeros(20, 1).double(), DT)
+    estimate = Estimate(LIBRARY, column(math.nan, B, 0.0, 0.0), torch.zeros(2, 1).double())
+    assert Flow.of(estimate, Parameters.where(TWO), Windows.of(data, 10)).lost().tolist() == [True, True]
+
+
+# y' = a y + 5: the fastest rate is |a|. An error of 1e-7 wants steps of 0.1 / |a|, at most 10; stability 1.5 / |a|.
+@pytest.mark.parametrize(
+    ("a", "dt", "steps"),
+    [(-2, 0.01, 1), (10, 0.01, 1), (-11, 0.01, 2), (-30, 0.01, 3), (-50, 0.1, 10), (-300, 0.1, 20), (-1e5, 0.1, 100)],
+)
+def test_steps_follow_the_fastest_rate(a, dt, steps):
+    x, u = torch.linspace(-1, 1, 9, dtype=torch.float64)[:, None], torch.zeros(9, 1).double()
+    assert substeps_for(relative_step(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt)) == steps
+
+
+def test_a_difference_equation_has_no_motion_within_its_steps_however_fast_it_is():
+    u = torch.zeros(1, 1).double()
+    assert substeps_for(relative_step(LIBRARY, column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1)) == 10
+    assert relative_step(LIBRARY.with_step(0.1), column(-50.0, 0.0, 0.0, 0.0), column(1.0), u, 0.1) == 0.0
+
+
+def test_steps_follow_the_rates_where_the_states_are():
+    # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
+    u = torch.zeros(1, 1).double()
+    falls = column(0, 0, 0, -1.0)
+    assert [substeps_for(relative_step(LIBRARY, falls, column(y), u, 0.1)) for y in (0.1, 2.0)] == [1, 4]
+    two = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
+    library = Library(two, [variable("y"), variable("v")])
+    xi = torch.tensor([[0.0, -1600.0], [1.0, 0.0]]).double()
+    assert substeps_for(relative_step(library, xi, torch.ones(1, 2).double(), u, 0.01)) == 4
+    assert substeps_for(relative_step(LIBRARY, falls, column(math.nan), u, 0.1)) == 1
+
+
+TANKS = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0))
+FILL, OUT, IN, DRAIN = 0.30, 0.20, 0.25, 0.10
+
+
+"""upper' = FILL u - OUT upper, lower' = IN upper - DRAIN lower [1/s]."""
+
+
+HIDDEN = torch.tensor([True, False])
+
+
+def table(library, given):
+    """Return coefficients `(n_features, n_x)` of equations by state and function."""
+    xi = torch.zeros(len(library), library.signature.n_x, dtype=torch.float64)
+    for state, terms in given.items():
+        for name, size in terms.items():
+            xi[library.index(name), library.signature.state_index(state)] = size
+    return xi
+
+
+def levels(u, dt, fine=50):
+    """Levels of the two tanks under a held flow, by many small steps of Euler and their midpoint."""
+    x, path = np.array([0.4, 0.3]), []
+    for held in u:
+        path.append(x.copy())
+        for _ in range(fine):
+            middle = x + 0.5 * dt / fine * np.array([FILL * held - OUT * x[0], IN * x[0] - DRAIN * x[1]])
+            slope = np.array([FILL * held - OUT * middle[0], IN * middle[0] - DRAIN * middle[1]])
+            x = x + dt / fine * slope
+    return np.array([*path, x])
+
+
+def log(noise, seed=0, samples=300, dt=0.5):
+    generator = np.random.default_rng(seed)
+    u = np.repeat(generator.uniform(0, 1, samples // 10), 10)
+    seen = levels(u, dt) + noise * generator.normal(size=(len(u) + 1, 2))
+    seen[:, 0] = np.nan
+    return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u[:, None]), dt)
+
+
+def test_in_another_unit_the_lower_level_moves_as_before():
+    words = ["u", "upper", "lower", "upper^2", "upper |upper| u", "sqrt(upper) lower"]
+    given = {
+        "upper": {"u": 0.3, "upper": -0.2, "upper^2": -0.05, "sqrt(upper) lower": -0.1},
+        "lower": {"upper": 0.25, "lower": -0.1, "upper^2": 0.02, "upper |upper| u": 0.03},
+    }
+    model = SindyModel(TANKS, words)
+    xi, c = table(model.library, given), 2.5
+    scales, exponents = free_scales(model.library, xi, torch.ones_like(xi, dtype=torch.bool), HIDDEN)
+    assert scales.shape == (1, 2) and float(scales[0, 0].abs()) == pytest.approx(1.0) and scales[0, 1] == 0
+    power = exponents[0] / scales[0, 0]
+    assert power[model.library.index("upper^2"), 1] == -2 and power[model.library.index("upper^2"), 0] == -1
+    u = torch.from_numpy(np.random.default_rng(0).uniform(0, 1, (40, 1)))
+    paths = []
+    for size in (1.0, c):
+        model.set_coefficients(xi * size**power)
+        start = torch.tensor([0.5 * size, 0.3], dtype=torch.float64)
+        paths.append(model.simulate(start, u, 0.5, 4))
+    torch.testing.assert_close(paths[0] * torch.tensor([c, 1.0]), paths[1], rtol=1e-12, atol=1e-12)
+
+
+PLAIN = ["u", "upper", "lower"]
+CHAIN = {"upper": {"u": 1.0}, "lower": {"upper": 1.0}}
+BENT = "max(0, upper - 0.5)"
+
+
+@pytest.mark.parametrize(
+    ("words", "given", "fixed", "hidden", "free"),
+    [
+        (PLAIN, CHAIN, (), (True, False), True),
+        (PLAIN, CHAIN, (), (False, False), False),
+        # A coefficient that is given holds the unit of what it multiplies, and of what it fills.
+        (PLAIN, CHAIN, (("upper", 1),), (True, False), False),
+        (PLAIN, CHAIN, (("u", 0),), (True, False), False),
+        # One that drains it does not: it is a rate in any unit.
+        (PLAIN, {"upper": {"u": 1.0, "upper": -1.0}}, (("upper", 0),), (True, False), True),
+        # So do a sine and a bend at a level.
+        (["u", "sin(upper)"], {"upper": {"u": 1.0}, "lower": {"sin(upper)": 1.0}}, (), (True, False), False),
+        (["u", BENT], {"upper": {"u": 1.0}, "lower": {BENT: 1.0}}, (), (True, False), False),
+        # Of a state in no equation there is nothing to say.
+        (PLAIN, {"lower": {"u": 1.0}}, (), (True, False), False),
+        # Two hidden states, one of which is by a given equation the rate of the other, have one unit together.
+        (PLAIN, {"upper": {"lower": 1.0}, "lower": {"u": 1.0}}, (("lower", 0),), (True, True), True),
+    ],
+)
+def test_what_holds_the_unit_of_a_hidden_state(words, given, fixed, hidden, free):
+    library = build_library(words, TANKS)
+    xi = table(library, given)
+    may = torch.ones_like(xi, dtype=torch.bool)
+    for name, state in fixed:
+        may[library.index(name if name in library.names else words[1]), state] = False
+    scales, exponents = free_scales(library, xi, may, torch.tensor(hidden))
+    assert len(scales) == len(exponents) == int(free)
+    if all(hidden):
+        assert float(scales[0, 0]) == pytest.approx(float(scales[0, 1]))
+    nan = torch.where(torch.tensor(hidden), torch.nan, 1.0).double().expand(5, 2)
+    data = Transitions.from_trajectory(nan, torch.zeros(4, 1).double(), 0.1)
+    names = {n for n, h in zip(TANKS.state_names, hidden, strict=True) if h} if free else set()
+    assert set(states_without_scale(library, xi, may, data)) == names
+
+
+def fit(data, unit, fixed=None):
+    initial = {"upper": {"u": 0.2 * unit, "upper": -0.1}, "lower": {"upper": 0.3 / unit, "lower": -0.2}}
+    allowed = {"upper": ["u", "upper"], "lower": ["upper", "lower"]}
+    refinement = Refinement("trajectory", error="simulation", rounds=0)
+    known = {"allowed": allowed, "fixed": fixed, "initial": initial}
+    model = SindyModel(TANKS, partial(polynomial, degree=1), Regression("bic"), refinement, **known)
+    return model, model.fit(data)
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0])
+def test_two_tanks_are_found_in_the_unit_of_the_first_guess(unit):
+    """The oracle are the coefficients that moved the tanks; of two of them the data tell the product alone."""
+    model, report = fit(log(0.01), unit)
+    at = {(model.library.names[f], s): k for k, (f, s) in enumerate(zip(*model.covariance[:2], strict=True))}
+    at = {(name, int(s)): k for (name, s), k in at.items()}
+    size = model.coefficients[model.covariance.features, model.covariance.states]
+    share = model.covariance.shares(model.coefficients)
+    # Which tank is the faster one the lower level does not tell.
+    drains = sorted((at["upper", 0], at["lower", 1]), key=lambda k: float(size[k]))
+    for k, real in zip(drains, (-OUT, -DRAIN), strict=True):
+        assert abs(float(size[k]) - real) < 4 * float(share[k] * size[k].abs()) < 0.3 * abs(real)
+    fill, drip = at["u", 0], at["upper", 1]
+    assert float(size[fill] * size[drip]) == pytest.approx(FILL * IN, rel=0.1)
+    assert 0.3 < float(size[fill]) / (0.2 * unit) < 3, "about the unit of the guess"
+    assert float(share.max()) < 0.1
+    assert report.unscaled == ("upper",)
+
+
+def test_standard_errors_of_what_the_data_tell_do_not_depend_on_what_holds_the_unit():
+    """With one of the two factors given the other one is known as well as their product is without."""
+    data = log(0.01, seed=1)
+    free, _ = fit(data, 1.0)
+    drip = float(free.coefficients[free.library.index("upper"), 1])
+    held, report = fit(data, 1.0, {"lower": {"upper": drip}})
+    assert report.unscaled == ()
+
+    def logarithms(model):
+        known = model.covariance
+        return {
+            (model.library.names[f], s): row / model.coefficients[f, s]
+            for f, s, row in zip(known.features.tolist(), known.states.tolist(), known.factor, strict=True)
+        }
+
+    ours, theirs = logarithms(free), logarithms(held)
+    product = ours["u", 0] + ours["upper", 1]
+    assert float(product.norm()) == pytest.approx(float(theirs["u", 0].norm()), rel=0.02)
+    assert float(ours["upper", 0].norm()) == pytest.approx(float(theirs["upper", 0].norm()), rel=0.02)
+
+
+def recording() -> Transitions:
+    """Two states over eight transitions in two segments of five and three, some samples lost."""
+    x = torch.arange(20.0).reshape(10, 2)
+    x[2, 0] = x[3, 1] = torch.nan
+    u = 100 + torch.arange(10.0).unsqueeze(-1)
+    parts = [Transitions.from_trajectory(x[k:m], u[k:m], 0.1) for k, m in ((0, 6), (6, 10))]
+    return Transitions.cat(parts)
+
+
+def test_lost_samples_are_zeros_that_count_nothing():
+    windows = Windows.of(recording(), 2)
+    assert windows.rows.tolist() == [0, 2, 4, 5, 7]
+    # What is lost: the first state two samples after the start, the second one three.
+    assert windows.mask[..., 0].tolist() == [[1, 0], [1, 1], [1, 0], [1, 1], [1, 0]]
+    assert windows.mask[..., 1].tolist() == [[1, 1], [0, 1], [1, 0], [1, 1], [1, 0]]
+    assert windows.measured[0].tolist() == [[2, 3], [0, 5]] and windows.measured[1].tolist() == [[6, 0], [8, 9]]
+    assert windows.measured[3].tolist() == [[14, 15], [16, 17]]
+    assert windows.first.isnan().tolist() == [[False, False], [True, False], [False, False], [False] * 2, [False] * 2]
+    assert windows.first[[0, 2, 3, 4]].tolist() == [[0, 1], [8, 9], [12, 13], [16, 17]]
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_a_window_joins_the_one_before_within_its_segment_alone(joined):
+    windows = Windows.of(recording(), 2, joined, 3)
+    assert windows.joined.tolist() == [False, joined, joined, False, joined]
+    assert windows.inputs[..., 0].tolist() == [[100, 101], [102, 103], [104, 104], [106, 107], [108, 108]]
+    assert (len(windows), windows.dt, windows.substeps) == (5, 0.1, 3)

@@ -1,4 +1,4 @@
-"""Named libraries hold the functions that they are named for, as PySINDy computes them."""
+"""Named libraries hold the functions that they are named for, and the equations of motion of textbooks."""
 
 import math
 
@@ -9,34 +9,29 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import Library, of, variable
 from dynasindy.sindy.named_libraries import (
+    COUPLING,
     NAMED,
+    angles_of,
     auto,
     auto_rig,
     build_library,
     dead_zone,
     fourier,
     friction,
+    mechanical,
     paper_equation,
     paper_table,
     polynomial,
     product_of,
     rotor,
     sum_of,
-    terms,
 )
-from dynasindy.systems import Tras, Xi
-from dynasindy.systems.base import Signature
+from dynasindy.systems import Signature, Tras, Xi, rk4
 from dynasindy.systems.transitions import Transitions
 
 SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-
-
-def _points(n: int = 5) -> tuple[torch.Tensor, torch.Tensor]:
-    generator = torch.Generator().manual_seed(0)
-    return tuple(2 * torch.rand(n, k, generator=generator, dtype=torch.float64) - 1 for k in (6, 2))
 
 
 def test_the_paper_s_libraries_have_27_and_40_functions_in_its_order():
@@ -49,11 +44,6 @@ def test_the_paper_s_libraries_have_27_and_40_functions_in_its_order():
     assert len(paper_equation(Xi().signature)) == 40
 
 
-def test_numbers_of_polynomial_and_fourier_functions():
-    assert len(polynomial(SIGNATURE, degree=3)) == 20
-    assert len(fourier(SIGNATURE, n_frequencies=2, variables=["a"])) == 4
-
-
 def test_sums_keep_each_function_once_and_products_multiply():
     one = Library(SIGNATURE, [variable("a"), variable("b")])
     two = Library(SIGNATURE, [variable("b"), of("sin", "a")])
@@ -62,25 +52,6 @@ def test_sums_keep_each_function_once_and_products_multiply():
     builders = [lambda s: polynomial(s, 1), lambda s: fourier(s)]
     assert len(sum_of(SIGNATURE, builders)) == 4 + 6
     assert len(product_of(SIGNATURE, builders)) == 4 * 6
-
-
-def test_user_functions_can_be_used_by_name():
-    register_function("cube_test", lambda z: z**3)
-    x, u = torch.tensor([[2.0, 3.0]]), torch.zeros(1, 1)
-    assert terms(SIGNATURE, ["cube_test"], ["b"])(x, u).tolist() == [[27.0]]
-
-
-def test_the_rotor_library_says_which_function_belongs_to_which_equation():
-    library = rotor(Tras().signature)
-    assert set(library.allowed["omega_p"]) == {
-        "1",
-        "u_p",
-        "omega_p",
-        "|omega_p|",
-        "omega_p |omega_p|",
-        "omega_p^2",
-    }
-    assert "omega_p |omega_p|" not in library.allowed["Omega_a"]
 
 
 def test_degrees_and_harmonics_below_one_are_refused():
@@ -134,12 +105,6 @@ def test_the_paper_s_libraries_are_made_of_pysindy_s():
     assert _same_functions(paper_equation(Xi().signature)(x, u), np.concatenate([*products, trigonometric], 1))
 
 
-def test_the_angle_of_the_paper_s_library_may_be_another():
-    x, u = _wide_points()
-    theta = paper_table(Xi().signature, angle="alpha_a")(x, u)
-    assert torch.allclose(theta[:, 25], torch.sin(x[:, 0])) and torch.allclose(theta[:, 26], torch.cos(x[:, 0]))
-
-
 @pytest.mark.parametrize("rate", ["Omega_p", "omega_a", "omega_p"])
 def test_the_rotor_library_represents_the_equations_of_tras(rate):
     # Exact derivatives of the first-principles plant lie in the span of the functions allowed in that equation.
@@ -173,22 +138,26 @@ def test_libraries_are_built_from_words_builders_and_libraries():
 @pytest.mark.parametrize(
     ("build", "said"),
     [
-        (lambda: build_library("papertable", SIGNATURE), "'papertable' does not exist; allowed are paper_table"),
-        (lambda: build_library(["a +"], SIGNATURE), "cannot be read"),
-        (lambda: build_library(["sinus(a)"], SIGNATURE), "'sinus' is not known"),
-        (lambda: paper_table(SIGNATURE), "names alpha_p, which is no state and no input"),
+        (lambda: build_library("papertable", SIGNATURE), "papertable"),
+        (lambda: build_library(["a +"], SIGNATURE), "a +"),
+        (lambda: build_library(["sinus(a)"], SIGNATURE), "sinus"),
+        (lambda: paper_table(SIGNATURE), "alpha_p"),
     ],
 )
-def test_what_cannot_be_built_is_refused_in_one_line(build, said):
+def test_what_cannot_be_built_is_refused_by_its_name(build, said):
     with pytest.raises(ValueError, match=r".") as error:
         build()
-    assert said in str(error.value) and "\n" not in str(error.value)
+    assert said in str(error.value)
 
 
 AXIS = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
 MOTOR, SPRING, VISCOUS = 8.0, 2.5, 0.6
 COULOMB, EXTRA = {1: 1.5, -1: 0.9}, {1: 1.0, -1: 0.5}
+
+
 """Dry friction that turns one way and the other, and what sticking adds to it [rad/s^2]."""
+
+
 WIDTH, SLIP = 30.0, 4.0
 
 
@@ -259,3 +228,68 @@ def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns()
     assert all(shape.fitted for shape in auto_rig(one).shapes)
     tank = Signature(("h",), ("cm",), ("u",), (1.0,))
     assert auto_rig(tank).names == auto(tank).names
+
+
+CART_POLE = Signature(("p", "theta", "v", "omega"), ("m", "rad", "m/s", "rad/s"), ("force",), (1.0, 0.3, 1.0, 1.0))
+CART, POLE, LENGTH, GRAVITY, LARGEST = 1.0, 0.3, 0.6, 9.81, 10.0
+
+
+def cart_pole(x, u):
+    """Solve the two equations of Lagrange for a rod on a cart, upright at 0, by elimination by hand."""
+    _, theta, v, omega = x.unbind(-1)
+    s, c = theta.sin(), theta.cos()
+    # (M + m) v' + m l c omega' = F + m l omega^2 s,   m l c v' + 4/3 m l^2 omega' = m g l s
+    a, b, d = CART + POLE, POLE * LENGTH * c, 4 / 3 * POLE * LENGTH**2
+    first = LARGEST * u[..., 0] + POLE * LENGTH * omega**2 * s
+    second = POLE * GRAVITY * LENGTH * s
+    det = a * d - b * b
+    return torch.stack((v, omega, (d * first - b * second) / det, (a * second - b * first) / det), -1)
+
+
+@pytest.fixture(scope="module")
+def data():
+    generator = torch.Generator().manual_seed(0)
+    size = torch.tensor([1.0, 0.5, 1.0, 1.0], dtype=torch.float64)
+    x = (torch.rand(20, 4, generator=generator, dtype=torch.float64) - 0.5) * size
+    parts, rows = [], torch.arange(20)
+    for k in range(40):
+        if k % 5 == 0:
+            u = torch.rand(20, 1, generator=generator, dtype=torch.float64) - 0.5
+        ahead = x
+        for _ in range(10):
+            ahead = rk4(cart_pole, ahead, u, 0.001)
+        parts.append((x, u, ahead))
+        x = ahead
+    ordered = [torch.stack([part[i] for part in parts], 1).flatten(0, 1) for i in range(3)]
+    return Transitions(*ordered, 0.01, rows.repeat_interleave(40))
+
+
+def test_the_pole_on_a_cart_is_found_with_its_quotient(data):
+    model = SindyModel(CART_POLE, "auto", Regression("bic"), Refinement("auto"), known={"p": "v", "theta": "omega"})
+    model.fit(data)
+    assert (model.coefficients != 0).sum(0).tolist() == [1, 1, 3, 3]
+    (shape,) = model.library.shapes
+    assert shape.frequency == pytest.approx(-0.75 * POLE / (CART + POLE), rel=1e-4)
+    found = dict(zip(model.library.names, model.coefficients[:, 2].tolist(), strict=True))
+    over = f"/(1 + {shape.frequency:g} cos(theta)^2)"
+    assert found[f"force {over}"] == pytest.approx(LARGEST / (CART + POLE), rel=1e-4)
+    assert found[f"sin(theta) cos(theta) {over}"] == pytest.approx(-0.75 * POLE * GRAVITY / (CART + POLE), rel=1e-4)
+
+
+def test_a_pendulum_alone_needs_no_quotient():
+    pendulum = Signature(("angle", "rate"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
+    names = mechanical(pendulum).names
+    assert "sin(angle)" in names and not any("/(" in name for name in names)
+    assert "u^2" in auto(pendulum).names
+
+
+def test_what_has_no_angle_gets_polynomials():
+    tank = Signature(("level", "rate"), ("m", "m/s"), ("u",), (1.0, 1.0))
+    assert auto(tank).names == polynomial(tank).names
+    assert angles_of(Signature(("angle",), ("rad",), ("u",), (1.0,))) == ()
+    assert angles_of(Signature(("angle", "rate"), ("deg", "deg/s"), ("u",), (1.0, 1.0))) == ()
+
+
+def test_the_quotient_never_divides_by_zero():
+    """The farthest that a fit goes from its first guess is a factor of 30."""
+    assert -1 < 30 * COUPLING < 0
