@@ -1,7 +1,6 @@
 """The fit to whole trajectories is the maximum likelihood estimate: scipy's minimum, and the Cramer-Rao bound."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,16 +9,13 @@ from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, m
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from dynasindy.sindy import trajectory_fit as choosing
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy import trajectory_fit as trajectory
 from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.library import CONSTANT, Library, of, variable
-from dynasindy.sindy.one_step_fit import refine_one_step
-from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import Descent, Estimate, Flow, error_growth
-from dynasindy.sindy.trajectory_fit import few_steps, refine_trajectory
-from dynasindy.sindy.windows import Windows, choose_stretches
+from dynasindy.sindy.library import CONSTANT, Library, parse, variable
+from dynasindy.sindy.shooting import Descent
+from dynasindy.sindy.trajectory_fit import refine_trajectory
+from dynasindy.sindy.windows import choose_stretches
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -75,16 +71,6 @@ def test_its_spread_over_recordings_is_the_cramer_rao_bound():
     assert np.all(np.abs(estimates.std(0, ddof=1) / bound() - 1) < 0.35)
 
 
-def test_noise_in_the_states_biases_the_one_step_fit_but_not_this_one():
-    estimates = [
-        [f(LIBRARY, column(A, B, 0.0, 0.0), TWO, recording(k, 0.1), *more)[1][0, 0].item() for k in range(6)]
-        for f, more in ((refine_one_step, (1e-9,)), (refine_trajectory, (Descent(10),)))
-    ]
-    choose_stretches = 0.1 / NOISE * bound()[0] / math.sqrt(6)
-    assert abs(np.mean(estimates[0]) - A) > 8 * choose_stretches
-    assert abs(np.mean(estimates[1]) - A) < 4 * choose_stretches
-
-
 def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
     free, data = torch.ones(4, 1, dtype=torch.bool), recording(1)
     dropped = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.05, 0.05), free, data, 10)
@@ -109,18 +95,13 @@ def test_functions_that_resemble_an_error_that_lasts_are_left_out_where_errors_a
     assert kept[True] == 0 < kept[False]
 
 
-def test_without_noise_the_plant_is_found():
-    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.0, 2.0, 0.0, 0.0), TWO, recording(0, 0.0), 10)
-    assert found[:2, 0].tolist() == pytest.approx([A, B], rel=1e-6)
-
-
 @pytest.mark.parametrize("outlier", [1e8, -1e30])
 def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
     data = recording(0)
     data.x[20, 0] = data.x_next[19, 0] = outlier
     start = column(A, B, 0.0, 1.0)
     free = torch.ones(4, 1, dtype=torch.bool)
-    with pytest.raises(ValueError, match="windows"):
+    with pytest.raises(ValueError, match="runs away"):
         coefficients_of(refine_trajectory, LIBRARY, start, free, data, 20)
 
 
@@ -179,54 +160,6 @@ def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states()
     assert np.all(np.abs(found[:2, 0].numpy() - theirs[:2]) < 0.02 * bound())
 
 
-@pytest.mark.parametrize(("rate", "joined", "factor"), [(2.0, True, 4.0), (2.0, False, 2.0), (-2.0, True, 0.1)])
-def test_errors_of_a_start_grow_as_the_exact_motion_says(rate, joined, factor):
-    data, xi = recording(0), column(rate, B, 0.0, 0.0)
-    windows = Windows.of(data, 100, joined)
-    estimate = Estimate(LIBRARY, xi, windows.first)
-    grown = error_growth(Flow.of(estimate, Parameters.where(xi != 0), windows))[0]
-    wanted = math.exp(rate * factor / 2) if rate > 0 else math.exp(rate)
-    assert grown == pytest.approx(wanted, rel=1e-6)
-
-
-def test_a_trajectory_along_which_errors_grow_is_fitted_in_windows_on_their_own_first(monkeypatch):
-    seen = []
-
-    def spy(estimate, free, windows, limits):
-        seen.append(windows.joined.any().item())
-        return estimate
-
-    monkeypatch.setattr(trajectory, "search", spy)
-    for rate in (3.0, A):  # e^6 over the recording
-        refine_trajectory(LIBRARY, column(rate, B, 0.0, 0.0), TWO, recording(0), Descent(20))
-    assert seen == [False, True, True]
-
-
-def test_of_a_long_recording_functions_are_chosen_on_some_rows_and_fitted_on_all(monkeypatch):
-    data = recording(1)
-    every = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, 10)
-    sizes = []
-
-    def spy(estimate, free, windows, limits):
-        sizes.append(int(windows.mask.sum()))
-        return estimate
-
-    monkeypatch.setattr(trajectory, "spread", lambda n, wanted: torch.arange(n) % 100 < 40)
-    monkeypatch.setattr(trajectory, "search", spy)
-    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.8, 2.8, 0.0, 0.0), TWO, data, 10)
-    assert sizes == [80]
-    assert np.allclose(found, every, atol=0.01 * bound().min())
-
-
-@pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
-def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
-    chosen = choose_stretches(n, wanted)
-    assert int(chosen.sum()) == rows and bool(chosen[0] and chosen[-1])
-    if n == 1000:
-        begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
-        assert len(begins) == 10 and int(begins.diff().max() - begins.diff().min()) <= 1
-
-
 @pytest.mark.parametrize("push", [0.0, 0.02])
 def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
     # y' = c u is linear in c and in the start states: one of them in all, or one in each of ten windows of 20.
@@ -266,20 +199,6 @@ def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_ex
     assert trajectory.trajectory_error_ratio(*nothing, exact, Descent(20), exact.x).tolist() == [math.inf]
 
 
-def test_a_step_that_runs_away_in_windows_on_their_own_is_made_shorter(monkeypatch):
-    # Whole steps lead nowhere; steps that were damped are let through, and the least of squares is the same.
-    bent, free = column(-1.5, 2.5, 0, 0.1), torch.ones(4, 1, dtype=torch.bool)
-    data, moved, args = recording(0), choosing.move, (LIBRARY, bent, free)
-    wanted = refine_trajectory(*args, data, Descent(20, False))[1]
-
-    def too_far(flow, model, kept, damping=0.0):
-        found = moved(flow, model, kept, damping)
-        return replace(found, nodes=1e200 * found.nodes) if damping == 0 else found
-
-    monkeypatch.setattr(choosing, "move", too_far)
-    assert torch.allclose(refine_trajectory(*args, data, Descent(20, False))[1], wanted, rtol=1e-2)
-
-
 def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so():
     """y' = y^3 from 1 is 1 / sqrt(1 - 2 t), beyond all bounds after half a second; here it falls back to 1 before."""
     dt, n = 0.05, 200
@@ -288,7 +207,7 @@ def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so
     library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
     notes = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).notes
     assert refine_trajectory(library, xi, free, data, Descent(20)).window == 8
-    assert notes == ("the model runs away in simulations of 20 samples, so the fit simulates the log in pieces of 8",)
+    assert len(notes) == 1 and "pieces of 8" in notes[0]
 
 
 def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew():
@@ -320,9 +239,8 @@ def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew
     assert apart[0] < 0.2 < apart[1], apart
 
 
-def test_no_finer_steps_are_sought_for_a_difference_equation(monkeypatch):
+def test_no_finer_steps_are_sought_for_a_difference_equation():
     """y[k+1] = -0.6 y[k] + 0.3 u[k] is found by its own steps, and not once more by others."""
-    monkeypatch.setattr(trajectory, "descend", lambda *given: pytest.fail("finer steps were sought"))
     u, y = inputs(20), [Y0]
     for held in u:
         y.append(-0.6 * y[-1] + 0.3 * held)
@@ -333,18 +251,50 @@ def test_no_finer_steps_are_sought_for_a_difference_equation(monkeypatch):
     assert (DT * found.coefficients[:2, 0]).tolist() == pytest.approx([-1.6, 0.3], abs=1e-9)
 
 
-def test_functions_of_an_angle_that_look_alike_do_not_cancel_one_another():
-    """a' = -2 sin(a) + u at angles of some degrees: only the sum of a and sin(a) is told, the prior shares it out."""
-    rng, dt = np.random.default_rng(0), 0.05
-    a, u = [0.05], 0.2 * rng.uniform(-1, 1, 60).repeat(10)
+ANGLE = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
+OVER = "per_cos2(~-0.03 a)"
+WORDS = ["w", "u", "sin(a)", *(f"{f} {OVER}" for f in ("w", "u", "sin(a)"))]
+
+
+def library(words=WORDS):
+    return Library(ANGLE, [parse(text) for text in words])
+
+
+@pytest.mark.parametrize("p", [0.0, -0.4])
+def test_a_fit_keeps_the_quotient_of_a_plant_that_has_one(p):
+    rng, dt = torch.Generator().manual_seed(0), 0.02
+    u = (2 * torch.rand(60, generator=rng).double() - 1).repeat_interleave(20)
+    x = [torch.zeros(2, dtype=torch.float64)]
+
+    def rates(x, u):
+        return torch.stack([x[1], (8 * u - x[1] - 4 * torch.sin(x[0])) / (1 + p * math.cos(x[0]) ** 2)])
+
     for held in u:
-        for _ in range(20):
-            a.append(a[-1] + dt / 20 * (held - 2 * math.sin(a[-1])))
-        a[-20:] = a[-1:]
-    x = torch.from_numpy(np.array(a) + 0.005 * rng.normal(size=len(a))).unsqueeze(-1)
-    data = Transitions.from_trajectory(x, torch.from_numpy(u).unsqueeze(-1), dt)
-    library = Library(Signature(("a",), ("rad",), ("u",), (0.1,)), [variable("a"), of("sin", "a"), variable("u")])
-    free = torch.ones(3, 1, dtype=torch.bool)
-    found = few_steps(library, column(-1.0, -1.0, 1.0), free, data, Descent(20), data.x)[1].xi[:, 0]
-    assert float(found[:2].sum()) == pytest.approx(-2.0, abs=0.2) and float(found[2]) == pytest.approx(1.0, abs=0.05)
-    assert float(found[:2].abs().max()) < 50.0  # 10 times the rate of change, some 0.1 per second, over 0.05
+        now = x[-1]
+        for _ in range(4):
+            k1 = rates(now, held)
+            k2 = rates(now + dt / 8 * k1, held)
+            k3 = rates(now + dt / 8 * k2, held)
+            now = now + dt / 24 * (k1 + 2 * k2 + 2 * k3 + rates(now + dt / 4 * k3, held))
+        x.append(now)
+    seen = torch.stack(x)
+    seen = seen + torch.tensor([1e-3, 1e-2]) * torch.randn(seen.shape, generator=rng).double()
+    model = SindyModel(ANGLE, WORDS, Regression("bic"), Refinement("trajectory"), known={"a": "w"})
+    model.fit(Transitions.from_trajectory(seen, u[:, None], dt))
+    equation = model.equations()[1]
+    assert ("cos(a)^2" in equation) == (p != 0)
+    if p:
+        (shape,) = model.library.shapes
+        assert shape.frequency == pytest.approx(p, rel=0.05)
+    else:
+        used = model.coefficients[:, 1].nonzero().flatten().tolist()
+        assert {model.library.names[k] for k in used} == {"w", "u", "sin(a)"}
+
+
+@pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
+def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
+    chosen = choose_stretches(n, wanted)
+    assert int(chosen.sum()) == rows and bool(chosen[0] and chosen[-1])
+    if n == 1000:
+        begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
+        assert len(begins) == 10 and int(begins.diff().max() - begins.diff().min()) <= 1

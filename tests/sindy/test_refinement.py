@@ -9,16 +9,12 @@ from benchmarks.textbook_systems import CASES
 from scipy.linalg import expm
 
 from dynasindy.data.rollout_data import disturb
-from dynasindy.sindy import SindyModel
-from dynasindy.sindy import refinement as refine
+from dynasindy.evaluation.log_fit import take_alternative
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.one_step_fit import refine_one_step
-from dynasindy.sindy.reconstruction import DelayedRecording, reconstruct
-from dynasindy.sindy.refinement import METHODS, Refinement
-from dynasindy.sindy.regression import Regression, RunningSums, integral_form, simpson_form
-from dynasindy.sindy.shooting import Descent, RunsAway
-from dynasindy.sindy.trajectory_fit import refine_trajectory
+from dynasindy.sindy.refinement import METHODS
+from dynasindy.sindy.regression import RunningSums, integral_form
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -63,11 +59,6 @@ def test_each_method_is_nearer_to_the_plant_than_the_one_before():
     assert errors[3] < 1e-7
 
 
-def test_no_rounds_of_the_integral_form_change_nothing():
-    data = recording(0.05)
-    assert torch.equal(Refinement(rounds=0).run(LIBRARY, column(1, 2, 3, 4), FREE, data)[1], column(1, 2, 3, 4))
-
-
 def test_what_is_given_stays_in_every_method():
     constraints = Constraints.build(LIBRARY, {}, {"y": ["y"]}, {"y": {"u": 2.9}})
     data = recording(0.02)
@@ -76,56 +67,12 @@ def test_what_is_given_stays_in_every_method():
         assert found[1, 0] == 2.9 and found[2:].flatten().tolist() == [0, 0] and found[0, 0].item() != A
 
 
-def test_auto_takes_trajectories_for_noise_and_single_steps_without():
-    auto = Refinement("auto", rounds=0, window=10)
-    noisy, clean, start = recording(0.02, 0.03), recording(0.02), column(-1.9, 2.8, 0, 0)
-    smooth = reconstruct(noisy, {}, True).x
-    assert not torch.equal(smooth, noisy.x)
-    wanted = refine_trajectory(LIBRARY, start, FREE.free, noisy, Descent(10), smooth)[1]
-    assert torch.equal(auto.run(LIBRARY, start, FREE, noisy)[1], wanted)
-    wanted = refine_one_step(LIBRARY, start, FREE.free, clean, auto.tolerance)[1]
-    assert torch.equal(auto.run(LIBRARY, start, FREE, clean)[1], wanted)
-
-
-@pytest.mark.parametrize("longest", [0.0, 0.03])
-def test_noisy_samples_are_smoothed_under_every_delay_that_is_tried(longest, monkeypatch):
-    true, noisy, errors = recording(0.01, n=300).x[round(longest / 0.01) :], recording(0.01, 0.03, 300), []
-
-    def kept(function):
-        def called(library, xi, free, data, descent, start):
-            errors.append(float((start - true).square().mean().sqrt()))
-            return function(library, xi, free, data, descent, start)
-
-        return called
-
-    for name in ("refine_trajectory", "few_steps"):
-        monkeypatch.setattr(refine, name, kept(getattr(refine, name)))
-    refinement = Refinement("trajectory", window=10, longest_delay=longest)
-    found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, noisy)
-    assert len(errors) >= (5 if longest else 1) and max(errors) < 0.7 * 0.03
-    assert error(found.coefficients) < 0.4 and found.delay == pytest.approx(0, abs=0.01)
-
-
 @pytest.mark.parametrize(
     "wrong", [{"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}, {"error": "both"}]
 )
 def test_settings_that_are_not_allowed_are_refused(wrong):
-    with pytest.raises(ValueError, match="allowed") as refused:
+    with pytest.raises(ValueError, match="allowed"):
         Refinement(**wrong)
-    assert "\n" not in str(refused.value)
-
-
-def test_each_round_is_a_simpson_regression_with_the_model_of_the_round_before():
-    data, xi = recording(0.05), first(recording(0.05))
-    for rounds in (1, 2):
-        coefficients = xi
-        for _ in range(rounds):
-            theta, dx = simpson_form(LIBRARY, lambda x, u, c=coefficients: LIBRARY(x, u) @ c, data)
-            sums = RunningSums(4, 1)
-            sums.add((theta, dx))
-            coefficients = Regression("bic", tolerance=1e-3).solve(sums, FREE.free, FREE.offset)
-        found = Refinement("integral", rounds=rounds, tolerance=1e-3).run(LIBRARY, xi, FREE, data)[1]
-        torch.testing.assert_close(found, coefficients, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -184,29 +131,10 @@ def test_a_plant_that_is_pushed_is_fitted_by_predictions_and_noise_of_sensors_by
 ):
     data = oscillator(push, noise, hidden, 2)
     model, note = fitted(data, error="auto")
-    assert f"error={chosen}" in note and ("pushes the plant" in note) == (chosen == "prediction")
+    assert f"error={chosen}" in note
     told, _ = fitted(data, error=chosen)
     assert torch.equal(model.coefficients, told.coefficients)
     assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
-
-
-def test_a_trajectory_that_no_function_or_no_number_survives_is_no_choice(monkeypatch):
-    data, through = oscillator(0.0, 0.05, False, 2), refine.refine_trajectory
-
-    def emptied(library, xi, free, data, descent, start):
-        found = through(library, xi, free, data, descent, start)
-        return found._replace(coefficients=torch.where(free, 0.0, found[1])) if descent.joined is None else found
-
-    def lost(library, xi, free, data, descent, start):
-        if descent.joined is None:
-            raise RunsAway("it runs away")
-        return through(library, xi, free, data, descent, start)
-
-    told = fitted(data, error="prediction")[0].coefficients
-    for spoilt, said in ((emptied, "leaves no function"), (lost, "runs away")):
-        monkeypatch.setattr(refine, "refine_trajectory", spoilt)
-        model, note = fitted(data, error="auto")
-        assert torch.equal(model.coefficients, told) and "error=prediction" in note and said in note
 
 
 def test_only_the_method_auto_chooses_the_error_unasked():
@@ -247,64 +175,47 @@ def test_functions_that_noise_hides_from_single_steps_are_found(method):
     torch.testing.assert_close(model.coefficients, case.truth(), rtol=0.05, atol=0.0)
 
 
-@pytest.mark.parametrize(("push", "noise", "turns"), [(0.05, 0.01, [2, 4]), (0.0, 0.05, [4])])
-def test_one_trajectory_is_not_fitted_again_and_again_through_what_is_pushed(push, noise, turns, monkeypatch):
-    """The delay that is told changes each time, so that delay and equations are fitted in turn as often as may be.
-
-    That is once before the first fit and three times after it; of one trajectory that strays, once after it.
-    """
-    told = {"trajectory": 0, "windows": 0}
-
-    def restless(self, delay, found, free, recording, descent):
-        told["trajectory" if descent.joined is None else "windows"] += 1
-        return 0.0 if delay else 0.05
-
-    monkeypatch.setattr(Refinement, "_fine", restless)
-    note = fitted(oscillator(push, noise, False, 2), error="auto", longest_delay=0.1)[1]
-    assert [count for count in told.values() if count] == turns and ("error=prediction" in note) == (push > 0)
+STORE = Signature(("y",), ("m",), ("u",), (1.0,))
 
 
-def test_a_delay_of_the_first_estimate_is_looked_for_though_no_regression_tells_it():
-    """A store of 0.5 s, 8 samples late, that moves within -1.5 and 1.5; the noise of its sensor is 0.8."""
-    generator, dt, late, y = np.random.default_rng(0), 0.05, 8, [0.0]
-    u, phi = np.repeat(generator.uniform(-1, 1, 30), 20), math.exp(A * dt)
-    for k in range(len(u)):
-        y.append(phi * y[-1] + B * (phi - 1) / A * u[max(k - late, 0)])
-    x = np.array(y) + 0.8 * generator.normal(size=len(y))
-    data = Transitions.from_trajectory(torch.from_numpy(x)[:, None], torch.from_numpy(u)[:, None], dt)
-    refinement = Refinement("trajectory", longest_delay=None)
-    assert refinement.run(LIBRARY, first(data), FREE, data).delay < 3 * dt  # two control periods are looked through
-    found = refinement.run(LIBRARY, column(A, B, 0, 0), FREE, data, late=late * dt)
-    assert found.delay == pytest.approx(late * dt, abs=dt)
-    assert found.coefficients[:2, 0].tolist() == pytest.approx([A, B], rel=0.15)
+def pushed(samples=400, dt=0.1):
+    """A store y' = u - y / 2 + w that w pushes slowly, and whose sensor is noisy."""
+    generator, y, w, seen = np.random.default_rng(2), 1.0, 0.0, []
+    u = np.repeat(generator.uniform(0, 1, samples // 20), 20)
+    for held in u:
+        seen.append(y)
+        w += -w * dt / 2 + 0.2 * np.sqrt(dt) * generator.normal()
+        y += dt * (held - y / 2 + w)
+    seen = np.array([*seen, y]) + 0.02 * generator.normal(size=samples + 1)
+    return Transitions.from_trajectory(torch.from_numpy(seen)[:, None], torch.from_numpy(u)[:, None], dt)
 
 
-def test_a_model_without_functions_tells_no_delay():
-    data, none = recording(0.05), torch.zeros(4, 1, dtype=torch.float64)
-    settings, whole = Refinement("trajectory", longest_delay=0.2), DelayedRecording.of(data, data, {}, 0.2)
-    assert settings._fine(0.05, (LIBRARY, none), FREE.free, whole, Descent(20)) == 0.05
+def of_store(error):
+    refinement = Refinement("trajectory", error=error)
+    return SindyModel(STORE, ["1", "y", "u"], Regression("bic"), refinement)
 
 
-@pytest.mark.parametrize(
-    ("error", "given", "lasting"),
-    [
-        ("simulation", None, False),
-        ("simulation", True, True),
-        ("prediction", None, True),
-        ("prediction", False, False),
-        ("coloured", None, False),
-    ],
-)
-def test_errors_may_last_by_default_in_windows_that_begin_anew_only(monkeypatch, error, given, lasting):
-    seen = []
+def test_what_was_set_aside_is_what_one_simulation_finds():
+    data = pushed()
+    pieces, whole = of_store("auto"), of_store("simulation")
+    report = pieces.fit(data)
+    before = pieces.coefficients.clone()
+    expected = whole.fit(data)
+    assert report.in_pieces and report.aside is not None
+    other, told = take_alternative(pieces, report.aside, data)
+    assert torch.equal(other.coefficients, whole.coefficients) and not torch.equal(other.coefficients, before)
+    assert torch.equal(pieces.coefficients, before), "the model itself stays"
+    assert torch.equal(other.covariance.matrix, whole.covariance.matrix)
+    assert told.residual["y"] == pytest.approx(expected.residual["y"], rel=1e-12)
+    assert told.in_pieces and told.aside is None
+    assert other.refinement == whole.refinement, "what is fitted anew is fitted by one simulation"
 
-    def _refine(library, xi, free, data, descent, start):
-        seen.append(descent.correlated)
-        return refine_trajectory(library, xi, free, data, descent, start)
 
-    monkeypatch.setattr(refine, "refine_trajectory", _refine)
-    data = recording(0.05, 0.01)
-    SindyModel(
-        SIGNATURE, ["y", "u"], Regression("bic"), Refinement("trajectory", rounds=0, error=error, correlated=given)
-    ).fit(data)
-    assert set(seen) == {lasting}
+def test_a_log_that_one_simulation_follows_leaves_nothing_aside():
+    u = torch.from_numpy(np.repeat(np.random.default_rng(0).uniform(0, 1, 20), 10))[:, None]
+    y = [torch.ones(1, dtype=torch.float64)]
+    for held in u:
+        y.append(2 * held + (y[-1] - 2 * held) * np.exp(-0.05))
+    seen = torch.stack(y) + 0.02 * torch.randn(201, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    report = of_store("auto").fit(Transitions.from_trajectory(seen, u, 0.1))
+    assert not report.in_pieces and report.aside is None

@@ -1,6 +1,8 @@
 """The sparse model finds the published table, equals PySINDy, and survives a file."""
 
+import copy
 import json
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +14,12 @@ from torch import Tensor
 
 from dynasindy.excitation import Chirp, Excitation, HeldRandom, Multisine
 from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.covariance import of_sums
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.systems import Diverged, Pendulum, Tras, Xi, integrate, rk4
+from dynasindy.systems import Diverged, Pendulum, Tras, Xi, integrate
 from dynasindy.systems.base import Signature, System
+from dynasindy.systems.compiler import compiler
 from dynasindy.systems.transitions import Transitions
 
 # The paper, table "SINDY model Xi matrix": 19 coefficients.
@@ -111,41 +115,6 @@ def test_the_rotor_model_predicts_the_first_principles_plant_over_an_episode():
     assert float(error.max()) < 0.02
 
 
-def test_forward_is_theta_times_xi_and_follows_new_coefficients():
-    x, u = _points(7)
-    model = SindyModel(Xi().signature, "paper_equation")
-    for seed in (0, 1):
-        generator = torch.Generator().manual_seed(seed)
-        xi = torch.rand(40, 6, generator=generator, dtype=torch.float64)
-        model.set_coefficients(xi)
-        assert torch.allclose(model(x, u), model.library(x, u) @ xi)
-    assert model(x.float(), u.float()).dtype == torch.float32
-
-
-def test_coefficients_replaced_twice_between_predictions_are_the_ones_used():
-    # A fit sets coefficients before and after its refinement; the last tensor may lie where the first one lay.
-    x, u = _points(4)
-    model = SindyModel(Xi().signature, "paper_table")
-    for number in range(300):
-        model(x, u)
-        first = torch.rand(27, 6, dtype=torch.float64)
-        model.set_coefficients(first)
-        del first
-        model.coefficients.sum().item()
-        model.set_coefficients(torch.full((27, 6), float(number), dtype=torch.float64))
-        assert torch.allclose(model(x, u), model.library(x, u) @ model.coefficients)
-
-
-def test_prediction_is_runge_kutta_and_simulation_is_prediction_repeated():
-    x, u = _points(2)
-    model = SindyModel(Xi().signature)
-    model.fit_derivatives(*_points(), Xi()(*_points()))
-    once = model.predict(x, u, 0.01)
-    assert torch.allclose(once, rk4(Xi(), x, u, 0.01), rtol=1e-9)
-    path = model.simulate(x, u.unsqueeze(1).expand(-1, 2, -1), 0.01)
-    assert torch.equal(path[:, 2], model.predict(once, u, 0.01))
-
-
 def test_known_rows_masks_and_fixed_coefficients_are_kept():
     x, u = _points()
     model = SindyModel(
@@ -163,15 +132,6 @@ def test_known_rows_masks_and_fixed_coefficients_are_kept():
     assert found["omega_p", "omega_p"] == pytest.approx(-1.4193, rel=0.1)
 
 
-def test_a_saved_model_predicts_as_it_did(tmp_path):
-    x, u = _points()
-    model = SindyModel(Xi().signature)
-    model.fit_derivatives(x, u, Xi()(x, u))
-    model.save(tmp_path / "model.json")
-    assert torch.equal(SindyModel.load(tmp_path / "model.json")(x, u), model(x, u))
-    assert json.loads((tmp_path / "model.json").read_text())["coefficients"]["omega_p"]["u_p"] == pytest.approx(6100)
-
-
 def test_an_update_equals_a_fit_to_all_data():
     data = _recording(Xi(), HeldRandom(2, 4.0, amplitude=(0.5, 0.3), offset=HOVER, seed=3))
     parts = [data.select(torch.arange(400) < 250), data.select(torch.arange(400) >= 250)]
@@ -185,15 +145,15 @@ def test_an_update_equals_a_fit_to_all_data():
 def test_too_few_samples_wrong_widths_and_unfinished_numbers_are_refused():
     model = SindyModel(Xi().signature)
     zeros = torch.zeros(11, 6)
-    with pytest.raises(ValueError, match="more"):
+    with pytest.raises(ValueError, match="27 or more"):
         model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 2), 0.01))
-    with pytest.raises(ValueError, match="inputs"):
+    with pytest.raises(ValueError, match="1 inputs"):
         model.fit(Transitions.from_trajectory(zeros, torch.zeros(11, 1), 0.01))
     bad = torch.zeros(41, 6)
     bad[3, 2] = float("inf")
     with pytest.raises(ValueError, match="not finite"):
         model.fit(Transitions.from_trajectory(bad, torch.zeros(41, 2), 0.01))
-    with pytest.raises(ValueError, match="coefficients got shape"):
+    with pytest.raises(ValueError, match="shape"):
         model.set_coefficients(torch.zeros(3, 6))
 
 
@@ -216,10 +176,10 @@ class Nothing(Refinement):
 def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
     data = _recording(Xi(), Multisine(2, 5.0, amplitude=(0.4, 0.3), offset=HOVER))
     plain, refined = (SindyModel(Xi().signature, refinement=r, known=KNOWN) for r in (None, Nothing()))
-    assert "note: " not in plain.fit(data).to_text()
+    assert not plain.fit(data).notes
     report = refined.fit(data)
     assert torch.equal(refined.coefficients, plain.coefficients) and refined.coefficients.count_nonzero() > 2
-    assert "dropped" in report.to_text()
+    assert len(report.notes) == 1
 
 
 @pytest.mark.parametrize("time", ["continuous", "discrete"])
@@ -232,7 +192,7 @@ def test_a_log_of_nothing_but_noise_is_no_error(method, time):
     library = Library(signature, [CONSTANT, variable("u")])
     model = SindyModel(signature, library, refinement=Refinement(method=method), time=time)
     report = model.fit(Transitions(x[:-1], u, x[1:], 0.1, torch.zeros(300, dtype=torch.long)))
-    assert "dropped" in report.to_text() and model.covariance is None
+    assert any("dropped" in note for note in report.notes) and model.covariance is None
 
 
 @pytest.mark.parametrize("stage", ["regression", "refinement"])
@@ -253,7 +213,7 @@ def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
         model.regression = Spoilt()
     else:
         model.refinement = Spoilt()
-    told = rf"model learning: the {stage} on \d+ samples left 6 coefficients .* such as (nan|inf) of "
+    told = f"the {stage} "
     with pytest.raises(Diverged, match=told):
         model.fit(data)
     assert torch.equal(model.coefficients, before)
@@ -330,7 +290,7 @@ def test_a_first_guess_is_the_model_before_its_refinement():
     model = SindyModel(signature, ["h", "l", "u"], fixed={"h": {"u": FLOW}}, initial=given)
     model.fit(_tanks(0.0))
     assert _found(model) == {("h", "h"): -0.9, ("h", "u"): FLOW, ("l", "h"): 0.7}
-    with pytest.raises(ValueError, match="among"):
+    with pytest.raises(ValueError, match="h\\^2"):
         SindyModel(signature, ["h"], initial={"h": {"h^2": 1.0}})
 
 
@@ -389,3 +349,113 @@ def test_a_regression_of_old_and_new_data_knows_its_errors_by_its_sums():
         model.update(_oscillator(seed))
         told.append(model.covariance.errors)
     np.testing.assert_allclose(told[-1] / told[0], (2 / 9) ** 0.5, rtol=0.1)
+
+
+def drawn(rows=5):
+    rng = torch.Generator().manual_seed(0)
+    x = torch.randn(rows, 6, generator=rng, dtype=torch.float64) * torch.tensor(Xi().signature.x_scale).double()
+    return x, 2 * torch.rand(rows, 2, generator=rng, dtype=torch.float64) - 1
+
+
+def moved(seed):
+    """Return where the plant is a hundredth of a second after some states."""
+    rng = torch.Generator().manual_seed(seed)
+    x = torch.randn(300, 6, generator=rng, dtype=torch.float64) * torch.tensor(Xi().signature.x_scale).double()
+    u = 2 * torch.rand(300, 2, generator=rng, dtype=torch.float64) - 1
+    return Transitions(x, u, integrate(Xi(), x, u, 0.01, 2)[0][:, -1], 0.01, torch.arange(300))
+
+
+def model(factor=1.0, **given):
+    found, (x, u) = SindyModel(Xi().signature, **given), drawn(400)
+    found.fit_derivatives(x, u, Xi()(x, u))
+    found.set_coefficients(factor * found.coefficients)
+    return found
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_a_model_moves_by_its_coefficients_as_they_are_now(machine_code):
+    """The oracle is the library times the coefficients, integrated by torch."""
+    found, (x, u) = model(machine_code=machine_code), drawn()
+    assert (found.compiled(x, u) is None) == (not machine_code or compiler() is None)
+
+    def _change(k):
+        if k == 1:
+            found.set_coefficients(2.0 * found.coefficients)
+        elif k == 2:
+            found.coefficients[0] = 0.5  # in place
+        elif k == 3:
+            found.load_state_dict(model(3.0).state_dict())
+
+    for k in range(4):
+        _change(k)
+        wanted, _ = integrate(lambda x, u: found.library(x, u) @ found.coefficients, x, u, 0.05, 2)
+        torch.testing.assert_close(integrate(found, x, u, 0.05, 2)[0], wanted, rtol=1e-9, atol=1e-12)
+        torch.testing.assert_close(found(x, u), found.library(x, u) @ found.coefficients, rtol=1e-9, atol=1e-12)
+
+
+def test_coefficients_that_are_not_finite_are_refused_by_all_code():
+    found, (x, u) = model(), drawn()
+    found.coefficients[2, 1] = torch.nan
+    for _ in range(2):
+        with pytest.raises(ValueError, match="1 coefficients"):
+            found.compiled(x, u)
+        with pytest.raises(ValueError, match="1 coefficients"):
+            found(x, u)
+
+
+def test_a_model_goes_back_to_all_that_it_had_learnt():
+    """The oracle is a copy of its state."""
+    model, first, second = SindyModel(Xi().signature), moved(1), moved(2)
+    model.fit(first)
+    model.update(second)
+    before, go_back = copy.deepcopy(model.state_dict()), model.kept()
+    model.absorb(first)
+    model.update(second)
+    assert not torch.equal(model.coefficients, before["coefficients"])
+    for _ in range(2):
+        go_back()
+        model.absorb(first)  # leaves what is gone back to as it is
+        go_back()
+    _same(model.state_dict(), before)
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_a_model_moves_by_its_library_as_it_is_now(machine_code):
+    """Of a difference equation a period of one step is a product, of a differential equation it is none."""
+    found, (x, u) = model(machine_code=machine_code), drawn()
+    for step in (None, 0.05, None):
+        found.library = found.library.with_step(step)
+        rates = found.library(x, u) @ found.coefficients
+        ends = integrate(found, x, u, 0.05, 1)[0][:, 0]
+        assert torch.allclose(ends, x + 0.05 * rates, rtol=1e-12, atol=1e-13) == (step is not None)
+    other = Library(found.signature, reversed(found.library.features))
+    found.library = other
+    torch.testing.assert_close(found(x, u), other(x, u) @ found.coefficients, rtol=1e-12, atol=1e-12)
+
+
+def test_errors_that_are_told_later_are_those_of_the_fit():
+    model, first, second = SindyModel(Xi().signature), moved(1), moved(2)
+    model.fit(first)
+    report = model.update(second)
+    wanted = of_sums(model.coefficients, model.constraints.free, model.sums.copy())
+    model.absorb(first)
+    copied = pickle.loads(pickle.dumps(model))
+    model.coefficients.mul_(2.0)
+    for found in (model.covariance, report.covariance, copied.covariance):
+        assert torch.equal(found.factor, wanted.factor)
+
+
+def _same(found, wanted):
+    assert type(found) is type(wanted)
+    if isinstance(wanted, Tensor):
+        assert torch.equal(found, wanted)
+    elif isinstance(wanted, dict):
+        assert found.keys() == wanted.keys()
+        for key in wanted:
+            _same(found[key], wanted[key])
+    elif isinstance(wanted, (tuple, list)):
+        assert len(found) == len(wanted)
+        for one, other in zip(found, wanted, strict=True):
+            _same(one, other)
+    else:
+        assert found == wanted
