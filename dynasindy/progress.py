@@ -141,7 +141,7 @@ class Progress:
         if Progress.active is not None or os.environ.get(self.OWNER, str(os.getpid())) != str(os.getpid()):
             return self
         self.file = cast("TextIO", _Detachable(sys.stderr))
-        if is_terminal(sys.stderr):
+        if _is_terminal(sys.stderr):
             self.display = _display(self.file, self.clock)  # first, as it may fail
             self.display.start()
         else:
@@ -276,11 +276,11 @@ def _display(file: TextIO, clock: Callable[[], float]) -> Display:
         transient=True,
         refresh_per_second=4,
         get_time=clock,
-        redirect_stdout=is_terminal(sys.stdout),
+        redirect_stdout=_is_terminal(sys.stdout),
     )
 
 
-def is_terminal(file: TextIO) -> bool:
+def _is_terminal(file: TextIO) -> bool:
     """Return whether a file is a terminal that can show a line that moves."""
     file = getattr(file, "rich_proxied_file", file)  # what stands in for it while bars are shown need not know
     return file.isatty() and os.environ.get("TERM") != "dumb"
@@ -288,7 +288,7 @@ def is_terminal(file: TextIO) -> bool:
 
 def width() -> int | None:
     """Return the columns of the terminal that standard output is; None where it is none, and lines may be long."""
-    return shutil.get_terminal_size().columns if is_terminal(sys.stdout) else None
+    return shutil.get_terminal_size().columns if _is_terminal(sys.stdout) else None
 
 
 def say(*texts: str) -> None:

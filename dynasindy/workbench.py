@@ -228,7 +228,7 @@ def plan(
     setup = ControlSetup(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
     if log is not None and sensors is None:
         sensors = sensors_of(log, model)
-    observer = None if sensors is None else watching(model, sensors, setup, log)
+    observer = None if sensors is None else _watching(model, sensors, setup, log)
     env = ControlEnv(model, task, setup.dt, setup.substeps, seed=seed)
     others = []
     if log is not None:
@@ -371,7 +371,7 @@ def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     return None if exact and not model.delay else Sensors(channels, rates, disturbance=bool(rates) or not exact)
 
 
-def watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Source | None) -> Observer:
+def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Source | None) -> Observer:
     """Return an observer that has learnt its process noise from a log.
 
     Raises:

@@ -38,7 +38,7 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
         machine_code: whether machine code is wanted.
     """
-    if machine_code and readable(loss) and all(map(usual, (critics, actor))):
+    if machine_code and readable(loss) and all(map(_usual, (critics, actor))):
         try:
             return MachineSteps(loss, critics, actor, bound)
         except FileNotFoundError:
@@ -57,7 +57,7 @@ def readable(loss: TD3Loss) -> bool:
     return type(loss) is TD3Loss and known and plain
 
 
-def usual(optimizer: Adam) -> bool:
+def _usual(optimizer: Adam) -> bool:
     """Return whether an optimiser is Adam as its authors describe it, with one group of weights."""
     (group, *others), extras = optimizer.param_groups, ("weight_decay", "amsgrad", "maximize")
     return type(optimizer) is Adam and not others and not any(group.get(name) for name in extras)

@@ -244,12 +244,12 @@ class Error(NamedTuple):
 def error(found: Check, errors: torch.Tensor, limits: Thresholds) -> Error:
     """Return the largest of steady errors `(rows, n_r)`, counted in typical sizes, beside what it may be."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
-    ranged = (errors / sizes(found)).amax(0)
+    ranged = (errors / _sizes(found)).amax(0)
     i = int(ranged.argmax())
     value, size, unit = float(errors[:, i].amax()), signature.x_scale[outputs[i]], signature.state_units[outputs[i]]
     shown, bound = most(value, limits.error * size, 3, "g", 3)
     word = "no bound" if value == math.inf else f"{shown} {unit}"
-    allowed = f"{bound} {unit}, {100 * limits.error:g} % of {size:.3g} {unit}, the typical size of {name_of(found, i)}"
+    allowed = f"{bound} {unit}, {100 * limits.error:g} % of {size:.3g} {unit}, the typical size of {_name_of(found, i)}"
     return Error(float(ranged[i]), word, i, allowed)
 
 
@@ -262,13 +262,13 @@ def below(found: Check, error: float, output: int) -> str:
     return f" (the sensor cannot show it, which resolves {finest:.3g} {signature.state_units[state]})"
 
 
-def sizes(found: Check) -> torch.Tensor:
+def _sizes(found: Check) -> torch.Tensor:
     """Return the typical sizes of the outputs, `(n_r,)`."""
     scale = found.loop.signature.x_scale
     return torch.tensor([scale[i] for i in found.loop.task.outputs], dtype=torch.float64)
 
 
-def name_of(found: Check, output: int) -> str:
+def _name_of(found: Check, output: int) -> str:
     """Return the name of an output."""
     return found.loop.signature.state_names[found.loop.task.outputs[output]]
 
@@ -278,7 +278,7 @@ def place(found: Check, k: int) -> str:
     return "(" + ", ".join(f"{value:.3g}" for value in found.targets[k].tolist()) + ")"
 
 
-def margin_findings(found: Check, limits: Thresholds) -> list[CheckFinding]:
+def _margin_findings(found: Check, limits: Thresholds) -> list[CheckFinding]:
     """Return the least margins at rest, over inputs and targets."""
     dt, names = found.loop.dt, found.loop.signature.input_names
     rows = [(k, i, m) for k, target in enumerate(found.margins) for i, m in enumerate(target)]
@@ -329,7 +329,7 @@ def margin_findings(found: Check, limits: Thresholds) -> list[CheckFinding]:
     ]
 
 
-def large_signal_findings(found: Check, limits: Thresholds) -> list[CheckFinding]:
+def _large_signal_findings(found: Check, limits: Thresholds) -> list[CheckFinding]:
     """Return the margins of large movements; none of a plant without dry friction."""
     name, margins, dt = "large movements", found.flown, found.loop.dt
     if margins is None:
@@ -371,7 +371,7 @@ def _db(value: float) -> float:
 
 def unstable_targets(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
     """Return at which targets a loop that is not stable leaves them, or swings more than is allowed, `(n_targets,)`."""
-    limits, size = thresholds or Thresholds(), sizes(found)
+    limits, size = thresholds or Thresholds(), _sizes(found)
     small = (found.swings.outputs <= limits.swing * size) & (found.swings.error <= limits.error * size)
     return ~found.stable & ~small.all(-1)
 
@@ -428,7 +428,7 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Ch
     limits = thresholds or Thresholds()
     lines = [_stability(found, limits)]
     if any(found.margins):
-        lines += [*margin_findings(found, limits), *large_signal_findings(found, limits), _noise(found, limits)]
+        lines += [*_margin_findings(found, limits), *_large_signal_findings(found, limits), _noise(found, limits)]
     if len(found.steps.x):
         lines += _flights(found, limits)
     lines += [*_changes(found, limits), *_settling(found, limits)]
@@ -447,7 +447,7 @@ def _stability(found: Check, limits: Thresholds) -> CheckFinding:
         which = ("such as " if count - good > 1 else "") + place(found, k)
         words = (
             f"NOT stable at {count - good} of {grid}, {which}{more}; flown there for "
-            f"{format_duration(found.swings.seconds)}, {name_of(found, output)} ends within {word} of its target, and "
+            f"{format_duration(found.swings.seconds)}, {_name_of(found, output)} ends within {word} of its target, and "
             f"{_circling(found, limits)}; thresholds: spectral radius < 1 at all, swings of {100 * limits.swing:g} %"
         )
         return CheckFinding("stability", False, words)
@@ -468,7 +468,7 @@ def _circling(found: Check, limits: Thresholds) -> str:
     """Return how the loop swings where it is not stable."""
     word, output, share = _swing(found, limits)
     if share == math.inf:
-        return f"{name_of(found, output)} runs away, or its swings still grow"
+        return f"{_name_of(found, output)} runs away, or its swings still grow"
     moved = found.swings.inputs.amax(0)
     i = int(moved.argmax())
     name = found.loop.signature.input_names[i]
@@ -479,7 +479,7 @@ def _circling(found: Check, limits: Thresholds) -> str:
 def _swing(found: Check, limits: Thresholds) -> tuple[str, int, float]:
     """Return the largest swing of an output where the loop is not stable, in words, its output, and typical sizes."""
     share, word, output, _ = error(found, found.swings.outputs, limits)
-    return f"{word} of {name_of(found, output)} to either side", output, share
+    return f"{word} of {_name_of(found, output)} to either side", output, share
 
 
 def _noise(found: Check, limits: Thresholds) -> CheckFinding:
@@ -509,7 +509,7 @@ def _flights(found: Check, limits: Thresholds) -> list[CheckFinding]:
         CheckFinding(
             "steady error",
             largest <= limits.error,
-            f"{begun} at most {word} of {name_of(found, output)}{below(found, largest, output)}; threshold: {allowed}",
+            f"{begun} at most {word} of {_name_of(found, output)}{below(found, largest, output)}; threshold: {allowed}",
         ),
         CheckFinding(
             "slew",
@@ -548,7 +548,7 @@ def _changes(found: Check, limits: Thresholds) -> list[CheckFinding]:
         told, some = "no steady error, as none comes to rest", others.farthest[rows][rests]
         largest, word, output, allowed = error(found, some if len(some) else 0 * found.targets[:1], limits)
         if len(some):
-            told = f"steady error at most {word} of {name_of(found, output)}{below(found, largest, output)}"
+            told = f"steady error at most {word} of {_name_of(found, output)}{below(found, largest, output)}"
             if unstable:
                 do, are = ("does", "is") if unstable == 1 else ("do", "are")
                 told += f", of which {unstable} of {len(labels)} {are} left out that {do} not come to rest"
@@ -596,5 +596,5 @@ def _recovery(found: Check, limits: Thresholds) -> CheckFinding:
         shares[worst] >= limits.recovered,
         f"comes back from errors of up to {found.settings.reach:g} times the typical size of each state: "
         f"{words}, of {tried} errors in each such plane; the error that stays where it rests is {left} of "
-        f"{name_of(found, output)}{below(found, stays, output)}; threshold: {pairs[worst][1]} %",
+        f"{_name_of(found, output)}{below(found, stays, output)}; threshold: {pairs[worst][1]} %",
     )

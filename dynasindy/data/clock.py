@@ -250,7 +250,7 @@ def _coarser(steps: NDArray[np.int64]) -> float:
     return ratio if whole and ratio > 2 else 0.0
 
 
-def evened_stamps(path: str, t: Array, column: Array, unit: float, dt: float | None) -> tuple[Array, str]:
+def _evened_stamps(path: str, t: Array, column: Array, unit: float, dt: float | None) -> tuple[Array, str]:
     """Return the times at which rows were taken [s], and what is said of them where a coarse clock wrote others.
 
     An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
@@ -354,7 +354,7 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, f"time is the column {name}, taken as a counter of rows: {dt:g} s between rows, as given by data.dt"
-    t, coarse = evened_stamps(path, t, values, clock.seconds(path), dt)
+    t, coarse = _evened_stamps(path, t, values, clock.seconds(path), dt)
     how = "read as dates" if table.dated else f"in {clock.unit}" if clock.unit else "taken as seconds"
     between = f": {period_of(t):.4g} s between rows" if len(t) > 1 else ""
     told = f"time is the column {name}, {how}{between}{coarse}"

@@ -94,10 +94,10 @@ def infer(
     if inputs is None:
         found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in {*still, *counts}}
     else:
-        found = chosen(others, inputs, path, "data.inputs")
+        found = _chosen(others, inputs, path, "data.inputs")
     left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
     if states is not None:
-        left = chosen(left, states, path, "data.states")
+        left = _chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
     out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates}, empty)
@@ -183,7 +183,7 @@ _LACKING = {
 }
 
 
-def chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
+def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
     """Return the columns of some names or headings.
 
     Args:

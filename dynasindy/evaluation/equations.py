@@ -54,13 +54,13 @@ def describe_model(model: SindyModel, report: FitReport | None = None) -> list[s
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             lines.append(f"{names[i]}' has dry friction")
         moved = [*model.signature.input_names, *model.followed]
-        lines += [said for name in moved if (said := bend_in_words(read_nonlinearity(model, i, name), model))]
+        lines += [said for name in moved if (said := _bend_in_words(read_nonlinearity(model, i, name), model))]
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
     return [*dict.fromkeys(lines)]
 
 
-def bend_in_words(bend: InputNonlinearity | None, model: SindyModel) -> str:
+def _bend_in_words(bend: InputNonlinearity | None, model: SindyModel) -> str:
     """Say what a dead zone or a saturation does, in the unit of its actuator; empty where there is none."""
     if bend is None:
         return ""
@@ -87,7 +87,7 @@ def bend_hint(bend: InputNonlinearity, model: SindyModel) -> str:
     known = {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
     words = " ".join(["plant.library=dead_zone", *([f"'{rate_setting(known)}'"] if known else [])])
     return (
-        f"hint: what the equations leave over looks like a {bend.kind}, as if {bend_in_words(bend, model)}, about: "
+        f"hint: what the equations leave over looks like a {bend.kind}, as if {_bend_in_words(bend, model)}, about: "
         f"{words} fits such bends of the inputs beside linear functions"
     )
 

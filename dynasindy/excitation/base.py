@@ -82,8 +82,8 @@ class Excitation(TensorDictModuleBase, ABC):
             )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
         self._check_size(self.dt, 1)
-        self.register_buffer("amplitude", per_input(amplitude, n_u, "amplitude"))
-        self.register_buffer("offset", per_input(offset, n_u, "offset"))
+        self.register_buffer("amplitude", _per_input(amplitude, n_u, "amplitude"))
+        self.register_buffer("offset", _per_input(offset, n_u, "offset"))
         if bool((self.offset.abs() - self.amplitude.abs() >= 1).any()):
             raise ValueError(
                 f"excitation got offset {self.offset.tolist()} and amplitude {self.amplitude.tolist()}; allowed is a "
@@ -154,7 +154,7 @@ class Excitation(TensorDictModuleBase, ABC):
         return self.signal(torch.arange(round(self.duration / step), dtype=torch.float64) * step)
 
 
-def per_input(value: Levels, n_u: int, what: str) -> Tensor:
+def _per_input(value: Levels, n_u: int, what: str) -> Tensor:
     """Give one number per input, `(n_u,)` float64.
 
     Raises:

@@ -83,7 +83,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     words |= _policy(weights) | {"widest": max(max(w.shape) for w, _ in weights)}
     text += fill("policy.c", words, flags) + fill("controller.c", words, flags)
     shape = signature.n_x, signature.n_u, task.n_r
-    words |= {"words": block(_told(controller)), **watching_words(controller)}
+    words |= {"words": block(_told(controller)), **_watching_words(controller)}
     return ControllerSources(name, fill("controller.h", words, flags), text, measured(controller), shape)
 
 
@@ -94,7 +94,7 @@ def measured(controller: Controller) -> tuple[str, ...]:
     return tuple(controller.signature.state_names[i] for i in Filter.of(controller.observer).sensed)
 
 
-def watching_words(controller: Controller) -> dict[str, str]:
+def _watching_words(controller: Controller) -> dict[str, str]:
     """Return what the header says of measurements."""
     if controller.observer is None:
         return {"measured": "all states"}

@@ -62,17 +62,17 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
         f"/* Places in the arrays, by name. */\nenum {{\n{places(signature, name)}\n}};\n\n"
         f"void {name}_{result}({arguments});\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
     )
-    source = f'#include "{name}.h"\n\n#include <math.h>\n\n{helpers(found)}{_equations(model)}'
+    source = f'#include "{name}.h"\n\n#include <math.h>\n\n{_helpers(found)}{_equations(model)}'
     return Sources(name, header, source + _function(found, f"void {name}_{result}({arguments})", result))
 
 
 def field(model: SindyModel, found: Formulas) -> str:
     """Return the text of the static function `field(x, u, dx)`, what it calls, and its equations as a comment."""
     head = "static void field(const double *x, const double *u, double *dx)"
-    return f"{helpers(found)}{_equations(model)}{_function(found, head)}"
+    return f"{_helpers(found)}{_equations(model)}{_function(found, head)}"
 
 
-def helpers(found: Formulas) -> str:
+def _helpers(found: Formulas) -> str:
     """Return the functions that formulas call and <math.h> does not have."""
     return "".join(f"{text}\n" for name, text in _HELPERS.items() if name in found.calls)
 

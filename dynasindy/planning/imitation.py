@@ -147,10 +147,10 @@ def imitate(
         pilot: Network = network if k else _trembling(law, env.task.limit, rng)
         seen.append(_visited(pilot, law, env, rng))
         told.append(law(seen[-1]))
-        lesson(network, torch.cat(seen), torch.cat(told), steps, rng)
+        _lesson(network, torch.cat(seen), torch.cat(told), steps, rng)
 
 
-def lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int, rng: torch.Generator) -> None:
+def _lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int, rng: torch.Generator) -> None:
     """Train a policy to give inputs `(n, n_u)` for observations `(n, n_o)`, by least squares.
 
     Args:
@@ -268,7 +268,7 @@ def improve(
             way.states[:-1], begun.params.expand(periods, *begun.params.shape), way.times[:-1]
         ).float()
         observations, wanted = zip(*kept, (seen[alive], way.actions[alive]), strict=True)
-        lesson(network, torch.cat(observations), torch.cat(wanted), UPDATES, rng)
+        _lesson(network, torch.cat(observations), torch.cat(wanted), UPDATES, rng)
         kept.append((seen[alive & gained], way.actions[alive & gained]))
         updates += UPDATES
         now = score()

@@ -49,18 +49,18 @@ def equations(library: Library, coefficients: Tensor, digits: int = 4) -> list[s
                 above, sign = above[1:], "-"
             joint = (" - " if sign else " + ") if written else sign
             written += f"{joint}{above} {quotient}"
-        lines.append(f"{left_side(library, state)} = {written or '0'}")
+        lines.append(f"{_left_side(library, state)} = {written or '0'}")
     return lines
 
 
-def left_side(library: Library, state: str) -> str:
+def _left_side(library: Library, state: str) -> str:
     """Return the left side of a state's equation: its rate, or its next value."""
     return f"{state}'" if library.step is None else f"{state}[k+1]"
 
 
 def change_of(library: Library, state: str) -> str:
     """Return what the coefficients of a state are those of: its rate, or its change in a step of the equation."""
-    return left_side(library, state) if library.step is None else f"the change of {state}"
+    return _left_side(library, state) if library.step is None else f"the change of {state}"
 
 
 def mapping(library: Library, coefficients: Tensor) -> tuple[Library, Tensor]:
@@ -106,7 +106,7 @@ def coefficient_lines(library: Library, coefficients: Tensor, errors: Tensor) ->
     place = {feature.key: k for k, feature in enumerate(whole.features)}
     spread = torch.zeros_like(table)
     spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
-    left = [left_side(library, state) for state in library.signature.state_names]
+    left = [_left_side(library, state) for state in library.signature.state_names]
     found = [
         (left[i], plus_minus(float(xi), float(error)), whole.names[k])
         for i in range(len(left))
@@ -166,7 +166,7 @@ def to_table(library: Library, coefficients: Tensor, digits: int = 5, active_onl
         active_only: whether functions without any coefficient are left out.
     """
     library, coefficients = mapping(library, coefficients)
-    header = ["function", *(left_side(library, s) for s in library.signature.state_names)]
+    header = ["function", *(_left_side(library, s) for s in library.signature.state_names)]
     rows = [header, *_rows(library, coefficients, digits, False, active_only)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
     return "\n".join(
@@ -231,7 +231,7 @@ def to_csv(library: Library, coefficients: Tensor) -> str:
     writer = csv.writer(out, lineterminator="\n")
     library, coefficients = mapping(library, coefficients)
     units = zip(library.signature.state_names, library.signature.state_units, strict=True)
-    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{left_side(library, s)} [{u}]" for s, u in units)
+    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{_left_side(library, s)} [{u}]" for s, u in units)
     writer.writerow(["function", *heads])
     for name, values in zip(library.names, coefficients.tolist(), strict=True):
         writer.writerow([name, *(repr(v) for v in values)])

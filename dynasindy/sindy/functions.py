@@ -200,7 +200,7 @@ def is_registered(name: str) -> bool:
     return name in _REGISTRY
 
 
-def of_one(name: str) -> str:
+def _of_one(name: str) -> str:
     """Return the name of the function of one variable that one of a sum or a difference is made of, or the name."""
     return name[:-5] if name not in _REGISTRY and name[-5:] in _SUFFIXES else name
 
@@ -274,7 +274,7 @@ def function(name: str) -> Function:
     """
     if name in _REGISTRY:
         return _REGISTRY[name]
-    if (plain := of_one(name)) in _REGISTRY and (plain not in _BUILT_IN or plain in _EVERYWHERE):
+    if (plain := _of_one(name)) in _REGISTRY and (plain not in _BUILT_IN or plain in _EVERYWHERE):
         return _turned(_REGISTRY[plain], name, _SUFFIXES[name[-5:]])
     raise FunctionError(
         f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
@@ -348,7 +348,7 @@ def formula_texts(names: Iterable[str]) -> dict[str, str]:
 
     Other functions are left out, and so are those whose formula cannot be read again.
     """
-    found = {name: function(name).given for name in sorted(set(map(of_one, names)))}
+    found = {name: function(name).given for name in sorted(set(map(_of_one, names)))}
     return {name: formula for name, formula in found.items() if formula and _is_readable(name, formula)}
 
 

@@ -305,7 +305,7 @@ LARGEST = 10_000
 """Number of functions beyond which a library is taken for a mistake; the largest of a plant here has 159."""
 
 
-def bounded(features: Iterable[Feature]) -> list[Feature]:
+def _bounded(features: Iterable[Feature]) -> list[Feature]:
     """Return features, unless there are more than a library may hold; they are not counted to their end.
 
     Raises:
@@ -359,7 +359,7 @@ class Library:
         step: float | None = None,
     ) -> None:
         self.signature, self.step = signature, step
-        self.features: tuple[Feature, ...] = tuple({f.key: f for f in bounded(features)}.values())
+        self.features: tuple[Feature, ...] = tuple({f.key: f for f in _bounded(features)}.values())
         self._index = {n: i for i, n in enumerate((*signature.state_names, *signature.input_names))}
         wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
         if wrong:

@@ -70,7 +70,7 @@ def refine_one_step(
         if not len(active) or not len(others):
             break
         report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
-        rows, target, scale = linear_model(library, xi, active + others, data, floor)
+        rows, target, scale = _linear_model(library, xi, active + others, data, floor)
         triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
         if better is None:
@@ -95,7 +95,7 @@ def _descend(
             break
         what = f"{len(parameters)} coefficients, by single steps between {len(data)} samples"
         report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
-        rows, target, scale = linear_model(library, xi, parameters, data, floor)
+        rows, target, scale = _linear_model(library, xi, parameters, data, floor)
         triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
         kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))
         numbers = [shape.frequency + by for shape, by in zip(library.shapes, (values / scale[kept]).tolist())]
@@ -126,7 +126,7 @@ def one_step_covariance(
     """
     data, parameters = data.to(torch.float64), Parameters.where((xi != 0) & free)
     floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
-    rows, target, scale = linear_model(library, xi, parameters, data, floor)
+    rows, target, scale = _linear_model(library, xi, parameters, data, floor)
     n_shapes = len(library.shapes)
     errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
     factor = jackknife(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
@@ -147,7 +147,7 @@ def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str
     return dict(zip(library.signature.state_names, parts.tolist(), strict=True))
 
 
-def linear_model(
+def _linear_model(
     library: Library, xi: Tensor, parameters: Parameters, data: Transitions, floor: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Linearise the one-step prediction error, each state weighted by its error.

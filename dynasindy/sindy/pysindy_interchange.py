@@ -38,7 +38,7 @@ def to_pysindy(model: SindyModel) -> Any:
     import pysindy
 
     n_x, n_u = model.signature.n_x, model.signature.n_u
-    library = pysindy_library(model.library)
+    library = _pysindy_library(model.library)
     theirs = pysindy.SINDy(optimizer=pysindy.STLSQ(threshold=0.0, alpha=0.0), feature_library=library)
     rows = len(model.library) + 1
     points = np.random.default_rng(0).uniform(0.1, 1.0, (rows, n_x + n_u))
@@ -48,7 +48,7 @@ def to_pysindy(model: SindyModel) -> Any:
     return theirs
 
 
-def pysindy_library(library: Library) -> Any:
+def _pysindy_library(library: Library) -> Any:
     """Return a `pysindy.CustomLibrary` that holds the same functions in the same order."""
     import pysindy
 

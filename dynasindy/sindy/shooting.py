@@ -118,7 +118,7 @@ class Flow:
         It is `EXACT` where none was measured, or a state is zero throughout.
         """
         windows = self.windows
-        error = white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
+        error = _white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
         size = (windows.measured * windows.mask).square().sum((0, 1))
         squares = (error.squeeze(-1).square().sum((0, 1)), ROUNDING**2 * size)
         return (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
@@ -135,7 +135,7 @@ def states_of(estimate: Estimate, windows: Windows) -> Tensor:
     return torch.stack(states, 1)
 
 
-def white(rows: Tensor, windows: Windows) -> Tensor:
+def _white(rows: Tensor, windows: Windows) -> Tensor:
     """Return errors and slopes, zero where not measured, `(W, L, n_x, C)`; of errors that last what is new."""
     return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
@@ -250,7 +250,7 @@ def _degree(feature: Feature, name: str) -> float:
     )
 
 
-def scale_constraints(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
+def _scale_constraints(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
     """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`.
 
     Nothing measured depends on such a change, so the fit of everything else is the same with them.
@@ -357,7 +357,7 @@ def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     if bool(unseen.any()):
         may = parameters.support(estimate.xi.shape)
         exponents = free_scales(estimate.library, estimate.xi, may, unseen)[1]
-        held = scale_constraints(exponents, estimate.xi, rows, (parameters.features, parameters.states))
+        held = _scale_constraints(exponents, estimate.xi, rows, (parameters.features, parameters.states))
         rows = torch.cat([rows, held])
     return rows, moves, errors, cost
 
@@ -374,7 +374,7 @@ def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     n_own = flow.s.shape[-1] - n_x
     columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
     columns[..., -1] = error - columns[..., -1]
-    columns = white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
+    columns = _white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
@@ -391,7 +391,7 @@ def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     """Return the weighted errors of one trajectory, `(W, L, n_x)`, and its cost."""
     estimate, windows = flow.estimate, flow.windows
     error = (windows.measured - flow.predicted) * windows.mask
-    weighed = white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
+    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
     starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
     gaps = _gaps(flow) / _gap_sigma(sigma, estimate)
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
@@ -449,7 +449,7 @@ def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
 
 def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
-    every = white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
+    every = _white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
     return every, float(every[..., -1].square().sum()) + _unlikely(flow)
 
 

@@ -106,7 +106,7 @@ def price(n: int, free: Tensor) -> float:
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
-def search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
     What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
@@ -220,7 +220,7 @@ def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
     return next((trial for trial in trials if not (len(chosen) and bool(trial.lost().any()))), None)
 
 
-def converge(
+def _converge(
     estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = MOVES_LITTLE
 ) -> Estimate:
     """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
@@ -230,7 +230,7 @@ def converge(
 def settle(
     flow: Flow, max_rounds: int, enough: float = MOVES_LITTLE, model: Linearised | None = None
 ) -> tuple[Flow, Linearised]:
-    """Return the trajectories after the steps of `converge`, and the linear model there.
+    """Return the trajectories after the steps of `_converge`, and the linear model there.
 
     Args:
         flow: trajectories to begin with.
@@ -330,13 +330,13 @@ def refine_trajectory(
         windows = replace(windows, joined=_grows(found, windows)[1])
     if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = search_functions(found, free, alone, limits)
+        own = _search_functions(found, free, alone, limits)
         windows = replace(windows, joined=_grows(own, windows)[1])
-        found = search_functions(own, free, windows, limits)
+        found = _search_functions(own, free, windows, limits)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined, may_begin_anew = own, False, False
     else:
-        found = search_functions(found, free, windows, limits)
+        found = _search_functions(found, free, windows, limits)
     if bool(some.all()):
         found, windows = _finely(found, free, windows, limits)
     else:
@@ -365,10 +365,10 @@ def _refine_coloured(
 ) -> TrajectoryFit:
     """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
     data, guess = whole
-    found = search_functions(found, free, windows, limits)  # errors of a first guess last whatever the plant does
+    found = _search_functions(found, free, windows, limits)  # errors of a first guess last whatever the plant does
     for _ in range(TURNS):
         windows = replace(windows, lasting=lasting_of(found, windows))
-        last, found = found, search_functions(found, free, windows, limits)
+        last, found = found, _search_functions(found, free, windows, limits)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
         ):
@@ -476,7 +476,7 @@ def _grown(
         length = max(SHORTEST, length // LEAPS[0])
         trial, windows, lost = _cut(estimate, length)
     while length < descent.window:
-        trial = converge(trial, parameters, windows, descent.max_rounds)
+        trial = _converge(trial, parameters, windows, descent.max_rounds)
         guess = guess.index_copy(0, windows.rows, trial.nodes)
         longer = [min(leap * length, descent.window) for leap in LEAPS]
         cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))

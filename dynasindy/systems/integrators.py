@@ -90,7 +90,7 @@ def integrate(
     """
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u)) is not None:
         samples, touched = code.integrate(x, u, dt, substeps, stops)
-        return sampled(samples, f.step, substeps), touched
+        return _sampled(samples, f.step, substeps), touched
     touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
     ends = []
     h, count, difference = steps_of(time_step_of(f), dt, substeps)
@@ -100,7 +100,7 @@ def integrate(
             x, stopped = stops.apply(x)
             touched = touched | stopped
         ends.append(x)
-    return sampled(torch.stack(ends, -2), time_step_of(f), substeps), touched
+    return _sampled(torch.stack(ends, -2), time_step_of(f), substeps), touched
 
 
 def simulate(
@@ -127,7 +127,7 @@ def simulate(
     """
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
         samples, touched = code.flight(x, u, dt, substeps, stops)
-        return sampled(samples, f.step, substeps), touched
+        return _sampled(samples, f.step, substeps), touched
     return repeat_steps(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
 
 
@@ -150,7 +150,7 @@ def repeat_steps(
     return torch.stack(samples), torch.stack(touched)
 
 
-def sampled(samples: Tensor, step: float | None, substeps: int) -> Tensor:
+def _sampled(samples: Tensor, step: float | None, substeps: int) -> Tensor:
     """Return as many samples of a period as are asked for, those of a difference equation all from its end."""
     if step is None or samples.shape[-2] == substeps == 1:
         return samples

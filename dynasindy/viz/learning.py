@@ -129,7 +129,7 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
                 beside = APART * (number - (len(rows) - 1) / 2) if once else 0.0
                 axis.plot(x + beside, row, label="_" * (number > 0) + label, **look)
         else:
-            middle, low, high = bootstrap_band(rows, seed)
+            middle, low, high = _bootstrap_band(rows, seed)
             axis.plot(x, middle, label=label, **look)
             axis.fill_between(x, low, high, color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
             if len(x) == 1:
@@ -207,7 +207,7 @@ def moving_mean(values: Array, window: int) -> Array:
     return (total[end] - total[start]) / (end - start)
 
 
-def bootstrap_band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
+def _bootstrap_band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
     """Return interquartile mean and interval over seeds at each episode of `(n_seeds, n_episodes)`."""
     by_episode = torch.as_tensor(returns.T)
     low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=seed)

@@ -98,11 +98,11 @@ def panels(
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
         letters = int(11 * size[0])  # some eleven an inch
-        figure.suptitle("\n".join(row for line in title.split("\n") for row in wrap_title(line, letters)), fontsize=11)
+        figure.suptitle("\n".join(row for line in title.split("\n") for row in _wrap_title(line, letters)), fontsize=11)
     return figure, list(axes.flat)
 
 
-def wrap_title(line: str, letters: int) -> list[str]:
+def _wrap_title(line: str, letters: int) -> list[str]:
     """Return a line as few lines of at most so many letters, which break between clauses or are of equal length."""
     if len(line) <= letters:
         return [line]
@@ -202,7 +202,7 @@ TIMED: WeakKeyDictionary[Axes, tuple[str, TimeUnit]] = WeakKeyDictionary()
 """Axes of time, with what they show and the unit that they have by themselves."""
 
 
-def share_time_unit(figures: Iterable[Figure]) -> None:
+def _share_time_unit(figures: Iterable[Figure]) -> None:
     """Tell the times of all figures in one unit, the smallest of those that they have by themselves."""
     timed = [(axis, *TIMED[axis]) for figure in figures for axis in figure.axes if axis in TIMED]
     for axis, words, _ in timed:
@@ -297,7 +297,7 @@ def mark_divergence(axis: Axes, x: Array, color: str) -> None:
 
 def save_all(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write figures that belong together, their times in one unit, as `folder/NAME`, and return the files."""
-    share_time_unit(figures.values())
+    _share_time_unit(figures.values())
     return [file for name, figure in figures.items() for file in save(figure, folder / name, formats)]
 
 

@@ -88,7 +88,7 @@ def pages(results: Results) -> list[Section]:
         return [_claims(found, results), _statements(found), _rules(), *found]
 
 
-def claim_holds(findings: Sequence[Finding]) -> str:
+def _claim_holds(findings: Sequence[Finding]) -> str:
     """Return in words how much of a claim holds; a claim does if each of its statements is measured and does."""
     unknown = sum(finding.verdict is Verdict.UNKNOWN for finding in findings)
     if unknown == len(findings):
@@ -110,7 +110,7 @@ def _claims(found: Sequence[Section], results: Results) -> Section:
                 for finding in section.findings
                 if (finding.statement.claim, finding.case) == (claim, case)
             ]
-            words = claim_holds([finding for finding, _ in evidence])
+            words = _claim_holds([finding for finding, _ in evidence])
             full[case] += words.startswith("holds")
             # A reader asks first where it falls short.
             titles = [title for finding, title in evidence if finding.verdict is Verdict.SHORT]

@@ -176,7 +176,7 @@ def real_logs(results: Results) -> Section:
         if not newest:
             return [Text(f"Not measured: `{results.folder.name}/rigs.csv` has no row of `{rig}`.")]
         caption = f"Errors of models of {RIGS[rig]} on the test log, fitted to the training log."
-        figure = error_bars(newest, PUBLISHED.get(rig, {}))
+        figure = _error_bars(newest, PUBLISHED.get(rig, {}))
         return [Picture(f"rig_{rig}", figure, caption, results.source("rigs.csv", make, newest))]
 
     def _over_time(rig: str) -> list[Part]:
@@ -186,7 +186,7 @@ def real_logs(results: Results) -> Section:
             "panel has a range of its own."
         )
         source = results.source("rigs_over_time.csv", make, rows)
-        return [Picture(f"rig_{rig}_over_time", error_courses(rows), caption, source)] if rows else []
+        return [Picture(f"rig_{rig}_over_time", _error_courses(rows), caption, source)] if rows else []
 
     words = (
         "Logs of real plants: models are fitted to the training log, and predict a test log that no fit has seen. "
@@ -220,7 +220,7 @@ def margins(results: Results) -> Section:
 
 
 @styled
-def error_bars(rows: Sequence[Row], published: Mapping[str, float]) -> Figure:
+def _error_bars(rows: Sequence[Row], published: Mapping[str, float]) -> Figure:
     """Draw a bar per model, the shortest at the top of each panel, and lines where others are.
 
     A model whose simulation runs away has words in the place of a bar, as its error is no number.
@@ -256,7 +256,7 @@ def error_bars(rows: Sequence[Row], published: Mapping[str, float]) -> Figure:
 
 
 @styled
-def error_courses(rows: Sequence[Row]) -> Figure:
+def _error_courses(rows: Sequence[Row]) -> Figure:
     """Draw the errors of each model over a log, each in a panel with limits of its own, ours first.
 
     Args:

@@ -141,7 +141,7 @@ class Section:
         return parts
 
 
-def anchor(title: str) -> str:
+def _anchor(title: str) -> str:
     """Return the name of a heading that links use, the one that GitHub gives it."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
@@ -169,7 +169,7 @@ def render_html(title: str, sections: Sequence[Section]) -> str:
     """Return a page as HTML that needs no other file and no network, its figures inline."""
     loader = jinja2.FileSystemLoader(Path(__file__).parent)
     page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    page.filters |= {"inline": _inline, "anchor": anchor, "colour": _colour, "svg": _svg_markup}
+    page.filters |= {"inline": _inline, "anchor": _anchor, "colour": _colour, "svg": _svg_markup}
     return page.get_template("template.html").render(title=title, sections=sections)
 
 
@@ -182,13 +182,13 @@ def write_figures(sections: Iterable[Section], folder: Path, formats: Sequence[s
             file = folder / f"{picture.name}.{suffix}"
             files.append(file)
             if suffix == "svg":
-                write_text(file, svg(picture.figure, picture.name) + "\n")
+                write_text(file, _svg(picture.figure, picture.name) + "\n")
             else:
                 save(picture.figure, file.with_suffix(""), [suffix])
     return files
 
 
-def svg(figure: Figure, name: str) -> str:
+def _svg(figure: Figure, name: str) -> str:
     """Return a figure as an SVG element on one line, without metadata, names of groups and digits below 0.1 pt.
 
     Args:
@@ -211,7 +211,7 @@ def _rounded(outline: str) -> str:
 
 
 def _svg_markup(figure: Figure, name: str) -> Markup:
-    return Markup(svg(figure, name))  # matplotlib escapes labels
+    return Markup(_svg(figure, name))  # matplotlib escapes labels
 
 
 def _inline(words: str) -> Markup:
@@ -241,7 +241,7 @@ def _markdown(part: Part, suffix: str) -> str:
 
 def _cell(cell: str | Link) -> str:
     words = escape_markdown(cell.words if isinstance(cell, Link) else cell).replace("|", r"\|")
-    return f"[{words}](#{anchor(cell.title)})" if isinstance(cell, Link) else words
+    return f"[{words}](#{_anchor(cell.title)})" if isinstance(cell, Link) else words
 
 
 def _wrapped(words: str) -> str:

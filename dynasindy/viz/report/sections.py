@@ -199,7 +199,7 @@ def states(results: Results, when: str) -> Section:
         run, case = results.ablation_run(plant, experiment, "rollouts_800"), case_name(plant, experiment)
         table = run.table(f"data/prediction_{when}_episode.csv")
         real, model = stacked(table, STATES), stacked(table, [f"predicted_{name}" for name in STATES])
-        errors = state_errors(real, model)
+        errors = _state_errors(real, model)
         title = f"Predicted and real states {word} learning: plant {plant}, experiment {experiment}"
         picture = Picture(
             f"states_{word}_{plant}_{experiment}",
@@ -411,7 +411,7 @@ def wave(results: Results, shape: str) -> Section:
     return Section(title, [Text(words), *each(_of, *CASES, statements=_both(statements))])
 
 
-def state_errors(real: Array, model: Array) -> dict[str, float]:
+def _state_errors(real: Array, model: Array) -> dict[str, float]:
     """Return the RMSE of each state in percent of its range, infinite where the model ran away."""
     span = np.ptp(real, axis=0)
     error = 100 * np.sqrt(np.mean((model - real) ** 2, axis=0)) / np.where(span > 0, span, 1.0)
@@ -426,7 +426,7 @@ def _chirp_errors(run: Run) -> dict[str, float]:
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
-    return state_errors(x[1:].numpy(), predicted.numpy())
+    return _state_errors(x[1:].numpy(), predicted.numpy())
 
 
 def _coefficient_table(model: Coefficients) -> Table:
