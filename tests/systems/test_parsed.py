@@ -7,11 +7,6 @@ import pytest
 from dynasindy.systems.parsed import parsed
 
 
-def test_a_formula_becomes_its_tree():
-    tree = parsed("a * sin(b)")
-    assert isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult) and ast.unparse(tree.right) == "sin(b)"
-
-
 def test_what_is_no_formula_is_refused():
     with pytest.raises(SyntaxError):
         parsed("a *")

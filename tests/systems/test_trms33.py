@@ -19,11 +19,6 @@ def test_without_voltage_the_beam_rests_at_its_published_pitch():
     assert float(Trms33()(x, u)[3]) < -0.1
 
 
-def test_stops_that_are_not_positive_are_refused():
-    with pytest.raises(ValueError, match="positive"):
-        Trms33(pitch_stop=0.0)
-
-
 # Azimuth, pitch, their rates, tail and main rotor [rpm]; both senses of both rotors.
 POINTS = [
     ([0.3, 0.4, 0.7, -0.5, 3000.0, 1500.0], [0.3, -0.6]),

@@ -10,14 +10,6 @@ def test_default_stops_are_those_of_the_vendors_simulation():
     assert stops.low == tuple(-h for h in stops.high)
 
 
-def test_positions_are_stopped_with_their_own_rates():
-    stops = beam_stops(azimuth=2.0, pitch=0.5)
-    x = torch.tensor([[2.5, 0.1, 1.0, 1.0, 9.0, 9.0], [0.1, -0.6, -1.0, -1.0, 9.0, 9.0]])
-    held, touched = stops.apply(x)
-    assert held.tolist() == [[2.0, pytest.approx(0.1), 0, 1, 9, 9], [pytest.approx(0.1), -0.5, -1, 0, 9, 9]]
-    assert touched.all()
-
-
 @pytest.mark.parametrize("travel", [{"azimuth": 0.0}, {"pitch": 0.0}, {"azimuth": -1.0}])
 def test_a_beam_without_travel_is_refused(travel):
     with pytest.raises(ValueError, match="half ranges"):
