@@ -6,7 +6,7 @@ from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.input_delay import DelayedEnv
-from dynasindy.systems import Pendulum, Signature, System, Tras, Xi, integrate
+from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
 
@@ -22,16 +22,6 @@ class Constant:
 
     def __call__(self, tensordict):
         return tensordict.set("action", self.u.expand(*tensordict.batch_size, len(self.u)))
-
-
-def test_a_period_is_the_integrators_and_its_samples_are_logged():
-    env = make(dtype=torch.float64)
-    rollout = env.rollout(3, Constant(0.2, 0.4))
-    x = torch.zeros(6, dtype=torch.float64)
-    u = torch.tensor([0.2, 0.4]).double()
-    expected, _ = integrate(Tras(), x, u, 0.15, 15)
-    assert torch.allclose(rollout["next", "samples"].reshape(15, 6), expected)
-    assert torch.equal(rollout["next", "samples"][:, -1], rollout["next", "state"])
 
 
 def test_partial_reset_leaves_the_other_rows():
@@ -97,16 +87,16 @@ def _two_lines(dx):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda dx: dx[..., :1], r"returned \(6, 1\) of torch\.float32; it has to return \(6, 2\) of torch\.float32"),
+        (lambda dx: dx[..., :1], r"returned \(6, 1\) of torch\.float32"),
         (lambda dx: dx.sum(), r"returned \(\) of torch\.float32"),
         (lambda dx: dx.double(), r"returned \(6, 2\) of torch\.float64"),
-        (lambda dx: dx.tolist(), r"returned a list; it has to return \(6, 2\)"),
-        (lambda dx: dx * torch.tensor([1.0, torch.nan]), r"not finite, of Omega, where episodes begin"),
-        (lambda dx: dx[..., 5], r"system Broken failed \(IndexError"),
-        (lambda dx: dx.rates, r"system Broken failed \(AttributeError"),
-        (lambda dx: dx + "1", r"system Broken failed \(TypeError"),
-        (lambda dx: dx.reshape(7), r"system Broken failed \(RuntimeError"),
-        (_two_lines, r"system Broken failed \(ValueError: first\); it has to return"),
+        (lambda dx: dx.tolist(), r"returned a list"),
+        (lambda dx: dx * torch.tensor([1.0, torch.nan]), "not finite, of Omega"),
+        (lambda dx: dx[..., 5], "IndexError"),
+        (lambda dx: dx.rates, "AttributeError"),
+        (lambda dx: dx + "1", "TypeError"),
+        (lambda dx: dx.reshape(7), "RuntimeError"),
+        (_two_lines, "ValueError: first"),
     ],
 )
 def test_a_system_that_gives_no_rates_of_change_is_refused_at_once(change, said):
@@ -173,11 +163,6 @@ def test_episodes_start_at_the_states_given_at_time_zero():
         assert start[key].shape == (2, 4, 1) and not start[key].any(), key
 
 
-def test_samples_are_logged_at_equal_times_in_a_period():
-    assert make().log_dt == pytest.approx(0.01)  # the paper's period of 0.05 s in five parts
-    assert make(dt=0.2, substeps=8).log_dt == pytest.approx(0.025)
-
-
 def test_another_system_keeps_stops_task_and_settings():
     env = make(Tras(azimuth_stop=1.5, pitch_stop=0.3), dt=0.1, substeps=4, dtype=torch.float64, batch_size=(3,))
     other = env.with_system(Xi())
@@ -218,7 +203,7 @@ def test_a_system_with_other_states_or_other_inputs_is_refused():
             self.signature = Signature(tuple("abcdefg"[:states]), ("-",) * states, tuple("xyz"[:inputs]), (1,) * states)
 
     for states, inputs in ((6, 1), (5, 2)):
-        with pytest.raises(ValueError, match=f"{states} states and {inputs} inputs, the environment 6 and 2"):
+        with pytest.raises(ValueError, match=f"{states} states and {inputs} inputs"):
             make().with_system(Short(states, inputs))
 
 

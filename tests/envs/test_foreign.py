@@ -208,7 +208,7 @@ def test_a_step_from_another_state_is_refused():
     env.step(now.clone())
     with pytest.raises(RuntimeError, match="reset"):
         env.step(now)
-    with pytest.raises(RuntimeError, match="reset it first"):
+    with pytest.raises(RuntimeError, match="reset"):
         pendulum().step(now)
 
 
@@ -216,7 +216,7 @@ def test_an_episode_that_an_evaluation_has_taken_the_copies_of_is_refused():
     env = pendulum()
     now = env.reset().set("action", torch.zeros(1))
     env.with_task(env.task).reset()
-    with pytest.raises(RuntimeError, match="reset it first"):
+    with pytest.raises(RuntimeError, match="reset"):
         env.step(now)
     env.step(env.reset().set("action", torch.zeros(1)))
 
@@ -277,7 +277,7 @@ def test_what_is_no_plant_is_refused_in_one_line(name, settings, words):
 
 def test_inputs_without_ends_are_refused():
     gymnasium.register("by_hand/Free-v0", Free)
-    with pytest.raises(ValueError, match="actions without ends"):
+    with pytest.raises(ValueError, match="without ends"):
         Foreign("by_hand/Free-v0")
 
 
@@ -293,7 +293,7 @@ def test_other_plants_and_finer_samples_are_refused():
     with pytest.raises(TypeError, match="ControlEnv"):
         GymnasiumEnv(system, task)
     env = pendulum()
-    with pytest.raises(ValueError, match=r"env.substeps=5: .* give 1"):
+    with pytest.raises(ValueError, match=r"env\.substeps=5"):
         GymnasiumEnv(env.system, env.task, substeps=5)
 
 

@@ -75,7 +75,7 @@ def test_mistakes_get_one_line() -> None:
         twin_rotor(plant="helicopter")
     with pytest.raises(ValueError, match="render_mode"):
         twin_rotor(render_mode="human")
-    with pytest.raises(RuntimeError, match="call reset first"):
+    with pytest.raises(RuntimeError, match="reset"):
         twin_rotor().step(np.zeros(2, dtype=np.float32))
     system = Tras()
     with pytest.raises(ValueError, match="one row"):

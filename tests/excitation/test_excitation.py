@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -34,37 +35,10 @@ def test_as_a_policy_it_reads_the_step_count_and_holds_the_input(kind):
     assert excitation.n_steps == 80
 
 
-def test_levels_beyond_the_range_are_clipped():
-    assert float(Chirp(1, amplitude=0.8, offset=0.6).samples().max()) == 1.0
-
-
 def test_the_seed_makes_the_signal():
     first, again, other = (Multisine(2, seed=s).samples() for s in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.allclose(first, other)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [{"duration": -1.0}, {"dt": 0.0}, {"amplitude": (0.1, 0.2, 0.3)}, {"offset": (1.5, 0.0)}, {"amplitude": math.nan}],
-)
-def test_settings_that_make_no_sense_are_refused(settings):
-    with pytest.raises(ValueError, match="excitation got"):
-        Chirp(2, **settings)
-
-
-def test_an_input_number_of_zero_is_refused():
-    with pytest.raises(ValueError, match="0 inputs"):
-        Chirp(0)
-
-
-def test_negative_bands_no_harmonics_and_no_hold_are_refused():
-    with pytest.raises(ValueError, match="band"):
-        Chirp(1, band=(0.0, -1.0))
-    with pytest.raises(ValueError, match="0 harmonics"):
-        Sphs(1, harmonics=0)
-    with pytest.raises(ValueError, match="hold"):
-        Prbs(1, hold=math.nan)
 
 
 @pytest.mark.parametrize(
@@ -122,18 +96,23 @@ def test_inputs_are_clipped_at_either_end():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"duration": 0.0}, "duration 0.0 s"),
-        ({"dt": -0.1}, "dt -0.1 s"),
-        ({"offset": (0.0, 1.3)}, "move the offset towards 0"),
-        ({"offset": (0.0, -1.3)}, "move the offset towards 0"),
-        ({"amplitude": (0.1,) * 3}, "3 values of amplitude"),
-        ({"offset": (0.1,) * 3}, "3 values of offset"),
-        ({"offset": (math.inf, 0.0)}, "finite numbers"),
+        ({"duration": 0.0}, "duration"),
+        ({"dt": -0.1}, "dt"),
+        ({"offset": (0.0, 1.3)}, "offset"),
+        ({"offset": (0.0, -1.3)}, "offset"),
+        ({"amplitude": (0.1,) * 3}, "amplitude"),
+        ({"offset": (0.1,) * 3}, "offset"),
+        ({"offset": (math.inf, 0.0)}, "finite"),
+        ({"amplitude": math.nan}, "finite"),
     ],
 )
-def test_each_setting_is_refused_by_its_own_words(settings, message):
+def test_impossible_settings_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         Chirp(2, **settings)
+    with pytest.raises(ValueError, match="inputs"):
+        Chirp(0)
+    with pytest.raises(ValueError, match="harmonics"):
+        Sphs(1, harmonics=0)
 
 
 def test_a_range_may_reach_the_limit_and_must_not_lie_beyond_it():
@@ -170,3 +149,92 @@ def test_a_gain_has_a_row_per_input_and_a_column_per_state():
     for gain in ([[1.0, 2.0]], [[1.0, 2.0], [1.0]], [[1.0], [math.inf]], []):
         with pytest.raises(ValueError, match="finite"):
             Chirp(2, gain=gain)
+
+
+def test_a_sweep_is_its_formula_in_plain_numbers():
+    chirp = Chirp(3, duration=8.0, band=(0.2, 1.5), amplitude=1.0)
+    for t in (0.0, 1.3, 7.7):
+        given = chirp.signal(torch.tensor(t, dtype=torch.float64)).tolist()
+        for i, (stop, phase) in enumerate(((1.5, -math.pi / 2), (1.05, 0.0), (1.5, math.pi / 2))):
+            turns = 0.2 * t + (stop - 0.2) * t * t / 16
+            assert math.isclose(given[i], math.cos(2 * math.pi * turns + phase), abs_tol=1e-12)
+
+
+def test_the_printed_and_the_squared_form_are_their_formulas():
+    t = torch.tensor([0.0, 2.0, 9.0], dtype=torch.float64)
+    printed = PrintedChirp(2, duration=10.0, amplitude=1.0).signal(t)
+    expected = [math.cos(math.pi * share * (1 - share)) for share in (0.0, 0.2, 0.9)]
+    assert torch.allclose(printed, torch.tensor(expected, dtype=torch.float64).unsqueeze(-1).expand(3, 2), atol=1e-12)
+    squared = SquaredChirp(2, amplitude=1.0).signal(t)
+    assert torch.allclose(squared, 0.5 * Chirp(2, amplitude=1.0).signal(t) ** 2, atol=1e-12)
+
+
+@pytest.mark.parametrize("band", [(0.1,), (0.1, 0.2, 0.3), (-0.1, 1.0)])
+def test_a_band_is_two_frequencies_from_zero_on(band):
+    with pytest.raises(ValueError, match="chirp"):
+        Chirp(1, band=band)
+    assert Chirp(1, band=(0.0, 0.0)).start == 0.0
+
+
+def test_schroeders_sum_is_its_formula_in_plain_numbers():
+    """K = 3 harmonics of each of two inputs: 1, 3, 5 and 2, 4, 6 turns in 4 s, divided by the peak."""
+    t = np.linspace(0, 4, 20001)
+    given = Sphs(2, duration=4.0, harmonics=3, amplitude=1.0).signal(torch.from_numpy(t)).numpy()
+    for column, numbers in enumerate(((1, 3, 5), (2, 4, 6))):
+        phases = [2 * np.pi / 3 * i * (i + 1) / 2 for i in (1, 2, 3)]
+        bare = sum(np.cos(2 * np.pi * n * t / 4 + phase) for n, phase in zip(numbers, phases, strict=True))
+        np.testing.assert_allclose(given[:, column], bare / np.abs(bare).max(), atol=1e-5)
+    assert np.abs(given).max() <= 1
+
+
+def test_a_multisine_has_lines_of_one_height_and_phases_all_around():
+    u = Multisine(2, duration=10.0, harmonics=4, amplitude=1.0, seed=3).samples(0.01)
+    power = torch.fft.rfft(u, dim=0).abs()
+    for column, lines in enumerate(([1, 3, 5, 7], [2, 4, 6, 8])):
+        heights = power[lines, column]
+        assert bool((heights / heights.mean() - 1 < 1e-6).all())
+        assert (power[:, column] > 1e-6 * heights.max()).nonzero().flatten().tolist() == lines
+    many = Multisine(2, harmonics=2000, seed=0).phases
+    assert bool((many >= 0).all()) and float(many.max()) > 6.2 and abs(float(many.mean()) - torch.pi) < 0.1
+    assert abs(float(torch.corrcoef(many.mT)[0, 1])) < 0.06
+
+
+def test_eight_harmonics_and_one_at_least():
+    assert Sphs(1).phases.shape == (8, 1) and Sphs(1, harmonics=1).phases.shape == (1, 1)
+
+
+def test_levels_are_held_for_the_time_given():
+    u = HeldRandom(2, duration=10.0, hold=0.5, amplitude=1.0, seed=1).samples(0.01)
+    jumps = [(u[1:, i] != u[:-1, i]).nonzero().flatten() + 1 for i in range(2)]
+    assert set(jumps[0].diff().tolist()) == {50}
+    assert not set(jumps[0].tolist()) & set(jumps[1].tolist())
+
+
+def test_a_signal_is_the_loop_over_its_holds():
+    """Input i jumps i / n_u of a hold earlier; every hold takes the next level."""
+    held = HeldRandom(2, duration=3.0, hold=0.5, amplitude=1.0, seed=4)
+    levels = held.levels
+    assert levels.shape == (9, 2) and bool((levels.abs() <= 1).all()) and levels.unique().numel() == 18
+    for step in range(60):
+        t = 0.05 * step
+        expected = [levels[int((step + 0.0001) / 10), 0].item(), levels[int((step + 5.0001) / 10), 1].item()]
+        assert held.signal(torch.tensor(t, dtype=torch.float64)).tolist() == expected
+    after = held.signal(torch.tensor([4.5, 0.0], dtype=torch.float64))
+    assert torch.equal(after[0], after[1])  # nine levels of half a second, then again
+
+
+def test_levels_fill_the_range_evenly_and_both_ends_come_as_often():
+    uniform = HeldRandom(2, duration=1000.0, hold=0.5, seed=0).levels
+    assert abs(float(uniform.mean())) < 0.03 and abs(float(uniform.std()) - 3**-0.5) < 0.02
+    assert float(uniform.min()) < -0.99 and float(uniform.max()) > 0.99
+    binary = Prbs(2, duration=1000.0, hold=0.5, seed=0).levels
+    assert sorted(binary.unique().tolist()) == [-1.0, 1.0] and abs(float(binary.mean())) < 0.06
+    for levels in (uniform, binary):
+        assert abs(float(torch.corrcoef(levels.mT)[0, 1])) < 0.06
+
+
+def test_half_a_second_is_held_by_default_and_a_time_must_be_positive():
+    assert Prbs(1).hold == 0.5
+    for hold in (0.0, float("nan")):
+        with pytest.raises(ValueError, match="hold"):
+            Prbs(1, hold=hold)
