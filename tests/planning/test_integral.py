@@ -76,12 +76,6 @@ def test_the_first_step_forgets_the_last_episode():
     torch.testing.assert_close(action(start.clone())["action"], first)
 
 
-def test_gains_must_be_positive():
-    env, proportional = setting()
-    with pytest.raises(ValueError, match="positive"):
-        IntegralAction(proportional, env, gain=0.0)
-
-
 def test_shift_and_integral_are_those_of_the_formulas_on_a_moving_reference():
     plant = Pendulum()
     task = Tracking(plant.signature, Wave([0.3], [0.2]), ("theta",), ("Omega",), TrackingReward((4.0,)))
@@ -139,7 +133,7 @@ def test_each_number_must_be_positive(name):
 def test_a_task_without_a_reference_is_refused():
     env, proportional = setting()
     env.task = object()
-    with pytest.raises(TypeError, match="task object has no error to integrate"):
+    with pytest.raises(TypeError, match="object"):
         IntegralAction(proportional, env)
 
 

