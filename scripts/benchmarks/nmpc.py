@@ -4,7 +4,7 @@
 | -------- | -------- | ------------------------------------------------------------------------------------------- |
 | model    | f        | dx/dt = f(x, u), collocated by do-mpc                                                        |
 | target   | r, v     | dr/dt = v, dv/dt = 0: nothing of its future is known                                         |
-| stage    | l        | 4 (y - r)^2 + .02 (dy/dt - v)^2 + .02 ((x - h(r)) / range)^2, and .001 of squared changes of u |
+| stage    | l        | 4 (y - r)^2 + .02 (dy/dt - v)^2 + .002 ((x - h(r)) / range)^2, .001 of squared changes of u  |
 | terminal | m        | 10 times the squared errors, and .1 of the squared rates                                     |
 
 The hint h(r) is where the states that have no target rest while the outputs are at r. Without it, and with magnitudes
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Field = Callable[[Any, Any], Sequence[Any]]
-DEGREE = 3
+DEGREE = 5
 """Degree of the polynomials of the hint."""
 
 
@@ -115,7 +115,7 @@ def build(rates_of: Field, plan: Plan) -> Any:
     squares = {name: sum(c * m for c, m in zip(of, monomials(r), strict=True)) for name, of in plan.hint.items()}
     rest = {name: of / (of * of + 1.0) ** 0.25 for name, of in squares.items()}
     away = sum(((at[name] - to) / size[name]) ** 2 for name, to in rest.items())
-    track = 4 * errors + 0.02 * away
+    track = 4 * errors + 0.002 * away
     mpc.set_objective(mterm=10 * track + 0.1 * speeds, lterm=track + 0.02 * speeds)
     mpc.set_rterm(**dict.fromkeys(plan.inputs, 1e-3))
     for name in plan.inputs:
