@@ -8,10 +8,9 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from dynasindy.checking import Plant, check_verdict
+from dynasindy.checking import check_verdict
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.checking.linear_loop import covariance_at
 from dynasindy.checking.verdict import check_record, plain_number
 from dynasindy.progress import listening
 from dynasindy.sindy import SindyModel
@@ -54,16 +53,8 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
     heard = []
     with listening(heard.append):
         found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
-    assert list(dict.fromkeys(told.phase for told in heard)) == [
-        "where the loop rests",
-        "margins",
-        "steps to the targets",
-        "plants that differ from the model",
-        "steps of plants that differ from the model",
-        "recovery from initial errors",
-    ]
     (*_, rests) = (told for told in heard if told.phase == "where the loop rests")
-    assert rests.counted() == "3 of 3 targets"
+    assert rests.count() == "3 of 3 targets"
     held = json.loads(json.dumps(check_record(found), allow_nan=False))
     assert [row["target"]["p"] for row in held["targets"]] == pytest.approx([-0.4, 0.0, 0.4])
     assert all(row["stable"] and row["rests"] for row in held["targets"])
@@ -97,13 +88,6 @@ def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, 
     assert found.stable.all() and found.spread.radius.isinf().any()
     assert any("flights" in told for told in heard)
     assert sum(silent) > 100 and max(silent) <= 2
-
-
-def test_the_covariance_of_the_observer_moves_no_plant(loops, monkeypatch):
-    loop = loops(observer={})
-    monkeypatch.setattr(Plant, "period", lambda *args: pytest.fail("the plant was moved"))
-    z = loop.started(torch.zeros(1, 2, dtype=torch.float64))
-    assert float(covariance_at(loop, z)[0, 0, 0]) < 1e-4  # that of a single measurement, before any was averaged
 
 
 def test_what_was_found_is_handed_on_before_the_rest_is_looked_at(loops):

@@ -1,0 +1,332 @@
+"""Loops rest where they should, and their eigenvalues are those on paper."""
+
+import math
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import solve_discrete_are
+from scipy.signal import cont2discrete
+
+from dynasindy.checking import Thresholds, check_verdict
+from dynasindy.checking.check import Settings, check
+from dynasindy.checking.linear_loop import (
+    Linear,
+    covariance_at,
+    find_rest,
+    guess_rest,
+    loop_margins,
+    noise_gain,
+    open_loop,
+    sensitivity,
+    settling,
+)
+from dynasindy.checking.verdict import check_record
+
+A = np.array([[1.0, 0.1], [0.0, 1.0]])
+B = np.array([[0.005], [0.1]])
+
+
+def targets(*values):
+    return torch.tensor([[value] for value in values], dtype=torch.float64)
+
+
+def test_the_eigenvalues_are_those_of_the_polynomial_on_paper(loops):
+    # z^2 - tr z + det of A - B k, k = (2, 2.5): tr = 2 - 0.01 - 0.25, det = 1 - 0.01 - 0.25 + 0.1 * 2 * 0.1.
+    linear = find_rest(loops(), targets(0.0, 0.7)).linear
+    expected = np.roots([1, -(2 - 0.01 - 0.25), 1 - 0.01 - 0.25 + 0.02])
+    for k in range(2):
+        np.testing.assert_allclose(np.sort_complex(linear.eigenvalues[k]), np.sort_complex(expected), atol=1e-8)
+    np.testing.assert_allclose(linear.radius, np.abs(expected).max(), atol=1e-8)
+    np.testing.assert_allclose(linear.b[0], B, atol=1e-9)
+    np.testing.assert_allclose(linear.e[0], -B @ [[2.0, 2.5]], atol=1e-8)
+    np.testing.assert_allclose(linear.c[0], [[-2.0, -2.5]], atol=1e-8)
+    np.testing.assert_allclose(linear.f[0], [[-2.0, -2.5]], atol=1e-8)
+
+
+def test_a_law_that_pushes_the_wrong_way_is_not_stable(loops, law):
+    assert find_rest(loops(law(-0.5, 1.0)), targets(0.2)).linear.radius > 1.01
+
+
+def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter(loops):
+    # The separation principle, with the filter of scipy: x+ = A x + B u, gain L of its steady covariance.
+    loop = loops(observer={})
+    found = find_rest(loop, targets(0.3))
+    noise = np.diag([(0.01 * 2) ** 2, (0.05 * 3) ** 2]) * 0.1
+    prior = solve_discrete_are(A.T, np.array([[1.0], [0.0]]), noise, [[1e-4]])
+    gain = prior[:, :1] / (prior[0, 0] + 1e-4)
+    expected = [np.linalg.eigvals(A - B @ [[2.0, 2.5]]), np.linalg.eigvals(A - gain @ np.array([[1.0, 0.0]]) @ A)]
+    expected = np.sort_complex(np.concatenate(expected))
+    values = found.linear.eigenvalues[0]
+    np.testing.assert_allclose(np.sort_complex(values[np.abs(values) > 1e-3]), expected, atol=1e-6)
+    posterior = prior - gain * prior[:1]
+    np.testing.assert_allclose(covariance_at(loop, found.z)[0], posterior, rtol=1e-5)
+
+
+@pytest.mark.parametrize("k_v", [2.5, 9.0, 20.15, 20.25])
+def test_a_difference_equation_is_stable_inside_the_unit_circle_and_has_the_margins_of_its_map(loops, carts, law, k_v):
+    """p += 0.1 v, v += 0.1 u under u = g (2 (r - p) - k v): z^2 - (2 - 0.1 g k) z + 1 - 0.1 g k + 0.02 g.
+
+    By Jury's criterion it is stable where 4 - 0.2 g k + 0.02 g > 0: until g = 4 / (0.2 k - 0.02), and k = 20.1.
+    """
+    linear = find_rest(loops(law(2.0, k_v), carts(step=0.1)), targets(0.0)).linear
+    expected = np.roots([1, -(2 - 0.1 * k_v), 1 - 0.1 * k_v + 0.02])
+    np.testing.assert_allclose(np.sort_complex(linear.eigenvalues[0]), np.sort_complex(expected), atol=1e-7)
+    assert (linear.radius[0] < 1) == (k_v < 20.1)
+    if k_v < 20.1:
+        assert loop_margins(linear.row(0))[0].gain == pytest.approx(4 / (0.2 * k_v - 0.02), rel=1e-6)
+
+
+def test_a_late_input_is_another_state(loops, carts):
+    # Fractional delays sample as A x + B1 u_old + B0 u_now, the textbook's form.
+    loop = loops(model=carts(delay=0.13))
+    linear = find_rest(loop, targets(0.0)).linear
+    late = 0.03
+    flow = cont2discrete((np.array([[0.0, 1.0], [0, 0]]), np.array([[0.0], [1.0]]), np.eye(2), 0), 0.1 - late)[:2]
+    old = np.array([[1, 0.1 - late], [0, 1]]) @ np.array([[late**2 / 2], [late]])
+    k = np.array([[-2.0, -2.5]])
+    whole = np.block([[A, old, flow[1]], [np.zeros((1, 2)), np.zeros((1, 1)), np.ones((1, 1))], [k, np.zeros((1, 2))]])
+    np.testing.assert_allclose(linear.a[0], whole, atol=1e-8)
+
+
+def test_a_spring_pulls_a_law_off_its_target_and_an_integral_brings_it_back(loops, carts):
+    # k (r - p) = s p, so p = 2 / 3 r with s = 1.
+    pulled = find_rest(loops(model=carts(spring=1.0)), targets(0.3))
+    assert bool(pulled.still.all())
+    np.testing.assert_allclose(pulled.z[0], [0.2, 0.0], atol=1e-7)
+    np.testing.assert_allclose(pulled.u[0], [0.2], atol=1e-7)
+    # The integral J has p = r where k J = s r.
+    held = find_rest(loops(model=carts(spring=1.0), integral={"band": 0.5, "limit": 0.4}), targets(0.3))
+    np.testing.assert_allclose(held.z[0], [0.3, 0.0, 0.15], atol=1e-6)
+
+
+def test_a_plant_with_other_coefficients_rests_elsewhere(loops, carts):
+    loop = loops(model=carts(spring=1.0))
+    start = find_rest(loop, targets(0.3, 0.3))
+    xi = loop.plant.model.coefficients.repeat(2, 1, 1)
+    xi[1, 2, 1] = -2.0
+    found = find_rest(loop.varied(xi), targets(0.3, 0.3), start)
+    np.testing.assert_allclose(found.z[:, 0], [0.2, 0.15], atol=1e-7)
+
+
+def test_a_loop_that_nothing_stops_has_no_rest(loops, law):
+    assert not bool(find_rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=1.0).still.any())
+
+
+@pytest.mark.parametrize(("seconds", "first", "last"), [(10.0, 81, 100), (3.2, 25, 32), (0.4, 4, 4)])
+def test_the_error_of_a_loop_without_rest_is_that_of_its_last_two_seconds_or_quarter(loops, law, seconds, first, last):
+    # p = 0.5 t^2 / 2 from its target on, with control periods of 0.1 s.
+    found = find_rest(loops(law(0.0, 0.0, bias=0.5)), targets(0.3), seconds=seconds)
+    expected = np.mean([0.25 * (0.1 * k) ** 2 for k in range(first, last + 1)])
+    assert found.error.item() == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_guess_is_where_the_model_rests(loops, carts):
+    z = guess_rest(loops(model=carts(spring=1.0, delay=0.1)), targets(0.3, -0.2))
+    np.testing.assert_allclose(z, [[0.3, 0.0, 0.3], [-0.2, 0.0, -0.2]], atol=1e-8)
+
+
+DT = 0.1
+
+
+def closed(a, b, k):
+    """Return the loop of u = -k x."""
+    n = len(a)
+    return Linear(a - b @ k, b, -k, np.zeros((n, n)), np.zeros((b.shape[1], n)), DT)
+
+
+def lqr(a, b, q, r):
+    p = solve_discrete_are(a, b, q, r)
+    return np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+
+
+LQR = lqr(A, B, np.diag([1.0, 0.1]), np.array([[0.5]]))
+COUPLED = np.array([[1.1, 0.2, 0.0], [0.0, 0.7, 0.3], [0.1, 0.0, 0.9]])
+INPUTS = np.array([[0.1, 0.0], [0.5, 0.1], [0.0, 0.4]])
+TWO = lqr(COUPLED, INPUTS, np.eye(3), np.eye(2))
+
+
+# An oscillation of 3 rad/s whose rate is fed back: the phase of the loop is positive below its resonance.
+TURN = 0.98 * np.array([[math.cos(0.3), math.sin(0.3)], [-math.sin(0.3), math.cos(0.3)]])
+RATE = np.array([[0.0, 0.5]])
+
+
+def radius(a, b, k, factor):
+    return np.abs(np.linalg.eigvals(a - b @ np.diag(factor) @ k)).max()
+
+
+@pytest.mark.parametrize(("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO)])
+def test_at_its_gain_margins_a_loop_is_about_to_go(a, b, k):
+    for i, found in enumerate(loop_margins(closed(a, b, k))):
+        factor = np.ones(b.shape[1])
+        factor[i] = found.gain
+        assert radius(a, b, k, factor) == pytest.approx(1, abs=1e-6)
+        factor[i] = 0.999 * found.gain
+        assert radius(a, b, k, factor) < 1
+        if found.lower:
+            factor[i] = found.lower
+            assert radius(a, b, k, factor) == pytest.approx(1, abs=1e-6)
+
+
+def test_an_integrator_has_the_margins_of_paper():
+    # x+ = x + 0.1 u, u = -4 x: 1 + k L = 0 where 0.4 k = 2. L = 0.4 / (z - 1) has gain 1 where 2 sin(w dt / 2) = 0.4,
+    # and its phase there is -90 deg - w dt / 2.
+    (found,) = loop_margins(closed(np.array([[1.0]]), np.array([[DT]]), np.array([[4.0]])))
+    angle = 2 * math.asin(0.2)
+    assert found.gain == pytest.approx(5) and found.lower == 0
+    assert found.phase == pytest.approx(math.degrees(math.pi / 2 - angle / 2))
+    assert found.delay == pytest.approx((math.pi / 2 - angle / 2) / (angle / DT))
+    # S = (z - 1) / (z - 0.6), and |S - 1/2| = |z - 1.4| / |2 (z - 0.6)| is largest at z = -1.
+    assert found.disk == pytest.approx(2 * 1.6 / 2.4, rel=1e-6)
+
+
+@pytest.mark.parametrize(("a", "b", "k"), [(A, B, np.array([[1.0, 1.1]])), (TURN, np.array([[0.0], [1.0]]), RATE)])
+def test_a_delay_of_whole_periods_beyond_the_margin_is_too_long(a, b, k):
+    (found,) = loop_margins(closed(a, b, k))
+    for periods in range(1, 15):
+        late = np.zeros((2 + periods, 2 + periods))
+        late[:2, :2], late[:2, 2:3] = a, b
+        late[np.arange(2, 1 + periods), np.arange(3, 2 + periods)] = 1
+        late[-1, :2] = -k
+        assert (np.abs(np.linalg.eigvals(late)).max() < 1) == (periods * DT < found.delay)
+
+
+@pytest.mark.parametrize(("a", "b", "k"), [(A, B, LQR), (COUPLED, INPUTS, TWO), (TURN, np.array([[0.0], [1.0]]), RATE)])
+def test_python_control_finds_the_same(a, b, k):
+    control = pytest.importorskip("control")
+    linear = closed(a, b, k)
+    for i, found in enumerate(loop_margins(linear)):
+        opened = a - b @ k + b[:, i : i + 1] @ k[i : i + 1]
+        loop = control.ss(opened, b[:, i : i + 1], k[i : i + 1], 0, DT)
+        gains, phases, *_ = control.stability_margins(loop, returnall=True)
+        disk, _, _ = control.disk_margins(loop, np.linspace(1e-3, math.pi / DT, 4000))
+        # It leaves out half the sampling rate, and finds a gain of 1e-10 in the rounding of a double integrator.
+        theirs = [gain for gain in gains if 1e-6 < gain < 1e6]
+        assert all(pytest.approx(gain, rel=1e-4) in (found.gain, found.lower) for gain in theirs)
+        assert found.phase == pytest.approx(min(abs(phases)), rel=1e-4)
+        assert found.disk == pytest.approx(disk, rel=1e-3)
+
+
+def test_an_unstable_plant_must_not_lose_the_input():
+    # x+ = 1.2 x + 0.1 u, u = -4 x: 1.2 - 0.4 k = 1 at k = 0.5, and = -1 at k = 5.5.
+    (found,) = loop_margins(closed(np.array([[1.2]]), np.array([[DT]]), np.array([[4.0]])))
+    assert found.lower == pytest.approx(0.5) and found.gain == pytest.approx(5.5)
+
+
+def test_the_loop_is_that_which_is_open_at_one_input_alone():
+    omega = np.array([0.3, 2.0, 20.0])
+    linear = closed(COUPLED, INPUTS, TWO)
+    for i in range(2):
+        opened = COUPLED - INPUTS @ TWO + INPUTS[:, i : i + 1] @ TWO[i : i + 1]
+        expected = [
+            (TWO[i] @ np.linalg.solve(np.exp(1j * w * DT) * np.eye(3) - opened, INPUTS[:, i])).item() for w in omega
+        ]
+        np.testing.assert_allclose(open_loop(linear, omega)[:, i], expected, rtol=1e-9)
+        np.testing.assert_allclose(sensitivity(linear, omega)[:, i], 1 / (1 + np.array(expected)), rtol=1e-9)
+
+
+def test_a_loop_that_is_not_stable_has_none():
+    with pytest.raises(ValueError, match="margins"):
+        loop_margins(closed(A, B, -LQR))
+
+
+def test_a_first_order_loop_has_the_spread_of_paper():
+    # x+ = a x - b n, u = -k x - k n with a = 1 - 0.4, b = 0.4, k = 4: var x = b^2 / (1 - a^2).
+    linear = Linear(*(np.array([[v]]) for v in (0.6, 0.1, -4.0, -0.4, -4.0)), 0.1)
+    expected = 4 * np.sqrt(1 + 0.4**2 / (1 - 0.6**2))
+    assert noise_gain(linear).item() == pytest.approx(expected)
+
+
+def test_a_long_flight_under_noise_spreads_as_much(loops):
+    loop = loops(observer={"delay": 1})
+    held = find_rest(loop, torch.zeros(1, 1))
+    gain = noise_gain(held.linear.row(0))
+    assert gain[0, 1] == 0  # the rate is not measured
+    generator = torch.Generator().manual_seed(2)
+    z, covariance = held.z.expand(400, -1), held.covariance.expand(400, -1, -1)
+    inputs = []
+    for k in range(220):
+        noise = torch.randn(400, 2, generator=generator, dtype=torch.float64) * torch.tensor([0.01, 0.5])
+        z, covariance, u = loop.step(z, covariance, torch.zeros(400, 1), noise=noise)
+        inputs += [u] if k >= 100 else []
+    assert torch.stack(inputs).std().item() == pytest.approx(0.01 * gain[0, 0], rel=0.03)
+
+
+def test_states_in_other_units_give_the_same_spread_without_a_warning():
+    rng = np.random.default_rng(0)
+    a, units = rng.normal(size=(6, 6)), 10.0 ** np.array([0, 0, 1, 2, 5, 6])
+    a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
+    b, c, e, f = (rng.normal(size=size) for size in ((6, 2), (2, 6), (6, 6), (2, 6)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gain = noise_gain(Linear(a, b, c, e, f, 0.1))
+        scaled = noise_gain(
+            Linear(units[:, None] * a / units, units[:, None] * b, c / units, units[:, None] * e, f, 0.1)
+        )
+    np.testing.assert_allclose(scaled, gain, rtol=1e-6)
+    # The sum over time of what a unit impulse of each measurement does to the inputs.
+    impulse, total = e.copy(), f**2
+    for _ in range(2000):
+        total, impulse = total + (c @ impulse) ** 2, a @ impulse
+    np.testing.assert_allclose(gain, np.sqrt(total), rtol=1e-6)
+
+
+def test_the_noise_of_a_loop_that_is_not_stable_has_no_spread():
+    with pytest.raises(ValueError, match="spread"):
+        noise_gain(Linear(*(np.array([[v]]) for v in (1.1, 0.1, -4.0, -0.4, -4.0)), 0.1))
+
+
+def test_a_fiftieth_is_left_when_the_exponential_says_so():
+    """0.9^k is 0.02 at k = ln 0.02 / ln 0.9 = 37.1; a slow part that begins as 5 % takes ln 0.4 / ln 0.99 = 91.2."""
+    fast, slow = np.diag([0.9, 0.5]), np.diag([0.9, 0.99])
+    mixed = np.array([[0.9, 0.0], [0.0, 0.99]])
+    mixed = np.array([[1.0, 1.0], [0.0, 1.0]]) @ mixed @ np.array([[1.0, -1.0], [0.0, 1.0]])  # the output sees both
+    away = np.array([[1.0, 0.3], [1.0, 0.3], [1.0, 0.05]])
+    found = settling(np.stack([fast, slow, mixed]), away, [0], np.array([1.0]), 100)
+    assert found.tolist() == [38.0, 38.0, 92.0]
+    assert settling(np.eye(1)[None], np.ones((1, 1)), [0], np.ones(1), 10).tolist() == [math.inf]
+    assert settling(fast[None], away[:1], [0], np.zeros(1), 10).tolist() == [0.0]
+
+
+def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts):
+    """p'' = 2 (r - p) - 2.5 p' - p, sampled every 0.1 s: within 2 % when it has swung in, as NumPy moves it."""
+    settings = Settings((-0.4,), (0.4,), points=2, seconds=6.0, grid=3, draws=0)
+    found = check(loops(model=carts(spring=1.0)), settings)
+    assert found.spread.settling is not None and found.spread.settling.shape == (2, 5)
+    x, last = np.array([-0.8 * 2 / 3, 0.0]), 0
+    a, b = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([0.0, 1.0])
+    whole = np.zeros((3, 3))
+    whole[:2, :2], whole[:2, 2] = a * 0.1, b * 0.1
+    power, term = np.eye(3), np.eye(3)
+    for k in range(1, 20):
+        term = term @ whole / k
+        power = power + term
+    for k in range(200):
+        last = k + 1 if abs(x[0]) > 0.02 * 0.8 else last
+        x = (power @ np.append(x, -2.0 * x[0] - 2.5 * x[1]))[:2]
+    assert found.spread.settling[:, -1].tolist() == pytest.approx([0.1 * last] * 2)
+    (line,) = (each for each in check_verdict(found) if each.name == "settling")
+    assert line.good and "slowest" in line.words
+    (line,) = (each for each in check_verdict(found, Thresholds(settled=0.2)) if each.name == "settling")
+    assert line.weak and line.words.endswith("threshold: 1.2 s")
+    slow = torch.full_like(found.spread.settling, math.inf)
+    (line,) = (
+        e for e in check_verdict(replace(found, spread=replace(found.spread, settling=slow))) if e.name == "settling"
+    )
+    assert line.weak and "than" in line.words
+    apart = torch.tensor([[1.0, 2.0, 3.0, 4.0, 5.0], [7.0, 1.0, 1.0, 6.0, 8.0]], dtype=torch.float64)
+    unlike = replace(found, spread=replace(found.spread, settling=apart))  # the slower one of both ways counts
+    (line,) = (each for each in check_verdict(unlike) if each.name == "settling")
+    assert "slowest" in line.words
+    assert [change["settling"] for change in check_record(unlike)["changes"]] == [7.0, 2.0, 3.0, 6.0]
+    part = found.spread.radius.clone()
+    part[0, 0] = 1.01  # at one of both targets the first plant is not stable
+    (line,) = (
+        e for e in check_verdict(replace(found, spread=replace(found.spread, radius=part))) if e.name == "settling"
+    )
+    assert "slowest" in line.words
+    assert check_record(replace(found, spread=replace(found.spread, radius=part)))["changes"][0]["settling"] is None
+    none = replace(found.spread, radius=torch.full_like(part, 1.01))
+    assert "settling" not in [each.name for each in check_verdict(replace(found, spread=none))]
