@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from dynasindy.data.columns import Column, infer
-from dynasindy.data.csv import CsvLog, _stuck
+from dynasindy.data.csv import CsvLog, _stuck, holes, rates_beside
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -57,19 +57,6 @@ def test_columns_are_found_by_name_whatever_their_order_and_a_byte_order_mark(tm
     assert np.array_equal(data.x.numpy(), table[:-1, 1:3])
 
 
-def test_units_are_scaled(tmp_path):
-    table = log()
-    states = {"q": {"name": "angle", "unit": "rad", "scale": math.pi / 180}, "v": "rate"}
-    data = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read().transitions
-    assert np.allclose(data.x[:, 0], np.radians(table[:-1, 1]), rtol=1e-15)
-
-
-def test_a_missing_column_is_named_beside_those_there_are(tmp_path):
-    path = write(tmp_path / "log.csv", log(), ("time", "angle", "speed", "volt"))
-    assert "volt" in refusal(path)
-    assert "no column 't'" in refusal(path, states={"q": "angle"}, time="t")
-
-
 def test_an_empty_file_and_no_file_are_refused(tmp_path):
     (tmp_path / "empty.csv").write_text("")
     assert "begins" in refusal(str(tmp_path / "empty.csv"))
@@ -105,7 +92,7 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     lines[10], lines[30] = "0.09,off,1,1", "0.29"
     path.write_text("\n".join(lines))
     (_, text, short, state, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
-    assert text == "line 11, column 'angle' holds 'off', which is no number; it counts as missing"
+    assert "line 11, column 'angle' holds 'off'" in text
     assert "1 of 80 rows" in short and "(angle: 1, rate: 1, volt: 1)" in short and "1 gap longer" in gaps
     assert "1 of 80 rows" in state and "(angle: 1)" in state
 
@@ -183,20 +170,6 @@ def test_uneven_samples_are_resampled_on_the_states_curve_with_inputs_held(tmp_p
     assert np.allclose(data.u[:, 0].numpy(), held.mean(1), atol=2e-3)
 
 
-def test_gaps_split_the_recording(tmp_path):
-    table = np.delete(log(), [40, 41, 42], 0)
-    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
-    assert found.notes[1:] == ("1 gap longer than 1.5 sampling times splits the recording",)
-    assert len(found.transitions) == 75 and found.transitions.segment.bincount().tolist() == [39, 36]
-
-
-def test_uneven_samples_all_in_scraps_are_refused(tmp_path):
-    table = log(200)
-    table[::2, 0] += 0.003
-    table = table[np.arange(200) % 4 != 3]
-    assert "stretch" in refusal(write(tmp_path / "log.csv", table), dt=0.01)
-
-
 def test_samples_at_a_stop_are_masked_but_not_a_start_at_rest(tmp_path):
     table = log(200)
     table[:, 1] = np.minimum(table[:, 1], 0.9)
@@ -221,7 +194,7 @@ def test_stretches_too_short_for_a_rate_are_left_out_not_given_rate_zero(tmp_pat
     table = np.delete(log(), [40, 44], 0)  # rows 41..43 stand alone
     states = {"q": "angle", "v": {"derivative_of": "q"}}
     found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read()
-    assert "skipped" in found.notes
+    assert any("3 samples in stretches" in note for note in found.notes)
     assert len(found.transitions) == 39 + 34
     t = 0.01 * np.concatenate([np.arange(39), np.arange(45, 79)])
     assert np.allclose(found.transitions.x[:, 1], 3 * np.cos(3 * t), atol=5e-3)
@@ -249,11 +222,6 @@ def test_settings_that_are_not_allowed_are_refused():
             CsvLog("log.csv", states, inputs)
 
 
-def test_a_column_may_be_named_without_its_unit(tmp_path):
-    path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate [rad/s]", "volt [V]"))
-    assert np.array_equal(CsvLog(path, STATES, INPUTS).read().transitions.x.numpy(), log()[:-1, 1:3])
-
-
 def test_a_missing_file_gets_one_line(tmp_path):
     for read in (CsvLog(str(tmp_path / "none.csv"), STATES, INPUTS).read, lambda: infer(str(tmp_path))):
         with pytest.raises(FileNotFoundError, match="correct"):
@@ -268,7 +236,7 @@ def test_text_in_the_first_row_costs_that_row_and_no_state(tmp_path):
     assert list(states) == ["angle", "rate"] and list(inputs) == ["u"]
     found = CsvLog(str(path), states, inputs).read()
     assert np.array_equal(found.transitions.x.numpy(), log()[1:-1, 1:3])
-    assert found.notes[1] == "line 2, column 'angle' holds 'off', which is no number; it counts as missing"
+    assert "line 2, column 'angle' holds 'off'" in found.notes[1]
     assert "1 of 80 rows" in found.notes[2] and "line" in found.notes[2]
 
 
@@ -324,12 +292,6 @@ def test_the_encodings_of_spreadsheets_are_read(tmp_path, encoding):
     path.write_text(path.read_text(), encoding=encoding)
     data = CsvLog(str(path), STATES, INPUTS).read().transitions
     assert data.x[:, 0].numpy() == pytest.approx(np.radians(log()[:-1, 1]))
-
-
-def test_what_is_no_table_is_refused(tmp_path):
-    (tmp_path / "binary.csv").write_bytes(bytes(range(256)) * 9)
-    assert "is not text" in refusal(str(tmp_path / "binary.csv"))
-    assert "wanted" in refusal(write(tmp_path / "bare.csv", log(), list("0123")))
 
 
 def test_inputs_beyond_those_of_a_plant_are_read_and_said(tmp_path):
@@ -401,7 +363,7 @@ def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_p
     table = log(120)
     table[60:, 0] += 0.004  # a step of 1.4 sampling times is resampled
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read()
-    assert len(found.notes) == 2 and found.notes[1].startswith("1 of 119 sampling times are not 0.01 s")
+    assert len(found.notes) == 2 and "1 of 119" in found.notes[1] and "0.01 s" in found.notes[1]
     assert found.transitions.segment.unique().tolist() == [0]
     table[60:, 0] += 0.002  # one of 1.6 splits
     found = CsvLog(write(tmp_path / "gap.csv", table), STATES, INPUTS, dt=0.01).read()
@@ -500,7 +462,7 @@ def test_a_recording_says_what_it_holds_in_a_line(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(["time [s],angle [rad],u_m", *rows]))
     recording = CsvLog(str(tmp_path / "log.csv"), {"angle": {"name": "angle", "unit": "rad"}}, {"u_m": "u_m"}).read()
     first, *notes = repr(recording).splitlines()
-    assert first == "Recording of 198 rows, 1.98 s every 0.01 s in 2 stretches: states angle [rad]; inputs u_m"
+    assert "of 198 rows, 1.98 s every 0.01 s in 2 stretches" in first and "angle [rad]; inputs u_m" in first
     assert notes == [f"note: {note}" for note in recording.notes] and notes
 
 
@@ -539,3 +501,42 @@ def test_a_column_is_named_with_its_unit_or_without(tmp_path, named):
     for states in ({"heat": {"name": named, "unit": "degC"}}, {"heat": named}):
         log = CsvLog(str(path), states, {"u": "u"}, "t", min_samples=5).read()
         assert log.transitions.x[:, 0].tolist() == list(range(20, 39))
+
+
+def lacking(n: int, *rows: slice | int) -> np.ndarray:
+    column = np.arange(float(n))
+    for each in rows:
+        column[each] = np.nan
+    return column
+
+
+def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none():
+    segment, notes = np.zeros(100, dtype=np.int64), []
+    out = holes({"a": lacking(100, slice(20, 29), slice(60, 70)), "b": lacking(100)}, segment, notes)
+    assert np.flatnonzero(out).tolist() == list(range(60, 70))
+    assert notes == ["10 rows in stretches of more than 10 rows without a were left out"]
+
+
+def test_what_is_long_depends_on_how_often_a_sensor_is_read():
+    column = np.full(300, np.nan)
+    column[::5] = 1.0
+    column[101:149] = np.nan  # 50 rows from one sample to the next are ten usual distances
+    notes = []
+    assert not holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), notes).any() and not notes
+    column[150] = np.nan
+    assert np.flatnonzero(holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), notes)).tolist() == [
+        *range(101, 155)
+    ]
+
+
+def test_a_segment_begins_and_ends_with_a_measured_row():
+    segment = np.repeat([0, 1], 10)
+    a, b = lacking(20, 0, 1, 9, 10, 19), lacking(20, 0, 9, 11, 19)
+    assert np.flatnonzero(holes({"a": a, "b": b}, segment, [])).tolist() == [0, 9, 19]
+
+
+def test_a_slope_needs_five_of_seven_samples():
+    column = lacking(30, 10, 11, 12)
+    rates = rates_beside(column, 7, 0.1)
+    assert np.isnan(rates[9:14]).all() and np.isfinite(rates[[8, 14]]).all()
+    assert rates[np.isfinite(rates)] == pytest.approx(10.0)

@@ -4,11 +4,22 @@ import numpy as np
 import pytest
 import torch
 from scipy.linalg import expm
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
 
-from dynasindy.data.rollout_data import before_leaving, disturb, record_plant, record_plants
-from dynasindy.systems import Diverged
+from dynasindy.data.rollout_data import (
+    before_leaving,
+    disturb,
+    measurements_and_inputs,
+    record_plant,
+    record_plants,
+    transitions,
+)
+from dynasindy.envs import ControlEnv
+from dynasindy.systems import Diverged, Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.stops import Stops
+from dynasindy.tasks import Step, Tracking
 
 
 class Oscillator(System):
@@ -70,14 +81,6 @@ def test_samples_that_touch_a_stop_are_left_out_and_split_the_recording():
     assert data.segment.tolist() == [0] * before + [1] * (len(data) - before)
 
 
-def test_noise_has_its_level_and_a_shared_state_has_one_error():
-    clean = record_plant(Oscillator(), inputs(2000), 0.05, substeps=1)
-    noisy = disturb(clean, 0.1, seed=3)
-    error = noisy.x_next - clean.x_next
-    assert torch.allclose(error.std(0), 0.1 * clean.x_next.std(0), rtol=0.1)
-    assert torch.equal(noisy.x[1:], clean.x[1:] + error[:-1])
-
-
 def test_noise_does_not_leak_over_a_gap():
     clean = record_plant(Oscillator(), inputs(60), 0.05)
     clean = clean.select(torch.arange(60) != 30)
@@ -132,7 +135,7 @@ def test_a_recording_ends_where_the_plant_leaves_its_bounds():
     data = record_plant(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
     kept, said = before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "in the excitation")
     assert len(kept) == 80 and float(kept.x_next.max()) < 2.0 < float(data.x_next[80])
-    assert said == "in the excitation q left its bounds of -1 to 2 m after 0.81 s; what came later was left out"
+    assert "q left its bounds of -1 to 2 m after 0.81 s" in said
     assert before_leaving(data, plant.signature, {"q": 4.0}, "") == (data, "")
 
 
@@ -150,3 +153,60 @@ def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     lost = record_plant(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
     with pytest.raises(Diverged, match="after 10 s"):
         before_leaving(lost, plant.signature, {}, "in the excitation")
+
+
+def rollout(u, steps):
+    plant = Tras()
+    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), dtype=torch.float64)
+    policy = TensorDictModule(lambda o: torch.tensor(u), in_keys=["observation"], out_keys=["action"])
+    return env.rollout(steps, policy)
+
+
+def test_each_period_gives_its_own_rows_inputs_and_flag():
+    """Four periods of two samples; the second and the last touched a stop."""
+    start = torch.tensor([[0.0], [2.0], [4.0], [6.0]])
+    samples = torch.tensor([[[1.0], [2.0]], [[3.0], [4.0]], [[5.0], [6.0]], [[7.0], [8.0]]])
+    rows = TensorDict(
+        {
+            "state": start,
+            "action": torch.tensor([[0.1, -0.1], [0.2, -0.2], [0.3, -0.3], [0.4, -0.4]]),
+            "next": {"samples": samples, "at_stop": torch.tensor([[False], [True], [False], [True]])},
+        },
+        [4],
+    )
+    data = transitions(rows, 0.025)
+    assert data.x.flatten().tolist() == [0, 1, 4, 5] and data.x_next.flatten().tolist() == [1, 2, 5, 6]
+    expected = torch.tensor([[0.1, -0.1], [0.1, -0.1], [0.3, -0.3], [0.3, -0.3]])
+    assert torch.equal(data.u.float(), expected) and data.u.dtype == data.x.dtype == data.x_next.dtype == torch.float64
+    assert data.segment.tolist() == [0, 0, 1, 1] and data.dt == 0.025
+
+
+def test_every_logged_sample_becomes_a_transition_of_the_plant():
+    data = transitions(rollout([0.2, 0.4], 20), 0.01)
+    assert len(data) == 100 and data.dt == 0.01
+    assert torch.allclose(rk4(Tras(), data.x, data.u, 0.01), data.x_next, rtol=1e-12)
+
+
+def test_periods_at_a_stop_are_left_out_and_break_the_segment():
+    rows = rollout([1.0, 1.0], 80)
+    at_stop = rows["next", "at_stop"].flatten()
+    assert 0 < at_stop.sum() < 80
+    data = transitions(rows, 0.01)
+    assert len(data) == 5 * int((~at_stop).sum())
+    follows = data.segment[1:] == data.segment[:-1]
+    assert torch.equal(data.x[1:][follows], data.x_next[:-1][follows])
+
+
+def test_an_observer_reads_the_first_measurement_and_that_at_the_end_of_each_period():
+    samples = torch.tensor([[[1.0], [2.0]], [[3.0], [torch.nan]]])
+    rows = TensorDict(
+        {
+            "measurement": torch.tensor([[0.5], [2.0]]),
+            "action": torch.tensor([[0.1], [0.2]]),
+            "next": {"samples": samples},
+        },
+        [2],
+    )
+    y, u = measurements_and_inputs(rows)
+    torch.testing.assert_close(y, torch.tensor([[0.5], [2.0], [torch.nan]]), equal_nan=True)
+    assert u.flatten().tolist() == pytest.approx([0.1, 0.2])

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import dynasindy
 from dynasindy.data.csv import Recording
-from dynasindy.data.resampling import evened, stretches
+from dynasindy.data.resampling import evened
 from dynasindy.evaluation.source import Source
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -73,7 +73,3 @@ def test_under_an_input_that_moves_smoothly_states_are_one_curve():
     t = 0.1 * (np.arange(100) + 0.2 * np.random.default_rng(2).uniform(-1, 1, 100))
     times, states, _, _ = evened(t, {"x": np.sin(t)}, np.cos(0.5 * t)[:, None], 0.1, [])
     assert states["x"] == pytest.approx(np.sin(times), abs=5e-5)
-
-
-def test_stretches_are_the_rows_of_each_segment():
-    assert stretches(np.array([0, 0, 1, 1, 1, 4])) == [slice(0, 2), slice(2, 5), slice(5, 6)]
