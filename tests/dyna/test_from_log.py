@@ -47,7 +47,7 @@ def test_friction_that_the_equations_have_is_said(capsys):
     model_of(
         logged, lambda signature: SindyModel(signature, plant.library, Regression("bic"), known={"theta": "Omega"})
     )
-    assert "found" in capsys.readouterr().out.splitlines()
+    assert "Omega' has dry friction" in capsys.readouterr().out
     model_of(logged, build)
     assert "friction" not in capsys.readouterr().out
 
@@ -57,7 +57,7 @@ def test_units_that_do_not_fit_are_said_before_the_fit(source, capsys):
     wrong = replace(data, x=data.x * degrees, x_next=data.x_next * degrees)
     model_of(replace(source, training=wrong), build)
     said = capsys.readouterr().out
-    assert said.startswith("warning: Omega does not fit theta, whose slope over time is 57.3 times Omega; degrees")
+    assert "warning: Omega" in said and "57.3 times Omega" in said
     model_of(source, build)
     assert "warning" not in capsys.readouterr().out
 

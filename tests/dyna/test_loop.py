@@ -1,8 +1,5 @@
 """The order of Algorithm 1, recorded with fakes, and the whole loop on the true plant."""
 
-import dataclasses
-
-import pytest
 import torch
 from torchrl.envs.utils import exploration_type
 
@@ -126,13 +123,6 @@ def test_the_same_seed_gives_the_same_run_and_another_does_not():
 
     assert torch.equal(weights(1), weights(1))
     assert not torch.equal(weights(1), weights(2))
-
-
-def test_an_excitation_that_outlasts_the_episode_is_refused():
-    _, made = recipe(Recording)
-    made = dataclasses.replace(made, excitation=lambda n_u, dt: Chirp(n_u, duration=10.0, dt=dt))
-    with pytest.raises(ValueError, match="into"):
-        made.build()
 
 
 def test_the_global_exploration_type_is_left_alone():

@@ -18,13 +18,13 @@ def metrics(untrained, trained, **held):
 @pytest.mark.parametrize(
     ("untrained", "trained", "usable", "words"),
     [
-        (-250.0, -10.0, True, "is better than the untrained one: its return in scenario 'step' is -10, .* -250."),
-        (-10.0, -250.0, False, "no usable result: the trained policy is worse than .* is -250, .* -10;"),
-        (-10.0, -10.0, False, "no usable result: the trained policy is no better than"),
-        (-10.0, None, False, "no usable result: the return in scenario 'step' is not finite"),
+        (-250.0, -10.0, True, "is better than .* is -10, .* -250"),
+        (-10.0, -250.0, False, "is worse than .* is -250, .* -10;"),
+        (-10.0, -10.0, False, "no better than"),
+        (-10.0, None, False, "not finite"),
         (None, -10.0, False, "not finite"),
         (1.0, 2.0, True, "is better than"),
-        (-1000.0, -998.0, True, "is hardly better, by 0.2 %, than the untrained one"),
+        (-1000.0, -998.0, True, "hardly better, by 0.2 %"),
     ],
 )
 def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, trained, usable, words):
@@ -45,11 +45,11 @@ def test_an_output_within_what_is_asked_for_is_controlled():
 @pytest.mark.parametrize(
     ("held", "within", "words"),
     [
-        ({}, 0.003, "x 0.4 % of the target range on average"),
-        ({"share": {"x": None}}, 0.01, "x no number of the target range"),
+        ({}, 0.003, "x 0.4 %"),
+        ({"share": {"x": None}}, 0.01, "x no number"),
         ({"worst": {"x": 0.11}}, 0.01, "11 % at worst"),
-        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y 700 times of the target range"),
-        ({"away": {"theta": 0.5}}, 0.01, "theta, which is not tracked, runs away or does not .* in 50 % of the runs"),
+        ({"share": {"x": 0.004, "y": 700.0}, "worst": {"x": 0.0, "y": 700.0}}, 0.01, "y 700 times"),
+        ({"away": {"theta": 0.5}}, 0.01, "theta, .* in 50 % of the runs"),
     ],
 )
 def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_control(held, within, words):
@@ -66,13 +66,13 @@ def test_a_mileage_that_runs_on_is_named_and_no_failure():
 @pytest.mark.parametrize(
     ("trained", "away", "controlled", "words"),
     [
-        (-1.0, {}, None, "^NOT JUDGED: the task names no targets, .* said of control; .* untrained one, and it grew.$"),
-        (-9.0, {}, None, "^NOT JUDGED: the task names no targets, .* untrained one, and it did not grow.$"),
+        (-1.0, {}, None, "^NOT JUDGED: .* it grew.$"),
+        (-9.0, {}, None, "^NOT JUDGED: .* did not grow.$"),
         (
             -1.0,
             {"v": 0.25},
             False,
-            "^NOT CONTROLLED: .* grew; v, which is not tracked, runs away .* in 25 % of the runs",
+            "^NOT CONTROLLED: .* v, .* in 25 % of the runs",
         ),
     ],
 )
