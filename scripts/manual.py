@@ -160,7 +160,7 @@ def _chosen(config: DictConfig) -> dict[str, str]:
     return {
         group: option
         for group, option in order
-        if (CONF / group).is_dir() and (_sweeps(config) or group != "hydra/launcher")
+        if (_sweeps(config) if group == "hydra/launcher" else (CONF / group).is_dir())
     }
 
 
