@@ -13,8 +13,7 @@ from dynasindy.export.c_model import model_sources
 from dynasindy.export.compiler import microseconds
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
-from dynasindy.export.onnx_controller import controller_onnx
-from dynasindy.export.onnx_policy import policy_onnx
+from dynasindy.export.onnx import controller_onnx, policy_onnx
 from dynasindy.safe_io import read_json, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops

@@ -66,10 +66,21 @@ class IntegralAction:
         shift = (self.integral / task.error_scale).to(observation)
         observation[..., task.error_columns] += shift
         seen["observation"] = observation
-        moving = torch.zeros_like(error)  # an output without a rate tells nothing of its motion
-        if task.rates:
-            slowness = references.rate(params, t)[..., task.rated] - x[..., task.rates]
-            moving[..., task.rated] = slowness / box[..., task.rated] / self.rate
-        steady = (error.abs() < self.band) / (1 + moving.square())
-        self.integral = (self.integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)
+        slowness = references.rate(params, t)[..., task.rated] - x[..., task.rates] if task.rates else error[..., :0]
+        self.integral = self.advanced(self.integral, error, slowness)
         return tensordict.set("action", self.policy(seen)["action"])
+
+    def advanced(self, integral: Tensor, error: Tensor, slowness: Tensor) -> Tensor:
+        """Return the integral a control period later, `(*batch, n_r)` [target ranges].
+
+        Args:
+            integral: As it is.
+            error: Desired less actual values [target ranges].
+            slowness: Rates of the references less those of the outputs, of outputs that have a rate.
+        """
+        moving = torch.zeros_like(error)  # an output without a rate tells nothing of its motion
+        if self.task.rates:
+            rated = list(self.task.rated)
+            moving[..., rated] = slowness / self.task.boxes().to(error)[..., rated] / self.rate
+        steady = (error.abs() < self.band) / (1 + moving.square())
+        return (integral + self.gain * self.dt * steady * error).clamp(-self.limit, self.limit)

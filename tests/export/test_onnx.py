@@ -1,19 +1,23 @@
-"""The control step as ONNX flies plants behind sensors as the controller in Python does."""
+"""The control step as ONNX flies plants behind sensors as the controller in Python does; so does the policy."""
 
 import importlib.util
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from dynasindy.export.onnx_controller import controller_onnx
+from dynasindy.control.files import network
+from dynasindy.export.onnx import columns, controller_onnx, policy_onnx
+from dynasindy.sindy import Oracle
 from dynasindy.systems import Pendulum, Tras
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install -e '.[export]'")
 runtime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed: pip install -e '.[export]'")
 
-spec = importlib.util.spec_from_file_location("flights_in_c", __file__.replace("onnx_controller", "c_controller"))
+spec = importlib.util.spec_from_file_location("flights_in_c", __file__.replace("test_onnx", "test_c_controller"))
 assert spec is not None and spec.loader is not None
 flights_in_c = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(flights_in_c)
@@ -42,15 +46,26 @@ def written(controller, tmp_path):
     path = tmp_path / "controller.onnx"
     controller_onnx(controller, path)
     onnx.checker.check_model(str(path), full_check=True)
+    assert b".py" not in path.read_bytes(), "the file tells where in our code a node is from"
     return Step(path)
 
 
-@pytest.mark.parametrize("settings", flights_in_c.KINDS, ids=str)
+def long(settings):
+    """Whether an observer looks far ahead, of which the exporter writes thousands of operations."""
+    return bool(settings) and settings.get("observer", True) and settings.get("step") != 0.04
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [pytest.param(kind, marks=pytest.mark.slow) if long(kind) else kind for kind in flights_in_c.KINDS],
+    ids=str,
+)
 def test_it_flies_a_pendulum_as_python_does(pendulum, settings, tmp_path):
     controller = pendulum(**settings)
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Pendulum(), 1) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damped", [["Omega_a", "Omega_p"], ["Omega_a", None]])
 @pytest.mark.parametrize("integral", [None, {"band": 0.5, "gain": 2.0}])
 def test_it_flies_two_rotors_as_python_does(rotors, integral, damped, tmp_path):
@@ -100,3 +115,60 @@ def test_the_file_says_what_inputs_are_in_their_own_unit(pendulum, tmp_path):
     volts = replace(Pendulum().signature, input_ends=((0, 12),))
     told = written(pendulum(signature=volts), tmp_path).session.get_modelmeta().custom_metadata_map
     assert told["units of u"].startswith("the plant's u is 6 + 6 times the controller's")
+
+
+def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_action_follows(pendulum, tmp_path):
+    controller = pendulum(integral={"band": 0.9})
+    step, rng, last, refused = written(controller, tmp_path), np.random.default_rng(7), np.zeros(1), 0
+    for k in range(60):
+        y = [0.1 * math.sin(0.3 * k) + 0.01 * rng.standard_normal(), math.nan]
+        r, rate = [0.2 * math.cos(0.2 * k)], [0.1]
+        y[0] = {20: math.nan, 21: math.inf, 30: 1e200, 40: 5.0}.get(k, y[0])
+        r[0] = math.nan if k == 25 else r[0]
+        try:
+            expected = controller.act(y, r, rate)
+        except ValueError:
+            refused, expected = refused + 1, last
+        last = step.act(y, r, rate)
+        np.testing.assert_allclose(last, expected, rtol=0, atol=1e-5, err_msg=f"call {k}")
+    assert refused >= 2
+
+
+def test_a_model_of_another_kind_is_refused(pendulum, tmp_path):
+    controller = pendulum()
+    controller.observer.model = Oracle(controller.observer.model.signature, system=controller.observer.model)
+    with pytest.raises(ValueError, match="Oracle"):
+        controller_onnx(controller, tmp_path / "c.onnx")
+    assert not list(tmp_path.iterdir())
+
+
+def test_onnxruntime_acts_as_the_policy(pendulum, tmp_path):
+    controller = pendulum()
+    policy_onnx(controller, tmp_path / "policy.onnx")
+    onnx.checker.check_model(str(tmp_path / "policy.onnx"), full_check=True)
+    graph = onnx.load(str(tmp_path / "policy.onnx"))
+    assert (graph.ir_version, [each.version for each in graph.opset_import]) == (8, [17])  # of 2022
+    session = runtime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
+    seen = torch.from_numpy(np.random.default_rng(0).standard_normal((50, 4)).astype(np.float32))
+    (found,) = session.run(["action"], {"observation": seen.numpy()})
+    expected = network(controller)(seen.clone()).numpy()
+    assert expected.std() > 0.05
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    told = session.get_modelmeta().custom_metadata_map
+    assert told["action"] == "u" and told["observation"].startswith("theta / 1.5, Omega / 3.0, (theta wanted - theta)")
+
+
+def test_the_columns_of_the_observation_are_told(pendulum):
+    assert columns(pendulum())["observation"] == [
+        "theta / 1.5",
+        "Omega / 3.0",
+        "(theta wanted - theta) / 0.7",
+        "rate of theta wanted / 1.4",
+    ]
+
+
+def test_without_onnx_one_line_says_what_to_install(pendulum, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(ModuleNotFoundError, match=r"install it by pip install 'dynasindy\[export\]'"):
+        policy_onnx(pendulum(), tmp_path / "p.onnx")
+    assert not list(tmp_path.iterdir())
