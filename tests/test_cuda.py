@@ -26,7 +26,7 @@ from dynasindy.tasks import RandomStep, Step, Tracking
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 PLANNERS = {
     "none": NoPlanning,
-    "dyna": partial(ImaginedReplay, rollouts=16, horizon=5),
+    "dyna": partial(ImaginedReplay, rollouts=16, horizon=40),
     "gradient": partial(GradientPlanning, updates=4, more_updates=2, rollouts=8, window=5, check_every=2, searches=0),
 }
 KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
@@ -109,7 +109,7 @@ def assert_close(one, other):
     (parts, returns), (others, wanted) = one, other
     torch.testing.assert_close(returns, wanted, rtol=1e-3, atol=1e-3)
     found, expected = tensors(parts), tensors(others)
-    assert found.keys() == expected.keys() and len(found) > 30
+    assert found.keys() == expected.keys() and len(found) >= 30
     for name, value in found.items():
         torch.testing.assert_close(value.cpu(), expected[name], rtol=2e-2, atol=2e-4, msg=lambda m, n=name: f"{n}: {m}")
     assert len(parts.replay.model) == len(others.replay.model)

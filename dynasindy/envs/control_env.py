@@ -220,7 +220,10 @@ class ControlEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         batch = self.batch_size if tensordict is None else tensordict.batch_size
-        return self.start_from(self.task.initial_state(batch, self.rng))
+        begun = self.task.initial_state(batch, self.rng)
+        # Where episodes of a batch are over, those that begin anew lie beside the others.
+        leaves = () if tensordict is None else tensordict.values(include_nested=True, leaves_only=True)
+        return self.start_from(begun.to(next((leaf.device for leaf in leaves), begun.device)))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         x = tensordict["state"]
