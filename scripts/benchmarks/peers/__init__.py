@@ -46,7 +46,7 @@ COLUMNS = (
 )
 PLANT = "tras"
 CONTROLLERS: dict[str, tuple[str, dict[str, Any]]] = {
-    "NeuroMANCER as documented": ("neuromancer", {"kind": "documented", "updates": 50}),
+    "NeuroMANCER as documented": ("neuromancer", {"kind": "documented", "updates": 240}),
     "NeuroMANCER helped": ("neuromancer", {"kind": "helped", "updates": 280}),
     "do-mpc NMPC": ("do_mpc", {"kind": "helped"}),
     "do-mpc NMPC as written": ("do_mpc", {"kind": "written"}),
