@@ -53,7 +53,7 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
         asked.append(given)
         return [lag(source)]
 
-    monkeypatch.setattr(module, "trials", _trials)
+    monkeypatch.setattr(module, "lag_state_candidates", _trials)
     assert fit_log(model, source).hidden == [] and not asked
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     plain = fit_log(model, source)  # with a lag that is not there nothing is better
@@ -71,7 +71,7 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
 
 def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch):
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
-    monkeypatch.setattr(module, "trials", lambda *given: pytest.fail("a lag was looked for"))
+    monkeypatch.setattr(module, "lag_state_candidates", lambda *given: pytest.fail("a lag was looked for"))
     monkeypatch.setattr(module, "moving_on", lambda *given: ["theta"])
     assert fit_log(model, source).model is model
 
@@ -105,9 +105,9 @@ def test_a_fit_that_fails_leaves_the_model(source, model, monkeypatch):
 
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     wide = Failing(source.signature, ["u"])
-    monkeypatch.setattr(module, "trials", lambda *given: [LagStateCandidate(wide, "u", 1.0)])
+    monkeypatch.setattr(module, "lag_state_candidates", lambda *given: [LagStateCandidate(wide, "u", 1.0)])
     assert fit_log(model, source).model is model
-    monkeypatch.setattr(module, "trials", lambda *given: [])
+    monkeypatch.setattr(module, "lag_state_candidates", lambda *given: [])
     assert fit_log(model, source).model is model
 
 
@@ -118,7 +118,7 @@ def test_a_trial_that_fails_does_not_keep_the_next_one_from_being_tried(source, 
 
     wide = Failing(source.signature, ["u"])
     second = lag(source)
-    monkeypatch.setattr(module, "trials", lambda *given: [LagStateCandidate(wide, "theta", 2.0), second])
+    monkeypatch.setattr(module, "lag_state_candidates", lambda *given: [LagStateCandidate(wide, "theta", 2.0), second])
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     monkeypatch.setattr(module, "_better", lambda *given: True)
     assert fit_log(model, source).model is second.model
