@@ -72,7 +72,7 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
 def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch):
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     monkeypatch.setattr(module, "lag_state_candidates", lambda *given: pytest.fail("a lag was looked for"))
-    monkeypatch.setattr(module, "moving_on", lambda *given: ["theta"])
+    monkeypatch.setattr(module, "find_missing_rates", lambda *given: ["theta"])
     assert fit_log(model, source).model is model
 
 

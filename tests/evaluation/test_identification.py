@@ -298,7 +298,7 @@ def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in
         actuator = None if given.delay else Actuator(0, "rate limit", 1.5)
         return ActuatorFit(actuator, given.coefficients, 0.5, "u has a rate limit", given.library)
 
-    monkeypatch.setattr(identification, "fitted", late)
+    monkeypatch.setattr(identification, "fit_log", late)
     monkeypatch.setattr(identification, "find_actuator", sought)
     found = identify_source(model, source)
     assert found.model is model and model.delay == 0.05

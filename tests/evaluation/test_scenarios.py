@@ -355,7 +355,7 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         found = judge_tracking(result, torch.tensor([True, True]))
         assert found.turned == (["theta"] if box > 6 else [])
         told = Forecast((found,), result).words()
-        assert ("average" in told) is (box > 6)
+        assert ("of a turn" in told) is (box > 6)
 
 
 def test_an_evaluation_tells_the_bounds_of_its_outputs() -> None:

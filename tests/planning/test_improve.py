@@ -148,7 +148,7 @@ def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
 def test_ways_over_the_border_stay_in_later_lessons_and_others_do_not(monkeypatch):
     monkeypatch.setattr(module, "STARTS", 12)
     told = []
-    monkeypatch.setattr(module, "lesson", lambda network, seen, wanted, *a: told.append((seen, wanted)))
+    monkeypatch.setattr(module, "_lesson", lambda network, seen, wanted, *a: told.append((seen, wanted)))
     env, rows = setting()
     rng = torch.Generator().manual_seed(0)
     # The policy stays as it is; half of the ways begin half way, where staying is all that can be imitated.
