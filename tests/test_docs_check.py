@@ -39,7 +39,7 @@ def test_half_the_step_gives_the_same_margin(monkeypatch):
     monkeypatch.chdir(REPOSITORY)
     names = {}
     exec(compile(BLOCK.split("settings = ")[0], "docs/check.md", "exec"), names)
-    loop, plant, controller = names["Loop"], names["Plant"], names["controller"]
+    loop, plant, controller = names["ClosedLoop"], names["Plant"], names["controller"]
     settings = Settings((0.1, 0.1), (0.1, 0.1), points=1, grid=2, draws=0, seconds=1.0)
     gains = []
     for step in (names["step"], names["step"] / 2):
