@@ -8,7 +8,7 @@
 | terminal | m        | 10 times the squared errors, and .1 of the squared rates                                     |
 
 The hint h(r) is where the states that have no target rest while the outputs are at r. Without it, and with magnitudes
-that have a corner, IPOPT calls plans solved that leave a rotor standing, where its thrust w |w| has no slope.
+that have a corner, IPOPT can call plans solved that leave a rotor standing, where its thrust w |w| has no slope.
 """
 
 from __future__ import annotations
