@@ -1,5 +1,6 @@
 """Compare settings over seeds: `python scripts/ablation.py [system=tras] [setting=direct,oracle] ['seed=range(5)']`."""
 
+import traceback
 from pathlib import Path
 
 from command import Sweep, command
@@ -27,7 +28,7 @@ class Gathering(Callback):
             say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
         except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
             if not mendable(error):
-                raise
+                traceback.print_exc()
             Sweep.wrong.append(in_words(error, "ablation"))
 
 

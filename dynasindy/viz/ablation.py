@@ -104,7 +104,7 @@ def draw_ablation(
     rows = read_ablation(results / "ablation_curves.csv")
     files = []
     for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
-        lines, case = list(group), file_name(f"{system}_{experiment}", "plant and experiment")
+        lines, case = _without_common_words(list(group)), file_name(f"{system}_{experiment}", "plant and experiment")
         title = f"plant {system}, experiment {experiment}"
         average = f"Imagined rollouts: average rewards, {title}"
         returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
@@ -129,6 +129,14 @@ def draw_ablation(
             figure = draw_controls(panels_of, judged[0], episodes, f"Controls: steady-state error, {title}", judged[1])
             files += save(figure, results / f"controls_{case}", formats)
     return files
+
+
+def _without_common_words(rows: list[Row]) -> list[Row]:
+    """Return the rows with settings that lack the words of the command line which all of them share."""
+    settings = [str(row["setting"]).split(",") for row in rows]
+    common = set.intersection(*(set(words[1:]) for words in settings))
+    names = [",".join(word for word in words if word not in common) for words in settings]
+    return [{**row, "setting": name} for row, name in zip(rows, names, strict=True)]
 
 
 def _draw_errors(

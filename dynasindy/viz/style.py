@@ -41,6 +41,8 @@ GREY = "#7f7f7f"
 DIVERGED = "ran away, above the axis"
 ROW = 95
 """Letters that a row of a legend above an axis holds."""
+LEGEND = 60
+"""Letters that a row of a legend beside an axis holds."""
 
 # Any: the stubs want a literal type of every setting.
 STYLE: Any = {
@@ -283,7 +285,8 @@ def legend_above(axis: Axes) -> None:
 def legend_beside(axis: Axes) -> None:
     """Put the legend to the right of an axis, where no line can run through it; what is drawn twice is told once."""
     named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    axis.legend(list(named.values()), list(named), loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    words = [textwrap.fill(name, LEGEND) for name in named]
+    axis.legend(list(named.values()), words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def mark_divergence(axis: Axes, x: Array, color: str) -> None:

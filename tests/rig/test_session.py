@@ -53,7 +53,7 @@ def test_from_nothing_to_a_controller_that_holds_the_rig(session):
     session.tell = told.append
     session.excite(Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0))
     controller = session.learn(KNOWLEDGE)
-    assert "longest_delay=0" in told
+    assert any("longest_delay=0" in line for line in told)
     model = SindyModel.load(session.folder / "model.json")
     torch.testing.assert_close(
         model.coefficients[model.library.index("sin(theta)"), 1], torch.tensor(-9.81).double(), rtol=0.05, atol=0

@@ -21,10 +21,11 @@ def test_runs_that_are_evaluated_now_and_then_stand_at_the_episodes_of_their_eva
     assert list(line.get_xdata()) == [2, 4, 6]
 
 
-def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path):
+@pytest.mark.parametrize("common", ["", "".join(f",scenario.reference.option_{k}=10" for k in range(20))])
+def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path, common):
     rows = [
         {
-            "system": system, "experiment": "dyna", "setting": setting, "seed": seed, "episode": episode,
+            "system": system, "experiment": "dyna", "setting": setting + common, "seed": seed, "episode": episode,
             "evaluated_return": -10.0, "evaluated_steady_state_error/y": 0.1, "evaluated_steady_state_error/z": 0.2,
         }
         for system in ("tras", "xi")
