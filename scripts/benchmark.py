@@ -1,4 +1,4 @@
-"""Run a benchmark by name: `python scripts/benchmark.py td3 [options]`."""
+"""Run a benchmark by name: `python scripts/benchmark.py gradient [options]`."""
 
 import argparse
 import ast
@@ -15,10 +15,7 @@ from commands import HELP, called, purpose
 from places import require_writable
 from reader import while_read
 
-BENCHMARKS = (
-    *("baselines", "bench_surrogate", "from_log", "gradient", "identify", "logs", "margins", "model_free"),
-    *("peers", "plants", "rig", "rigs", "speed", "swing_up", "td3"),
-)
+BENCHMARKS = ("bench_surrogate", "gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
 
 

@@ -38,9 +38,7 @@ EXTRAS = {
     "ray": "ray",
     "optuna": "tune",
     "casadi": "export",
-    "control": "bench",
-    "do_mpc": "bench",
-    "stable_baselines3": "bench",
+    "control": "export",
     "onnx": "export",
     "tensorboard": "tensorboard",
 }

@@ -7,9 +7,6 @@ from pathlib import Path
 
 import pytest
 import tables
-from benchmarks import baselines
-
-from dynasindy.safe_io import read_rows
 
 REPOSITORY = Path(__file__).parents[1]
 RESULTS = REPOSITORY / "docs" / "results"
@@ -22,11 +19,6 @@ def test_the_command_leaves_no_difference():
     assert not changed, "run: python scripts/tables.py"
     held = [block[2] for text in found.values() for block in tables.BLOCK.finditer(text)]
     assert sorted(held) == sorted(tables.TABLES)  # each once
-
-
-def test_the_tables_of_controllers_are_those_of_their_rows():
-    shown = (RESULTS / "baselines.md").read_text().partition(f"{baselines.MARK}\n\n")[2]
-    assert shown == "\n\n".join(baselines.tables(read_rows(RESULTS / "baselines.csv"))) + "\n"
 
 
 def test_a_number_that_changed_in_a_page_is_written_anew(tmp_path, monkeypatch):

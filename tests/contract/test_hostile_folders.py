@@ -142,10 +142,10 @@ def test_words_of_hydra_that_no_run_writes_are_refused(evaluated, run, node):
     assert "config.yaml" in evaluated()
 
 
-@pytest.mark.parametrize("name", ["resume", "report", "add_runs"])
+@pytest.mark.parametrize("name", ["resume", "report"])
 def test_the_other_commands_read_a_run_by_the_same_rule(run, canary, command, tmp_path, name):
     change(run, "plant.outputs", [[{"_target_": "os.system", "command": f"touch {canary}"}]])
-    words = {"resume": (f"resume={run}",), "report": (f"save={run}", "any_commit=true"), "add_runs": (str(run),)}
+    words = {"resume": (f"resume={run}",), "report": (f"save={run}", "any_commit=true")}
     done = command({"resume": "train"}.get(name, name), *words[name], cwd=tmp_path)
     assert done.code == 2 and "os.system" in done.err and "Traceback" not in done.err
     assert not canary.exists() and not list(run.glob("evaluation*"))

@@ -63,7 +63,7 @@ def test_the_exit_code_of_a_mistake_stays(tmp_path):
     assert unread("-c", code, cwd=tmp_path)[0] == 2
 
 
-@pytest.mark.parametrize("script", ["benchmark.py td3", "add_runs.py", "evaluate.py"])
+@pytest.mark.parametrize("script", ["benchmark.py gradient", "evaluate.py"])
 def test_the_help_of_a_script_ends_without_a_word(script, tmp_path):
     name, *rest = script.split()
     code, error = unread(str(SCRIPTS / name), *rest, "--help", cwd=tmp_path)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import tempfile
@@ -15,7 +16,7 @@ import time
 import venv
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from tensordict import TensorDictBase
 
 from benchmarks.common import TimedPolicy, commit, cpu_seconds
 from benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
+from benchmarks.peers import serve
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.components import Components
@@ -34,6 +36,7 @@ from dynasindy.dyna.loop import train
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
+from dynasindy.planning.linear_model import EquilibriumSolver
 from dynasindy.safe_io import Row, append_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Tras
@@ -211,17 +214,34 @@ def judge_controller(name: str, release: str, parts: Components, policy: Policy,
     ]
 
 
+def nmpc_plan(model: SindyModel, dt: float) -> dict[str, Any]:
+    """Return what do-mpc is to plan for, with the speeds at which the rotors rest as a hint.
+
+    `hint` holds coefficients of monomials of the targets, by state, whose sum is h |h|, as thrust goes with the square
+    of a speed; `guess` is where the first plan of a flight begins, besides the outputs at their targets.
+    """
+    signature, outputs, rates = model.signature, list(KNOWN), list(KNOWN.values())
+    equilibria = EquilibriumSolver(model, outputs)
+    targets = torch.cartesian_prod(*(torch.linspace(-0.5, 0.5, 7, dtype=torch.float64) for _ in outputs))
+    rests = equilibria.state_and_input(targets, equilibria(targets))[0].numpy()
+    basis = np.array([serve.monomials(row) for row in targets.tolist()])
+    free = [name for name in signature.state_names if name not in (*outputs, *rates)]
+    speeds = {name: rests[:, signature.state_index(name)] for name in free}
+    hint = {n: np.linalg.lstsq(basis, speed * np.abs(speed), rcond=None)[0].tolist() for n, speed in speeds.items()}
+    guess = {name: math.copysign(math.sqrt(abs(of[0])), of[0]) for name, of in hint.items()}
+    names = {"states": signature.state_names, "inputs": signature.input_names, "outputs": outputs, "rates": rates}
+    return {**names, "ranges": signature.x_scale, "dt": dt, "hint": hint, "guess": guess}
+
+
 def run_controller(name: str, parts: Components, seed: int, arguments: argparse.Namespace) -> list[Row]:
     """Return rows of a peer that makes a controller from our model."""
-    from benchmarks.baselines import nmpc_plan
-
     facts, model = PLANTS[PLANT], parts.world_model
     assert isinstance(model, SindyModel)
     which, settings = CONTROLLERS[name]
     with tempfile.TemporaryDirectory() as folder:
         asked = settings | {
             "field": casadi_source(model),
-            "plan": asdict(nmpc_plan(model, parts.plant.dt)) if which == "do_mpc" else None,
+            "plan": nmpc_plan(model, parts.plant.dt) if which == "do_mpc" else None,
             **{"ranges": model.signature.x_scale, "n_u": model.signature.n_u, "dt": parts.plant.dt},
             **{"low": facts.low, "high": facts.high, "seed": seed, "folder": folder},
         }

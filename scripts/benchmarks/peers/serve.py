@@ -9,7 +9,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TextIO
 
 import numpy as np
@@ -47,6 +47,12 @@ def field_of(source: str, calls: dict[str, Any]) -> Callable[[Any, Any], list[An
     exec("def field" + source.split("def field", 1)[1].split("\ndef ", 1)[0], scope)
     found: Callable[[Any, Any], list[Any]] = scope["field"]
     return found
+
+
+def monomials(targets: Sequence[Any]) -> list[Any]:
+    """Return 1, r_1, r_2, r_1^2, ... of two targets, up to the fifth degree: the basis of do-mpc's hint."""
+    first, second = targets
+    return [first**a * second ** (n - a) for n in range(6) for a in range(n, -1, -1)]
 
 
 def control(act: Callable[[Array, Array, bool, int], Array]) -> None:
