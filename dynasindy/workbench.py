@@ -24,6 +24,7 @@ Nothing is printed while they work; `with dynasindy.Progress():` around them sho
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -57,10 +58,11 @@ from dynasindy.evaluation.verdict import beyond, doubts, uncontrolled_outputs, u
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.plan_settings import find_task_equilibria, unheld
+from dynasindy.progress import reporting_as
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.ensemble import refits
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems import Diverged, Signature
@@ -232,10 +234,29 @@ def plan(
     env = ControlEnv(model, task, setup.dt, setup.substeps, seed=seed)
     others = []
     if log is not None:
-        others = refits(model, log.training, HALVES, "the log")
+        others = _refits(model, log.training, HALVES, "the log")
     actor = Actor(task.n_o, model.signature.n_u, seed=seed)
     GradientPlanning(env, actor, others=others, seed=seed, **settings).plan()
     return Controller(actor.deployed, setup, observer)
+
+
+def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> list[SindyModel]:
+    """Fit the functions that a model uses to equal stretches of data, each refined from its coefficients on."""
+    late, places = delay_inputs(data, model.delay), torch.arange(len(data))
+    length, found = len(data) // stretches, []
+    for k in range(stretches):
+        member = copy.deepcopy(model)
+        used = model.constraints.free & (model.coefficients != 0)
+        given = torch.where(model.constraints.free, 0.0, model.constraints.offset)
+        member.constraints = replace(model.constraints, free=used, offset=given)
+        member.initial, member.initial_delay = model.coefficients.clone(), 0.0
+        if member.refinement is not None:
+            member.refinement = replace(member.refinement, longest_delay=0.0)
+        with reporting_as(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
+            member.fit(late.select((places >= k * length) & (places < (k + 1) * length)))
+        member.delay = model.delay
+        found.append(member)
+    return found
 
 
 def forecast(
@@ -283,7 +304,7 @@ def forecast(
         return _advised(own, controller, model, None)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
-    models = [fit for parts in (1, HALVES) for fit in refits(model, log.validation, parts, unseen)]
+    models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
     found = predict(models, env, policy, scenario, sensing, within)
     forecasts = forecast_errors(model, log.training, log.validation)
     told = [] if forecasts is None else doubts(forecasts, model.signature)

@@ -22,9 +22,9 @@ from torch import Tensor
 from dynasindy.evaluation.recording_diagnostics import resolutions, resolutions_by
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.prediction import variance
 from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
 from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.world_model import variance
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 

@@ -1,22 +1,127 @@
-"""The equations of a sparse model as plain formulas, which C, NumPy and CasADi read alike.
+"""Names, words and numbers as parts of other languages, and the templates of C that they are filled into.
 
-They are written by the very code that writes them for torch, `dynasindy.sindy.codegen`: what several
-terms share is computed once. Operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
+Names of states and units come from files that anybody wrote: none of them can become code, or end a comment. An
+identifier is made of letters and digits alone, a comment holds neither end nor beginning of one, and a number is a
+number before it is written.
 """
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from importlib import resources
 
+import numpy as np
 from torch import Tensor
 
-from dynasindy.export.c_text import number
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import InfixWriter
 from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.functions import FORMULA_FUNCTIONS
 from dynasindy.sindy.library import Library
+
+IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+PLAIN = str.maketrans({"°": "deg", "²": "^2", "³": "^3", "·": "*", "µ": "u"})
+
+
+def module_name(name: str) -> str:
+    """Return a name that all names of a C file begin with.
+
+    Raises:
+        ValueError: It cannot begin one.
+    """
+    if not IDENTIFIER.fullmatch(name):
+        raise ValueError(
+            f"name is {name[:40]!r}; allowed are a letter, then letters, digits and '_', 31 at most: choose another"
+        )
+    return name
+
+
+def identifiers(names: Iterable[str]) -> list[str]:
+    """Return one identifier per name, none twice; they are to follow a prefix, and may be a word of the language."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"\W", "_", name.translate(PLAIN), flags=re.ASCII)
+        unique, count = plain, 1
+        while unique in found:
+            count += 1
+            unique = f"{plain}_{count}"
+        found.append(unique)
+    return found
+
+
+def comment(words: str) -> str:
+    """Return words as they may stand within a comment of C or Python: ASCII, on one line, no end of a comment."""
+    plain = words.translate(PLAIN).encode("ascii", "replace").decode()
+    plain = re.sub(r"[\x00-\x1f\x7f\\?]", "_", plain)
+    return re.sub(r"(?<=\*)(?=/)|(?<=/)(?=\*)", " ", plain)
+
+
+def number(value: float) -> str:
+    """Return a number of double precision as C and Python write it, in brackets if it is negative.
+
+    Raises:
+        ValueError: It is not finite, or no number.
+    """
+    written = repr(float(value))
+    if not math.isfinite(float(value)):
+        raise ValueError(f"{written} stands where a finite number belongs; restore the file, or make it again")
+    return f"({written})" if written.startswith("-") else written
+
+
+def reach(value: float) -> str:
+    """Return the end of a range for C, which may be infinite."""
+    if not math.isinf(float(value)):
+        return number(value)
+    return "INFINITY" if value > 0 else "-INFINITY"
+
+
+def single(value: float) -> str:
+    """Return a number of single precision for C, exact to its last bit."""
+    written = np.format_float_scientific(np.float32(value), unique=True, trim="0")
+    return f"{written}f"
+
+
+def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
+    """Return the elements of an array in lines of a readable length."""
+    lines, line = [], ""
+    for word in written:
+        if line and len(line) + len(word) > width:
+            lines.append(line.rstrip())
+            line = ""
+        line += f"{word}, "
+    return "\n".join(indent + text for text in [*lines, line.rstrip().rstrip(",")])
+
+
+def fill(name: str, words: Mapping[str, object], flags: Collection[str] = ()) -> str:
+    """Return the text of a template with its gaps filled.
+
+    `@word@` is replaced, and lines between `@if flag` and `@end` stay where the flag is set. What is filled in is not
+    looked at again, so that words of a file cannot open gaps of their own.
+
+    Args:
+        name: File in `dynasindy/export/c`.
+        words: What stands for each `@word@`.
+        flags: Which `@if` are true; `@if !flag` is true where the flag is not set.
+
+    Raises:
+        KeyError: A gap has no word.
+    """
+    text = resources.files("dynasindy.export").joinpath("c", name).read_text(encoding="utf-8")
+    kept: list[str] = []
+    shown = [True]
+    for line in text.splitlines():
+        if line.startswith("@if "):
+            flag = line.split()[1]
+            shown.append(shown[-1] and (flag.lstrip("!") in flags) != flag.startswith("!"))
+        elif line == "@end":
+            shown.pop()
+        elif shown[-1]:
+            kept.append(re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), line))
+    return "\n".join(kept) + "\n"
+
 
 _CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")
 

@@ -18,10 +18,8 @@ from xml.etree import ElementTree
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.export.c_controller import controller_sources, enumerators, measured, stop_words
-from dynasindy.export.c_model import field
-from dynasindy.export.c_text import fill, module_name, number
-from dynasindy.export.expressions import formulas
+from dynasindy.export.c_code import controller_sources, enumerators, field, measured, stop_words
+from dynasindy.export.expressions import fill, formulas, module_name, number
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops

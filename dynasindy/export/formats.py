@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.export.c_text import comment, identifiers, module_name
-from dynasindy.export.expressions import Formulas, formulas, right_sides
+from dynasindy.export.expressions import Formulas, comment, formulas, identifiers, module_name, right_sides
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import equations_to_latex
 

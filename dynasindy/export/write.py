@@ -8,9 +8,7 @@ from pathlib import Path
 
 from dynasindy.control import Controller, load
 from dynasindy.control.files import FORMAT, NAME
-from dynasindy.export.c_controller import ControllerSources, controller_sources
-from dynasindy.export.c_model import model_sources
-from dynasindy.export.compiler import microseconds
+from dynasindy.export.c_code import ControllerSources, controller_sources, microseconds, model_sources
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx import controller_onnx, policy_onnx

@@ -27,9 +27,8 @@ from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.noise import looks_noisy
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct, simulate_hidden_states
 from dynasindy.sindy.refinement import STEPS
-from dynasindy.sindy.shooting import Descent, Estimate, RunsAway
+from dynasindy.sindy.shooting import Descent, Estimate, RunsAway, choose_stretches
 from dynasindy.sindy.trajectory_fit import few_steps
-from dynasindy.sindy.windows import choose_stretches
 from dynasindy.systems.transitions import Transitions
 
 Kind = Literal["rate limit", "play", "dead zone", "lag"]

@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.safe_io import write_json
-from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.equations import equations
 from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_formulas
-from dynasindy.sindy.library import Feature, Library
+from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.systems.base import Signature
 
 FORMAT = "dynasindy sparse model 1"

@@ -13,8 +13,7 @@ from dynasindy.sindy.covariance import Covariance, jackknife
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import least_squares, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.sindy.shooting import MOST_STEPS, relative_step
-from dynasindy.sindy.windows import ENOUGH, choose_stretches
+from dynasindy.sindy.shooting import ENOUGH, MOST_STEPS, choose_stretches, relative_step
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 

@@ -13,15 +13,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.sindy.codegen import Field, generate
-from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
-from dynasindy.sindy.library import Library
+from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.named_libraries import polynomial
-from dynasindy.sindy.prior import shares
-from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, simpson_form
-from dynasindy.sindy.shooting import relative_step, substeps_for
-from dynasindy.sindy.weak_form import weak_form
-from dynasindy.sindy.windows import ENOUGH, choose_stretches
+from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, shares, simpson_form, weak_form
+from dynasindy.sindy.shooting import ENOUGH, choose_stretches, relative_step, substeps_for
 from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.steps import Rates

@@ -13,7 +13,6 @@ from dynasindy.limits import Count
 from dynasindy.progress import report_progress
 from dynasindy.sindy import one_step_fit as one_step
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.constraints import Constraints
 from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import (
     delay_and_trim,
@@ -24,7 +23,7 @@ from dynasindy.sindy.delay import (
     unexplained,
 )
 from dynasindy.sindy.fit_report import Refined
-from dynasindy.sindy.library import Library
+from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.noise import looks_noisy
 from dynasindy.sindy.one_step_fit import refine_one_step
 from dynasindy.sindy.reconstruction import DelayedRecording, RegressionData, find_missing_rates, has_gaps, rate_states

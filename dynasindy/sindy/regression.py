@@ -1,15 +1,16 @@
-"""Which coefficients a linear least-squares model needs, decided on its triangular factor."""
+"""Sparse regression: rows out of a recording, running sums of them, and the coefficients that they need."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+from dynasindy.sindy.library import Library
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.steps import time_step_of
 from dynasindy.systems.transitions import Transitions
@@ -432,3 +433,115 @@ def _best_subset(
         keep = [k for k in range(n) if k != j]
         triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
         active = active[keep]
+
+
+OVERLAP = 4
+"""Bumps that cover a sample."""
+
+
+def weak_form(theta: Theta, measured: Transitions, guess: Transitions, rates: Mapping[int, int], half: int) -> Rows:
+    """Average the functions and the rates of change by bumps of `2 half - 1` samples (Messenger and Bortz 2021).
+
+    Whatever is done to the rates has to be done to the functions, or the fit explains the difference: a smoothed speed
+    no longer jumps with its input. States that are the rate of a measured one enter by second differences of that.
+
+    Args:
+        theta: `(x, u) -> (N, n_features)`.
+        measured: the recording, NaN where a state was not measured.
+        guess: the same, the states that were not measured guessed.
+        rates: which state is the rate of which other one, `{rate: state}`.
+        half: half of the length of a bump [samples].
+
+    Returns:
+        Averaged functions, `(M, n_features)`, and averaged rates of change, `(M, n_x)`, M about N over `half / 4`.
+
+    Raises:
+        ValueError: no segment has two transitions.
+    """
+    functions, changes = [], []
+    for segment in guess.segment.unique_consecutive().tolist():
+        mine = guess.segment == segment
+        rows = mine.nonzero().flatten()
+        if len(rows) < 2:
+            continue
+        within = min(half, max(1, (len(rows) - 1) // 2))
+        mean = theta(0.5 * (guess.x[rows] + guess.x_next[rows]), guess.u[rows])
+        rate = _rates(measured, guess, rows, rates)
+        bump = (1 - torch.linspace(-1, 1, 2 * within + 1, dtype=torch.float64)[1:-1].square()) ** 4
+        both = torch.cat([0.5 * (mean[:-1] + mean[1:]), rate], -1)
+        averaged = torch.nn.functional.conv1d(
+            both.mT.unsqueeze(1), (bump / bump.sum()).reshape(1, 1, -1), stride=max(1, within // OVERLAP)
+        )[:, 0].mT
+        functions.append(averaged[:, : mean.shape[1]])
+        changes.append(averaged[:, mean.shape[1] :])
+    if not functions:
+        raise ValueError(
+            "a recording with states that were not measured has no two samples that follow each other; allowed are "
+            "segments of two transitions or more: give unbroken stretches"
+        )
+    return torch.cat(functions), torch.cat(changes)
+
+
+def _rates(measured: Transitions, guess: Transitions, rows: Tensor, rates: Mapping[int, int]) -> Tensor:
+    """Return rates of change over two neighbouring intervals, `(n - 1, n_x)`."""
+    x = torch.cat([guess.x[rows[:1]], guess.x_next[rows]])
+    raw = torch.cat([measured.x[rows[:1]], measured.x_next[rows]])
+    x = torch.where(raw.isnan(), x, raw)
+    rate = (x[2:] - x[:-2]) / (2 * guess.dt)
+    for i, of in rates.items():
+        if bool(raw[:, i].isnan().all()):
+            rate[:, i] = (x[2:, of] - 2 * x[1:-1, of] + x[:-2, of]) / guess.dt**2
+    return rate
+
+
+# A prior on coefficients. Over the range of a log functions may look nearly alike, as alpha and sin(alpha) at small
+# angles, and a fit to noisy data makes up any function out of their small differences, by coefficients of 1e6 that all
+# but cancel. So a term c f, f a function of an angle, is a priori normal about zero, of a standard deviation of `SHARE`
+# times the rate of change of its equation, both as root-mean-squares over the data: one measurement more. An angle is
+# what stands in a sine, a cosine or a quotient; its powers count, too, or a fit would take the angle and not its sine.
+# Functions of other states have none: powers of a state far from zero, as deg C, cancel one another by nature.
+
+SHARE = 10.0
+"""Standard deviation of a term, in rates of change of its equation."""
+TURNED = ("sin", "cos", "per_cos2")
+"""How the names of the functions of angles begin, of one angle, or of the sum or the difference of two."""
+
+
+def shares(library: Library) -> Tensor:
+    """Return how many rates of change of its equation a term is likely to be, `(n_features,)`; infinite if not known.
+
+    Args:
+        library: candidate functions.
+    """
+    factors = (factor for feature in library.features for factor in feature.factors)
+    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
+    turned = [bool(angles & feature.variables) for feature in library.features]
+    return torch.where(torch.tensor(turned), SHARE, torch.inf).to(torch.float64)
+
+
+def likely(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
+    """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
+
+    It is infinite without a prior, for a function that is zero throughout, and for a state that does not move.
+
+    Args:
+        library: candidate functions.
+        xi: a first guess of the coefficients, `(n_features, n_x)`; the rates of change are those that it tells, or
+            those of the states, whichever are larger.
+        x: states before each transition, `(N, n_x)`, without NaN.
+        data: the recording, whose inputs and stretches are read.
+        window: samples over which rates of change of the states are taken, so that they are not of noise.
+    """
+    theta = library(x, data.u.to(x.dtype))
+    rates = torch.maximum((theta @ xi).square().mean(0).sqrt(), _moved(x, data, window))
+    sizes = theta.square().mean(0).sqrt()
+    told = (sizes > 0).unsqueeze(-1) & (rates > 0) & sizes.isfinite().unsqueeze(-1) & rates.isfinite()
+    return torch.where(told, shares(library).unsqueeze(-1) * rates / sizes.clamp_min(1e-300).unsqueeze(-1), torch.inf)
+
+
+def _moved(x: Tensor, data: Transitions, window: int) -> Tensor:
+    """Return rates of change over a window of samples of one stretch, root-mean-square, `(n_x,)`."""
+    window = max(1, min(window, len(x) - 1))
+    within = data.segment[window:] == data.segment[:-window]
+    moved = (x[window:] - x[:-window])[within] / (window * data.dt)
+    return moved.square().mean(0).sqrt() if len(moved) else torch.zeros_like(x[0])

@@ -14,11 +14,11 @@ from dynasindy.progress import report_progress
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import repetition
-from dynasindy.sindy.prior import likely
-from dynasindy.sindy.regression import reconsider, walk_down
+from dynasindy.sindy.regression import likely, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
     COARSE,
+    ENOUGH,
     EXACT,
     FINE,
     Descent,
@@ -26,6 +26,8 @@ from dynasindy.sindy.shooting import (
     Flow,
     Linearised,
     RunsAway,
+    Windows,
+    choose_stretches,
     cost_of,
     error_growth,
     lasting_of,
@@ -35,7 +37,6 @@ from dynasindy.sindy.shooting import (
     relative_step,
     substeps_for,
 )
-from dynasindy.sindy.windows import ENOUGH, Windows, choose_stretches
 from dynasindy.systems.transitions import Transitions
 
 

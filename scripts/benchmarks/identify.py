@@ -33,8 +33,8 @@ from dynasindy.excitation import Chirp, Excitation, HeldRandom
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import paper_table
-from dynasindy.sindy.prediction import one_step_error
 from dynasindy.sindy.sensitivity import Parameters
+from dynasindy.sindy.world_model import one_step_error
 from dynasindy.systems import System, Tras, Xi, integrate
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.trms33 import Trms33

@@ -19,8 +19,7 @@ from dynasindy.sindy.library import Library
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.regression import Rows
 from dynasindy.sindy.sensitivity import Parameters
-from dynasindy.sindy.shooting import Estimate, Flow, linearise_windows
-from dynasindy.sindy.windows import Windows
+from dynasindy.sindy.shooting import Estimate, Flow, Windows, linearise_windows
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 

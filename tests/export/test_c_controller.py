@@ -16,9 +16,8 @@ from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
 from dynasindy.export import controller_sources
-from dynasindy.export.c_controller import Filter, stop_words
-from dynasindy.export.c_text import fill
-from dynasindy.export.compiler import Native
+from dynasindy.export.c_code import Filter, Native, stop_words
+from dynasindy.export.expressions import fill
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate

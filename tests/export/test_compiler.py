@@ -2,9 +2,9 @@
 
 import pytest
 
-from dynasindy.export import compiler as module
+from dynasindy.export import c_code as module
 from dynasindy.export import controller_sources
-from dynasindy.export.compiler import Native, microseconds
+from dynasindy.export.c_code import Native, microseconds
 from dynasindy.systems.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")

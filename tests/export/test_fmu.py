@@ -11,8 +11,8 @@ import torch
 
 from dynasindy import __version__
 from dynasindy.export import controller_sources, fmu
-from dynasindy.export.c_text import fill
-from dynasindy.export.compiler import Native
+from dynasindy.export.c_code import Native
+from dynasindy.export.expressions import fill
 from dynasindy.export.fmu import ABSENT, FINE, answers, controller_fmu, plant_fmu
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature

@@ -9,9 +9,9 @@ import torch
 
 from dynasindy.envs import ControlEnv
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.difference_equation import step_rows, with_time
+from dynasindy.sindy.model import step_rows, with_time
 from dynasindy.sindy.named_libraries import build_library
-from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop
+from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Step, Tracking, TrackingReward

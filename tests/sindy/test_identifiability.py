@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.sindy.identifiability import Identifiability
+from dynasindy.sindy.fit_report import Identifiability
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.regression import RunningSums
 from dynasindy.systems.base import Signature

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.library import CONSTANT, Feature, Library, latex_name, of, parse, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Feature, Library, latex_name, of, parse, variable
 from dynasindy.sindy.named_libraries import build_library, polynomial
 from dynasindy.systems.base import Signature
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, parse, variable
 from dynasindy.sindy.model_file import FORMAT, load_model, save_model
 from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, Xi

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.prediction import nrmse, one_step_error, open_loop, variance
+from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop, variance
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 

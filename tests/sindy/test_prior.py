@@ -8,8 +8,7 @@ import torch
 
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import mechanical
-from dynasindy.sindy.prior import SHARE, likely, shares
-from dynasindy.sindy.regression import Regression, RunningSums, eliminate
+from dynasindy.sindy.regression import SHARE, Regression, RunningSums, eliminate, likely, shares
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 

@@ -10,8 +10,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.library import CONSTANT, Library, of, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, variable
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.reconstruction import (
     BRIEF,

@@ -11,8 +11,7 @@ from scipy.linalg import expm
 from dynasindy.data.rollout_data import disturb
 from dynasindy.evaluation.log_fit import take_alternative
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.library import CONSTANT, Library, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.sindy.refinement import METHODS
 from dynasindy.sindy.regression import RunningSums, integral_form
 from dynasindy.systems.base import Signature

@@ -21,6 +21,7 @@ from dynasindy.sindy.shooting import (
     Estimate,
     Flow,
     RunsAway,
+    Windows,
     cost_of,
     free_scales,
     left_over,
@@ -32,7 +33,6 @@ from dynasindy.sindy.shooting import (
     substeps_for,
 )
 from dynasindy.sindy.trajectory_fit import refine_trajectory
-from dynasindy.sindy.windows import Windows
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 

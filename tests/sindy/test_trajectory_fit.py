@@ -11,11 +11,9 @@ from scipy.signal import lfilter
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy import trajectory_fit as trajectory
-from dynasindy.sindy.constraints import Constraints
-from dynasindy.sindy.library import CONSTANT, Library, parse, variable
-from dynasindy.sindy.shooting import Descent
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
+from dynasindy.sindy.shooting import Descent, choose_stretches
 from dynasindy.sindy.trajectory_fit import refine_trajectory
-from dynasindy.sindy.windows import choose_stretches
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.sindy.weak_form import weak_form
+from dynasindy.sindy.regression import weak_form
 from dynasindy.systems.transitions import Transitions
 
 DT = 0.1

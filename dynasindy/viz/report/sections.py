@@ -12,7 +12,7 @@ from dynasindy.evaluation.metrics import MIN_STEP
 from dynasindy.evaluation.statistics import over_seeds
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.prediction import open_loop
+from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import controller_name

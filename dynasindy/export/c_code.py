@@ -6,23 +6,159 @@ does not have left out. It allocates nothing and keeps everything that changes i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import ctypes
+import tempfile
+import textwrap
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from dynasindy.agents.networks import MLP
 from dynasindy.control import Controller
 from dynasindy.control.files import network, require_states
-from dynasindy.export.c_model import Sources, block, field, places, signature_words
-from dynasindy.export.c_text import fill, identifiers, module_name, number, reach, rows, single
-from dynasindy.export.expressions import formulas
+from dynasindy.export.expressions import (
+    Formulas,
+    comment,
+    fill,
+    formulas,
+    identifiers,
+    module_name,
+    number,
+    reach,
+    right_sides,
+    rows,
+    single,
+)
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Stops
+from dynasindy.systems import Signature, Stops
+from dynasindy.systems.base import WHOLE
+from dynasindy.systems.compiler import SUFFIX, build
 from dynasindy.systems.steps import Steps
+
+_HELPERS = {
+    "sign": "/* -1, 0 or 1. */\nstatic double sign(double a)\n{\n    return (double)((a > 0.0) - (a < 0.0));\n}\n",
+    "square": "static double square(double a)\n{\n    return a * a;\n}\n",
+    "larger": "/* The larger one; what is no number stays none. */\nstatic double larger(double a, double b)\n{\n"
+    "    return a < b ? b : a;\n}\n",
+}
+
+
+@dataclass(frozen=True)
+class Sources:
+    """A header and a source file of C99.
+
+    Attributes:
+        name: What all their names begin with, and the files too.
+        header: Text of `NAME.h`.
+        source: Text of `NAME.c`.
+    """
+
+    name: str
+    header: str
+    source: str
+
+    def files(self) -> dict[str, str]:
+        """Return the texts by the names of their files."""
+        return {f"{self.name}.h": self.header, f"{self.name}.c": self.source}
+
+
+def model_sources(model: SindyModel, name: str = "model") -> Sources:
+    """Write a model as a C function `NAME_dx(x, u, dx)`; a difference equation as `NAME_next(x, u, next)`.
+
+    Args:
+        model: The model.
+        name: What the names in C, and those of the files, begin with.
+
+    Raises:
+        ValueError: The name is none, or the model has a function without a formula.
+    """
+    name, signature, found = module_name(name), model.signature, right_sides(model)
+    kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
+    each = "" if model.step is None else f"A step takes {model.step!r} s, in which the inputs are held."
+    late = f"Inputs act {model.delay!r} s after they are given: u is what acts." if model.delay else ""
+    told = block([*signature_words(signature), *filter(None, [each, late])])
+    n_x, n_u = signature.n_x, max(1, signature.n_u)
+    arguments = f"const double x[{n_x}], const double u[{n_u}], double {result}[{n_x}]"
+    header = (
+        f"/* The identified model, {kind}.\n *\n{told}\n */\n#ifndef {name.upper()}_H\n"
+        f'#define {name.upper()}_H\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
+        f"/* Places in the arrays, by name. */\nenum {{\n{places(signature, name)}\n}};\n\n"
+        f"void {name}_{result}({arguments});\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
+    )
+    source = f'#include "{name}.h"\n\n#include <math.h>\n\n{_helpers(found)}{_equations(model)}'
+    return Sources(name, header, source + _function(found, f"void {name}_{result}({arguments})", result))
+
+
+def field(model: SindyModel, found: Formulas) -> str:
+    """Return the text of the static function `field(x, u, dx)`, what it calls, and its equations as a comment."""
+    head = "static void field(const double *x, const double *u, double *dx)"
+    return f"{_helpers(found)}{_equations(model)}{_function(found, head)}"
+
+
+def _helpers(found: Formulas) -> str:
+    """Return the functions that formulas call and <math.h> does not have."""
+    return "".join(f"{text}\n" for name, text in _HELPERS.items() if name in found.calls)
+
+
+def places(signature: Signature, name: str) -> str:
+    """Return enumerators of the places of states and inputs in their arrays."""
+    lines = [
+        f"    {name}_{kind}_{word} = {place},"
+        for kind, names in (("x", signature.state_names), ("u", signature.input_names))
+        for place, word in enumerate(identifiers(names))
+    ]
+    return "\n".join(lines).rstrip(",")
+
+
+def signature_words(signature: Signature, limits: Sequence[Sequence[float]] = ()) -> list[str]:
+    """Return lines that tell states and inputs with their units.
+
+    Args:
+        signature: Of the plant.
+        limits: Least and largest value of each input that is commanded; by default what the plant takes.
+    """
+    ends = limits or signature.input_limits or (WHOLE,) * signature.n_u
+    states = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
+    return [
+        "x: states",
+        *(f"    {i}  {n} [{unit}], of a range of {number(scale)}" for i, (n, unit, scale) in enumerate(states)),
+        "u: inputs of the plant",
+        *(
+            f"    {i}  {n} [-], from {low:.6g} to {high:.6g}"
+            for i, (n, (low, high)) in enumerate(zip(signature.input_names, ends, strict=True))
+        ),
+        *signature.own_inputs(ranged=False),
+    ]
+
+
+def block(lines: Sequence[str]) -> str:
+    """Return lines of any words as lines within a comment of C."""
+    wrapped = [
+        part
+        for line in lines
+        for part in textwrap.wrap(comment(line), 110, subsequent_indent="      ", break_on_hyphens=False) or [""]
+    ]
+    return "\n".join(f" * {line}".rstrip() for line in wrapped)
+
+
+def _equations(model: SindyModel) -> str:
+    return "/* The identified equations, rounded:\n *\n" + block(model.equations()) + "\n */\n"
+
+
+def _function(found: Formulas, head: str, result: str = "dx") -> str:
+    spare = [f"    (void){variable};\n" for variable in ("x", "u") if not found.reads(variable)]
+    body = [f"    const double {name} = {formula};\n" for name, formula in found.lines]
+    results = [f"    {result}[{i}] = {formula};\n" for i, formula in enumerate(found.results)]
+    return f"{head}\n{{\n{''.join([*body, *spare, *results])}}}\n"
+
 
 NO_STEPS = Steps(0.0, 0, False)
 MANY = 400
@@ -290,3 +426,100 @@ def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
 
 def _joined(values: torch.Tensor) -> str:
     return joined(values.tolist())
+
+
+class Native:
+    """A controller in C that this computer has compiled, called as the one in Python.
+
+    Args:
+        sources: The controller.
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+
+    def __init__(self, sources: ControllerSources) -> None:
+        # A folder of its own each time: a library that is loaded must not be overwritten.
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+            folder = Path(place)
+            size = f"unsigned long size(void);\nunsigned long size(void) {{ return sizeof({sources.name}_state); }}\n"
+            texts = {**sources.files(), "size.c": f'#include "{sources.name}.h"\n{size}'}
+            for name, text in texts.items():
+                (folder / name).write_text(text, encoding="utf-8")
+            units = [folder / f"{sources.name}.c", folder / "size.c"]
+            loaded = ctypes.CDLL(str(build(units, folder / f"{sources.name}{SUFFIX}")))
+        self.shape = sources.shape
+        self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
+        numbers = ctypes.POINTER(ctypes.c_double)
+        self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
+        self._act.argtypes, self._act.restype = [ctypes.c_void_p, *[numbers] * 4], ctypes.c_int
+        loaded.size.restype = ctypes.c_ulong
+        self.state = ctypes.create_string_buffer(loaded.size())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was measured."""
+        self._reset(self.state)
+
+    def act(self, y: Sequence[float], r: Sequence[float], rate: Sequence[float] | None = None) -> NDArray[np.float64]:
+        """Return the inputs of the control period that begins now, `(n_u,)`.
+
+        Args:
+            y: What was measured now, NaN where nothing was.
+            r: Where the outputs are to be.
+            rate: How fast the reference moves; 0 if omitted.
+
+        Raises:
+            ValueError: There are more or fewer numbers than there have to be, or one is not finite.
+        """
+        n_x, n_u, n_r = self.shape
+        u = np.empty(n_u)
+        slope = None if rate is None else _numbers(rate, n_r)
+        if self._act(self.state, _numbers(y, n_x), _numbers(r, n_r), slope, _pointer(u)):
+            raise ValueError("a measurement, a reference or an input is not finite; give finite numbers")
+        return u
+
+
+def microseconds(sources: ControllerSources) -> float:
+    """Return the time that a call of a controller takes on this computer, the best of five [us].
+
+    Raises:
+        FileNotFoundError: There is no compiler.
+        ValueError: The compiler refuses the sources.
+    """
+    many = (
+        f'#include "{sources.name}.h"\n\nstatic {sources.name}_state state;\n\n'
+        "void many(const double *y, double *u, int n);\n\nvoid many(const double *y, double *u, int n)\n{\n"
+        f"    while (n--)\n        {sources.name}_act(&state, y, y, y, u);\n}}\n"
+    )
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+        for name, text in {**sources.files(), "many.c": many}.items():
+            (Path(place) / name).write_text(text, encoding="utf-8")
+        units = [Path(place) / f"{sources.name}.c", Path(place) / "many.c"]
+        call = ctypes.CDLL(str(build(units, Path(place) / f"many{SUFFIX}"))).many
+    # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
+    n = max(sources.shape)
+    rest = (ctypes.c_double * n)(*[0.1] * n)
+    u, calls, best = (ctypes.c_double * sources.shape[1])(), 1, 0.0
+    while best < 0.02:
+        calls *= 4
+        best = min(_timed(call, rest, u, ctypes.c_int(calls)) for _ in range(5))
+    return 1e6 * best / calls
+
+
+def _timed(call: Callable[..., object], *arguments: object) -> float:
+    start = time.perf_counter()
+    call(*arguments)
+    return time.perf_counter() - start
+
+
+def _numbers(values: Sequence[float], count: int) -> object:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != (count,):
+        raise ValueError(f"{array.size} numbers are given where {count} belong")
+    return _pointer(array)
+
+
+def _pointer(values: NDArray[np.float64]) -> object:
+    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
