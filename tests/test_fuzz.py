@@ -24,7 +24,6 @@ from dynasindy.data.columns import infer
 from dynasindy.data.csv import CsvLog
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.model_file import load_model
 
 CONF = mistakes.CONF
 VALUES = (
@@ -194,7 +193,7 @@ def test_models(tmp_path: Path) -> None:
             cut = rng.randrange(len(text))
             path.write_text(text[:cut] + text[cut + rng.choice((1, 5, len(text))) :])
         said = judged(
-            lambda: load_model(path), "identify", str(path), "feature", "function", "library", "state", "unit"
+            lambda: SindyModel.load(path), "identify", str(path), "feature", "function", "library", "state", "unit"
         )
         if said and " is damaged (" not in said:  # which gives the reason of Python in brackets
             wrong.append(said)

@@ -15,7 +15,8 @@ A difference equation has the functions where its steps begin, and its changes o
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,14 +25,14 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from dynasindy.safe_io import read_json, write_json
 from dynasindy.sindy.codegen import Field, generate, machine, refuse_not_finite
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite_coefficients
 from dynasindy.sindy.fit_report import FitReport, unmeasured
 from dynasindy.sindy.library import Constraints, Library
-from dynasindy.sindy.model_file import Model as Read
-from dynasindy.sindy.model_file import load_model, model_record, parse_record, save_model
+from dynasindy.sindy.model_file import model_record, parse_record
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
     DelayedRecording,
@@ -47,7 +48,7 @@ from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
 from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
 from dynasindy.sindy.shooting import ENOUGH, PIECES, RunsAway, states_without_scale
-from dynasindy.sindy.world_model import WorldModel, all_or_nothing
+from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Signature
 from dynasindy.systems.diverged import Diverged
 from dynasindy.systems.integrators import moved
@@ -55,86 +56,60 @@ from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
-
-def step_rows(library: Library, data: Transitions) -> tuple[Library, Transitions]:
-    """Return the library with the step of a recording, and its control periods in which all states were measured.
-
-    Args:
-        library: candidate functions of a difference equation, whose step may not be known yet.
-        data: the recording, NaN where a state was not measured.
-
-    Raises:
-        ValueError: samples within control periods are not whole periods, the sampling time is not that of the step, or
-            a state was never measured.
-    """
-    data, step = _by_period(data), library.step
-    if step is not None and step != UNTOLD and abs(step - data.dt) > ALIKE * step:
-        raise ValueError(
-            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every {data.dt:g} "
-            "s; give data of the same sampling time, or fit the model anew"
-        )
-    if never := data.x.isnan().all(0).nonzero().flatten().tolist():
-        names = ", ".join(library.signature.state_names[i] for i in never)
-        raise ValueError(
-            f"a difference equation needs all of its states measured, and {names} never was; leave it out of the "
-            "states and of plant.known, or give world_model.time=continuous"
-        )
-    seen = (data.x.isfinite() & data.x_next.isfinite()).all(-1)
-    rows = data if bool(seen.all()) else data.select(seen)
-    return library.with_step(data.dt) if step == UNTOLD else library, rows
+_Told = Covariance | Callable[[], Covariance | None] | None
+"""The covariance of coefficients, what computes it, or None where nothing tells it."""
 
 
-def _by_period(data: Transitions) -> Transitions:
-    """Return a recording without the samples within its control periods, of which the equation says nothing.
-
-    Raises:
-        ValueError: They are not whole control periods.
-    """
-    n = data.substeps
-    if n == 1:
-        return data
-    if len(data) % n or bool((data.segment.reshape(-1, n) != data.segment[::n].unsqueeze(-1)).any()):
-        raise ValueError(
-            f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give "
-            "whole ones, or one sample per control period"
-        )
-    return Transitions(data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n])
-
-
-def with_time(library: Library, time: str | None) -> Library:
-    """Return the library as one of the kind of equation that is wanted.
-
-    Args:
-        library: candidate functions.
-        time: `continuous` for a differential equation, `discrete` for a difference equation; None for what it is.
-
-    Raises:
-        ValueError: `time` is another word.
-    """
-    if time not in (None, "continuous", "discrete"):
-        raise ValueError(f"world_model.time is {time!r}; allowed are continuous and discrete: choose one")
-    if time is None or (time == "discrete") == (library.step is not None):
-        return library
-    return library.with_step(UNTOLD if time == "discrete" else None)
-
-
-class SparseModel(WorldModel):
-    """Coefficients of candidate functions, and the code that they come to.
+class SindyModel(WorldModel):
+    """A vector field that is a sparse sum of candidate functions.
 
     Args:
         signature: names, units and ranges of the plant.
-        library: candidate functions.
+        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words.
+        regression: settings of the sparse regression; the paper's by default.
+        refinement: settings of the refinement on the prediction error; none by default.
+        known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
+        allowed: functions that may occur in an equation, by state; all by default.
+        fixed: coefficients that are given, by state and function name.
+        initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
+            state that no sensor sees in any form.
         machine_code: whether states are moved by machine code, where a C compiler is found.
+        time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
+            sampling time of the data.
+
+    `covariance` tells after a fit how well the coefficients are known; None where nothing does.
+
+    Raises:
+        ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
     """
 
     coefficients: Tensor
 
-    def __init__(self, signature: Signature, library: Library, machine_code: bool = True) -> None:
+    def __init__(
+        self,
+        signature: Signature,
+        library: str | Sequence[str] | Library | LibraryBuilder = "paper_table",
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+        known: Mapping[str, str] | None = None,
+        allowed: Mapping[str, Sequence[str]] | None = None,
+        fixed: Mapping[str, Mapping[str, float]] | None = None,
+        initial: Mapping[str, Mapping[str, float]] | None = None,
+        machine_code: bool = True,
+        time: Literal["continuous", "discrete"] | None = None,
+    ) -> None:
         super().__init__(signature)
-        self.machine_code, self.library = machine_code, library
-        self.register_buffer("coefficients", torch.zeros(len(library), signature.n_x, dtype=torch.float64))
+        self.machine_code, self.library = machine_code, _with_time(build_library(library, signature), time)
+        self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int, Library] | None = None
+        self.regression, self.refinement = regression or Regression(), refinement
+        self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
+        guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
+        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
+        self.sums = RunningSums(len(self.library), signature.n_x)
+        self.coefficients = self.constraints.offset.clone()
+        self._covariance: _Told = None
 
     @property
     def step(self) -> float | None:
@@ -143,21 +118,17 @@ class SparseModel(WorldModel):
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self._written()(x, u)
-
-    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
-        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
-        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SparseModel.forward:
-            return None
-        self._forget()
-        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
-
-    def _written(self) -> Field:
-        """Return the equations as torch code, written anew where they have changed."""
         self._forget()
         if self._field is None:
             self._field = generate(self.library, self.coefficients.cpu())
-        return self._field
+        return self._field(x, u)
+
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
+        """Return the model as machine code for such states and inputs, in the memory of the CPU."""
+        if not self.machine_code or x.dtype not in PRECISIONS or type(self).forward is not SindyModel.forward:
+            return None
+        self._forget()
+        return self._machine(x, u, lambda dtype: machine(self.library, self.coefficients, dtype))
 
     def _forget(self) -> None:
         """Forget what was written of equations that have changed."""
@@ -197,56 +168,6 @@ class SparseModel(WorldModel):
             states.append(self.predict(states[-1], held, dt, substeps))
         return torch.stack(states, -2)
 
-
-Told = Covariance | Callable[[], Covariance | None] | None
-"""The covariance of coefficients, what computes it, or None where nothing tells it."""
-
-
-class SindyModel(SparseModel):
-    """A vector field that is a sparse sum of candidate functions.
-
-    Args:
-        signature: names, units and ranges of the plant.
-        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words.
-        regression: settings of the sparse regression; the paper's by default.
-        refinement: settings of the refinement on the prediction error; none by default.
-        known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
-        allowed: functions that may occur in an equation, by state; all by default.
-        fixed: coefficients that are given, by state and function name.
-        initial: first guess of the equations, by state and function name, instead of a regression: for plants with a
-            state that no sensor sees in any form.
-        machine_code: whether states are moved by machine code, where a C compiler is found.
-        time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
-            sampling time of the data.
-
-    `covariance` tells after a fit how well the coefficients are known; None where nothing does.
-
-    Raises:
-        ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
-    """
-
-    def __init__(
-        self,
-        signature: Signature,
-        library: str | Sequence[str] | Library | LibraryBuilder = "paper_table",
-        regression: Regression | None = None,
-        refinement: Refinement | None = None,
-        known: Mapping[str, str] | None = None,
-        allowed: Mapping[str, Sequence[str]] | None = None,
-        fixed: Mapping[str, Mapping[str, float]] | None = None,
-        initial: Mapping[str, Mapping[str, float]] | None = None,
-        machine_code: bool = True,
-        time: Literal["continuous", "discrete"] | None = None,
-    ) -> None:
-        super().__init__(signature, with_time(build_library(library, signature), time), machine_code)
-        self.regression, self.refinement = regression or Regression(), refinement
-        self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
-        guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
-        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
-        self.sums = RunningSums(len(self.library), signature.n_x)
-        self.coefficients = self.constraints.offset.clone()
-        self._covariance: Told = None
-
     @property
     def covariance(self) -> Covariance | None:
         """How well the coefficients are known; None where nothing tells. It is computed when first asked for."""
@@ -255,7 +176,7 @@ class SindyModel(SparseModel):
         return self._covariance
 
     @covariance.setter
-    def covariance(self, told: Told) -> None:
+    def covariance(self, told: _Told) -> None:
         """Take how well the coefficients are known, or what computes it."""
         self._covariance = told
 
@@ -294,7 +215,7 @@ class SindyModel(SparseModel):
         )
 
     def _go_back(
-        self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: Told
+        self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: _Told
     ) -> None:
         self.library, self.sums, self.delay = library, sums.copy(), delay
         self.set_coefficients(coefficients)
@@ -314,7 +235,8 @@ class SindyModel(SparseModel):
             Diverged: a coefficient is not finite; the model stays as it was.
         """
         library = self.library.with_step(None if self.step is None else UNTOLD)
-        return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library)
+        with self._whole():
+            return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library)
 
     def update(self, transitions: Transitions) -> FitReport:
         """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
@@ -326,14 +248,24 @@ class SindyModel(SparseModel):
             ValueError: samples are too few, not finite, or not a step of the equation apart; the model stays as it was.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        return self._identify(transitions, self.sums.copy(), self.delay, self.library)
+        with self._whole():
+            return self._identify(transitions, self.sums.copy(), self.delay, self.library)
 
     @property
     def additive(self) -> bool:
         """Whether `update` equals a fit to all data, as where nothing but coefficients of given functions is fitted."""
         return self.refinement is None and self.initial is None and not self.library.shapes
 
-    @all_or_nothing("library")
+    @contextmanager
+    def _whole(self) -> Iterator[None]:
+        """Go back to what was learnt before where something within raises."""
+        go_back = self.kept()
+        try:
+            yield
+        except BaseException:
+            go_back()
+            raise
+
     def absorb(self, transitions: Transitions) -> None:
         """Add transitions to the sums that the next `update` solves; the equations stay as they are.
 
@@ -342,11 +274,11 @@ class SindyModel(SparseModel):
         """
         if not len(transitions):
             return
-        data, rates = self._checked(transitions), rate_states(self.library, self.constraints)
-        guess = settle_lag_states(reconstruct(data, rates), self.followers)
-        self.sums.add(self._rows(DelayedRecording.of(data, guess, rates, self.delay).seen(self.delay)))
+        with self._whole():
+            data, rates = self._checked(transitions), rate_states(self.library, self.constraints)
+            guess = settle_lag_states(reconstruct(data, rates), self.followers)
+            self.sums.add(self._rows(DelayedRecording.of(data, guess, rates, self.delay).seen(self.delay)))
 
-    @all_or_nothing("library", "sums", "delay", "coefficients", "_covariance")
     def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
         """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
         start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
@@ -415,13 +347,13 @@ class SindyModel(SparseModel):
 
     def save(self, path: str | Path) -> None:
         """Write the model as readable JSON, with what was known of its equations before the data."""
-        save_model(self.library, self.coefficients, path, self.constraints, self.delay, self.covariance)
+        write_json(path, self.record(), indent=1, finite=False)
 
     @classmethod
     def load(
         cls, path: str | Path, regression: Regression | None = None, refinement: Refinement | None = None
     ) -> SindyModel:
-        """Read a model that `save_model` wrote; it predicts as the saved one did, to the last digit.
+        """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
 
         Args:
             path: the file.
@@ -429,34 +361,39 @@ class SindyModel(SparseModel):
             refinement: settings of its refinement; none by default.
 
         Raises:
+            FileNotFoundError: the file does not exist.
             ValueError: the file is not such a model, or needs a function that is not registered.
         """
-        return cls._of(load_model(path), regression, refinement)
+        return cls.of_record(read_json(Path(path)), path, regression, refinement)
 
     def record(self) -> dict[str, Any]:
-        """Return what `save_model` writes, as keys and values."""
+        """Return what `save` writes, as keys and values."""
         return model_record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
 
     @classmethod
-    def of_record(cls, given: object, source: str | Path) -> SindyModel:
-        """Return the model whose `model_record` is given.
+    def of_record(
+        cls,
+        given: object,
+        source: str | Path,
+        regression: Regression | None = None,
+        refinement: Refinement | None = None,
+    ) -> SindyModel:
+        """Return the model whose `record` is given.
 
         Args:
             given: the record.
             source: where it is from, for the message.
+            regression: settings of a later fit; the paper's by default.
+            refinement: settings of its refinement; none by default.
 
         Raises:
             ValueError: it is none, or needs a function that is not registered.
         """
-        return cls._of(parse_record(given, source))
-
-    @classmethod
-    def _of(cls, found: Read, regression: Regression | None = None, refinement: Refinement | None = None) -> SindyModel:
-        library, coefficients, constraints, delay, known = found
+        library, coefficients, constraints, delay, covariance = parse_record(given, source)
         model = cls(library.signature, library, regression, refinement)
         model.constraints, model.delay = constraints, delay
         model.set_coefficients(coefficients)
-        model.covariance = known and Covariance(*known)
+        model.covariance = covariance
         return model
 
     def _checked(self, transitions: Transitions) -> Transitions:
@@ -467,7 +404,7 @@ class SindyModel(SparseModel):
                 f"fit got {shape[0]} states and {shape[1]} inputs; allowed are {self.signature.n_x} and "
                 f"{self.signature.n_u}, as in the signature: check the columns"
             )
-        library, data = (self.library, data) if self.step is None else step_rows(self.library, data)
+        library, data = (self.library, data) if self.step is None else _step_rows(self.library, data)
         if len(data) + self.sums.count < len(self.library):
             kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
@@ -514,3 +451,44 @@ class SindyModel(SparseModel):
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(sums, constraints.free, constraints.offset)
         self.set_coefficients(require_finite_coefficients(found, self.library, "regression", self.sums.count))
+
+
+def _step_rows(library: Library, data: Transitions) -> tuple[Library, Transitions]:
+    """Return the library with the step of a recording, and its control periods in which all states were measured."""
+    data, step = _by_period(data), library.step
+    if step is not None and step != UNTOLD and abs(step - data.dt) > ALIKE * step:
+        raise ValueError(
+            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every {data.dt:g} "
+            "s; give data of the same sampling time, or fit the model anew"
+        )
+    if never := data.x.isnan().all(0).nonzero().flatten().tolist():
+        names = ", ".join(library.signature.state_names[i] for i in never)
+        raise ValueError(
+            f"a difference equation needs all of its states measured, and {names} never was; leave it out of the "
+            "states and of plant.known, or give world_model.time=continuous"
+        )
+    seen = (data.x.isfinite() & data.x_next.isfinite()).all(-1)
+    rows = data if bool(seen.all()) else data.select(seen)
+    return library.with_step(data.dt) if step == UNTOLD else library, rows
+
+
+def _by_period(data: Transitions) -> Transitions:
+    """Return a recording without the samples within its control periods, of which the equation says nothing."""
+    n = data.substeps
+    if n == 1:
+        return data
+    if len(data) % n or bool((data.segment.reshape(-1, n) != data.segment[::n].unsqueeze(-1)).any()):
+        raise ValueError(
+            f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give "
+            "whole ones, or one sample per control period"
+        )
+    return Transitions(data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n])
+
+
+def _with_time(library: Library, time: str | None) -> Library:
+    """Return the library as one of differential (`continuous`) or difference (`discrete`) equations; None as it is."""
+    if time not in (None, "continuous", "discrete"):
+        raise ValueError(f"world_model.time is {time!r}; allowed are continuous and discrete: choose one")
+    if time is None or (time == "discrete") == (library.step is not None):
+        return library
+    return library.with_step(UNTOLD if time == "discrete" else None)

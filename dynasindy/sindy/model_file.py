@@ -1,8 +1,7 @@
-"""Save and load sparse models as JSON that a person can read."""
+"""Sparse models as keys and values, which a person can read in their JSON file."""
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -11,56 +10,29 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.safe_io import write_json
+from dynasindy.safe_io import reading
+from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import equations
 from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_formulas
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.systems.base import Signature
 
 FORMAT = "dynasindy sparse model 1"
-LARGEST = 20_000_000
-"""Size beyond which no model is read [bytes]; that of a plant here has 30 000."""
 LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
 LARGEST_FACTOR = 1000
 """Numbers of a coefficient's correlations beyond which it is as well."""
-Known = tuple[Tensor, Tensor, Tensor]
-"""Places of coefficients in Xi, two `(P,)`, and a factor of their covariance, `(P, K)`."""
-Model = tuple[Library, Tensor, Constraints, float, Known | None]
-
-
-def save_model(
-    library: Library,
-    coefficients: Tensor,
-    path: str | Path,
-    constraints: Constraints | None = None,
-    delay: float = 0.0,
-    covariance: Known | None = None,
-) -> None:
-    """Write signature, library, coefficients, constraints, how well they are known, and the equations in words.
-
-    Coefficients are of rates of change; a `step` [s] says that they are those of a difference equation.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`.
-        path: file to write.
-        constraints: what is known of the equations; nothing by default.
-        delay: time between an input and its effect [s].
-        covariance: which coefficients' covariance is known, and its factor.
-    """
-    data = model_record(library, coefficients, constraints, delay, covariance)
-    write_json(path, data, indent=1, finite=False)
+Model = tuple[Library, Tensor, Constraints, float, Covariance | None]
+"""The library, Xi `(n_features, n_x)`, what is known of it before the data, the delay [s], and how well it is known."""
 
 
 def model_record(
-    library: Library,
-    coefficients: Tensor,
-    constraints: Constraints | None = None,
-    delay: float = 0.0,
-    covariance: Known | None = None,
+    library: Library, coefficients: Tensor, constraints: Constraints, delay: float, covariance: Covariance | None
 ) -> dict[str, Any]:
-    """Return what `save_model` writes, as keys and values."""
+    """Return signature, library, coefficients, constraints, how well they are known, and the equations in words.
+
+    Coefficients are of rates of change; a `step` [s] says that they are those of a difference equation.
+    """
     signature, table = library.signature, coefficients.tolist()
     states = signature.state_names
     data: dict[str, Any] = {
@@ -78,78 +50,55 @@ def model_record(
         data["delay"] = delay
     if library.step is not None:
         data["step"] = library.step
-    if constraints is not None and not bool(constraints.free.all()):
-        data["constraints"] = {s: _constraint(library, constraints, i) for i, s in enumerate(states)}
-    if covariance is not None and len(covariance[0]):
+    if not bool(constraints.free.all()):
+        rows = zip(states, constraints.free.mT.tolist(), constraints.offset.mT.tolist(), strict=True)
+        data["constraints"] = {
+            s: {
+                "free": [name for name, may in zip(library.names, free, strict=True) if may],
+                "given": {name: value for name, value in zip(library.names, offset, strict=True) if value},
+            }
+            for s, free, offset in rows
+        }
+    if covariance is not None:
         data["uncertainty"] = _uncertainty(library, *covariance)
     return data
 
 
-def load_model(path: str | Path) -> Model:
-    """Read a library, its coefficients and its constraints, exact to the last digit.
+def parse_record(data: object, source: str | Path) -> Model:
+    """Return the parts of a model, exact to the last digit, from what `model_record` returned.
 
     Args:
-        path: file that `save_model` wrote.
-
-    Returns:
-        The library, Xi, `(n_features, n_x)` float64, what is known of the equations, the delay of the inputs [s], and
-        the covariance of coefficients; without a word of them in the file, nothing, 0 and None.
+        data: the record.
+        source: where it is from, for the message.
 
     Raises:
-        FileNotFoundError: the file does not exist.
-        ValueError: the file cannot be read, is too large, not JSON, not of this format, or damaged.
-        FunctionError: the library uses a function that is not registered and of which the file has no formula, or one
-            that is another function here.
-    """
-    try:
-        if Path(path).stat().st_size > LARGEST or Path(path).is_fifo():
-            raise ValueError(f"it is a pipe, or larger than {LARGEST} bytes")
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not JSON ({error}); allowed is a file that SindyModel.save wrote") from error
-    return parse_record(data, path)
-
-
-def parse_record(data: object, path: str | Path) -> Model:
-    """Return what `load_model` does, from keys and values.
-
-    Args:
-        data: what `model_record` returned.
-        path: where it is from, for the message.
-
-    Raises:
-        ValueError: it is not of this format, or damaged.
+        DamagedFileError: it is not of this format, or damaged.
         FunctionError: the library uses a function that is not registered and of which the data has no formula, or one
             that is another function here.
     """
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise ValueError(f"{path} is not of the format {FORMAT!r}; allowed is a file that SindyModel.save wrote")
-    try:
-        return _model(data)
-    except FunctionError as error:
-        why = f"{path} cannot be used here: {error}"
-        if name := error.missing:
-            why = (
-                f"{path} uses the function {name!r}, which was saved without a formula and is not known here; in "
-                f"Python, call register_function({name!r}, ...), or import the module that does, before loading. So "
-                f"that commands can read it, too, save it again after register_function({name!r}, ..., formula=...)"
-            )
-        raise FunctionError(why, error.missing) from error
-    except (ArithmeticError, AttributeError, IndexError, KeyError, RuntimeError, TypeError) as error:
-        raise ValueError(
-            f"{path} is damaged ({type(error).__name__}: {error}); allowed is a file that "
-            "SindyModel.save wrote: save it anew"
-        ) from error
-
-
-def _constraint(library: Library, constraints: Constraints, state: int) -> dict[str, Any]:
-    free, offset = constraints.free[:, state].tolist(), constraints.offset[:, state].tolist()
-    return {
-        "free": [name for name, may in zip(library.names, free, strict=True) if may],
-        "given": {name: value for name, value in zip(library.names, offset, strict=True) if value},
-    }
+    with reading(source):
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            raise ValueError(f"it is not of the format {FORMAT!r} that SindyModel.save writes")
+        new = [name for name in data.get("functions", {}) if not is_registered(name)]
+        try:
+            for name, formula in data.get("functions", {}).items():
+                register_formula(name, formula)
+            return _parts(data)
+        except BaseException as error:  # any: a file that is damaged leaves nothing behind
+            unregister_formulas(new)
+            if isinstance(error, RuntimeError):  # of torch, or of too many brackets
+                raise ValueError(str(error)) from error
+            if not isinstance(error, FunctionError):
+                raise
+            why = f"{source} cannot be used here: {error}"
+            if name := error.missing:
+                why = (
+                    f"{source} uses the function {name!r}, which was saved without a formula and is not known here; in "
+                    f"Python, call register_function({name!r}, ...), or import the module that does, before loading. "
+                    f"So that commands can read it, too, save it again after register_function({name!r}, ..., "
+                    "formula=...)"
+                )
+            raise FunctionError(why, error.missing) from error
 
 
 def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
@@ -181,7 +130,7 @@ def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Ten
     return told
 
 
-def _covariance(library: Library, data: dict[str, Any] | None) -> Known | None:
+def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | None:
     if data is None:
         return None
     features, states, errors, rows = [], [], [], []
@@ -190,22 +139,13 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Known | None:
             features.append(library.index(name))
             states.append(i)
             errors.append(_number(error))
-            rows.append(torch.tensor(_numbers(data["correlation_factor"][state][name]), dtype=torch.float64))
+            numbers = data["correlation_factor"][state][name].split()
+            rows.append(torch.tensor([_number(float(number)) for number in numbers], dtype=torch.float64))
     if not rows or any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
         raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
     sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)
-    return torch.tensor(features), torch.tensor(states), sizes * torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
-
-
-def _model(data: dict[str, Any]) -> Model:
-    new = [name for name in data.get("functions", {}) if not is_registered(name)]
-    try:
-        for name, formula in data.get("functions", {}).items():
-            register_formula(name, formula)
-        return _parts(data)
-    except Exception:  # any: a file that is damaged leaves nothing behind
-        unregister_formulas(new)
-        raise
+    factor = sizes * torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
+    return Covariance(torch.tensor(features), torch.tensor(states), factor)
 
 
 def _parts(data: dict[str, Any]) -> Model:
@@ -225,13 +165,6 @@ def _parts(data: dict[str, Any]) -> Model:
         raise TypeError(f"its delay is {delay} s, which is negative")
     constraints = _constraints(library, data.get("constraints"))
     return library, coefficients, constraints, delay, _covariance(library, data.get("uncertainty"))
-
-
-def _numbers(written: str) -> list[float]:
-    try:
-        return [_number(float(number)) for number in written.split()]
-    except ValueError as error:
-        raise TypeError(f"{written[:40]!r} stands where numbers belong") from error
 
 
 def _number(value: Any) -> float:

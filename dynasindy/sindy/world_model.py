@@ -5,9 +5,9 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,32 +16,6 @@ from dynasindy.safe_io import write_json
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
-
-Given = ParamSpec("Given")
-Returned = TypeVar("Returned")
-
-
-def all_or_nothing(*names: str) -> Callable[[Callable[Given, Returned]], Callable[Given, Returned]]:
-    """Return a decorator of methods that succeed as a whole: where one raises, named attributes are as before it.
-
-    Args:
-        names: attributes that the method replaces by others. What it changes inside of them stays changed.
-    """
-
-    def _of(method: Callable[Given, Returned]) -> Callable[Given, Returned]:
-        @wraps(method)
-        def _called(*args: Given.args, **kwargs: Given.kwargs) -> Returned:
-            before = {name: getattr(args[0], name) for name in names}
-            try:
-                return method(*args, **kwargs)
-            except BaseException:
-                for name, value in before.items():
-                    setattr(args[0], name, value)
-                raise
-
-        return _called
-
-    return _of
 
 
 class WorldModel(System):

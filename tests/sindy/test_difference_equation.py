@@ -9,8 +9,6 @@ import torch
 
 from dynasindy.envs import ControlEnv
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.model import step_rows, with_time
-from dynasindy.sindy.named_libraries import build_library
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
@@ -185,22 +183,24 @@ def test_a_model_that_is_not_fitted_yet_stays_where_it_is():
     assert model.equations() == ["a[k+1] = a", "b[k+1] = b"]
 
 
-LIBRARY = build_library(["a", "b", "u"], Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)))
 DATA = Transitions.from_trajectory(torch.arange(20.0, dtype=torch.float64).reshape(10, 2), torch.zeros(9, 1), 0.25)
 
 
 def test_samples_within_a_control_period_are_left_out():
-    library, rows = step_rows(with_time(LIBRARY, "discrete"), replace(DATA, substeps=3))
-    assert library.step == rows.dt == 0.75 and rows.substeps == 1
-    assert rows.x[:, 0].tolist() == [0.0, 6.0, 12.0] and rows.x_next[:, 0].tolist() == [6.0, 12.0, 18.0]
+    """Both states grow by 6 in three samples, and b is larger than a by 1."""
+    model = SindyModel(SIGNATURE, ["a", "b", "u"], Regression("bic"), time="discrete")
+    report = model.fit(replace(DATA, substeps=3))
+    assert model.step == 0.75 and report.samples == 3
+    after = model.predict(torch.tensor([[0.0, 1.0], [9.0, 10.0]]).double(), torch.zeros(2, 1).double(), 0.75)
+    assert after.flatten().tolist() == pytest.approx([6.0, 7.0, 15.0, 16.0])
 
 
 def test_what_no_difference_equation_is_fitted_to_is_refused():
-    discrete = with_time(LIBRARY, "discrete")
+    model = SindyModel(SIGNATURE, ["a", "b", "u"], time="discrete")
     with pytest.raises(ValueError, match="9 samples"):
-        step_rows(discrete, replace(DATA, substeps=2))
-    with pytest.raises(ValueError, match=r"0\.25 s"):
-        step_rows(discrete.with_step(0.1), DATA)
-    blind = replace(DATA, x=DATA.x * torch.tensor([1.0, math.nan]))
+        model.fit(replace(DATA, substeps=2))
     with pytest.raises(ValueError, match="b never"):
-        step_rows(discrete, blind)
+        model.fit(replace(DATA, x=DATA.x * torch.tensor([1.0, math.nan])))
+    model.fit(DATA)
+    with pytest.raises(ValueError, match=r"0\.1 s"):
+        model.update(replace(DATA, dt=0.1))
