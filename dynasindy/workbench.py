@@ -215,7 +215,7 @@ def plan(
         Diverged: The model explodes, or no policy has a finite imagined return.
     """
     if not isinstance(task, Tracking):
-        task = tracking(model, task)
+        task = tracking_task(model, task)
     if log is None and model.delay:
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
@@ -334,7 +334,7 @@ def _steps(task: Tracking) -> Scenario:
     return Scenario("step", step_references(*task.ends, FLOWN), FLOWN, None)
 
 
-def tracking(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:
+def tracking_task(model: SindyModel, targets: Mapping[str, tuple[float, float]]) -> Tracking:
     """Return the task to hold outputs at targets within their ranges.
 
     Args:

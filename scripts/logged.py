@@ -18,7 +18,7 @@ from next_steps import following, mending, planning_on
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
+from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
 from dynasindy.evaluation.period import PERIOD, closest_period, sampled_in_words, suited_period
 from dynasindy.evaluation.signal_resolution import describe_low_signal_targets
 from dynasindy.evaluation.source import Source
@@ -108,10 +108,10 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     with _stopped_in_words(f"{kept} {again}"):
         controller = controller_of(model, source, wanted)
         prediction = judged(controller, model, source, wanted)
-    write(folder, controller, model, prediction)
+    write_controller(folder, controller, model, prediction)
     if prediction.shown:
         draw_evaluation(prediction.shown, figures, controller_name("gradient"), place=prediction.place)
-    say(report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
+    say(log_report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         words = HydraConfig.get().overrides.task
         say(following(folder, "check", "export") if prediction.controlled else mending(folder, words))

@@ -38,14 +38,14 @@ def main(cfg: DictConfig) -> float:
         print(f"finished before: {folder}")
         return max(shares, default=math.inf)
     from dynasindy.control.files import NAME
-    from dynasindy.dyna.run import report
+    from dynasindy.dyna.run import run_report
     from dynasindy.progress import say
     from dynasindy.viz.controllers import name_by_planning
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
     planning = read_config(folder / "config.yaml").planning  # a run that is resumed has its own
     draw_run(folder, done.recipe.system.signature, controller=name_by_planning(planning))
-    say(report(done.metrics, folder))
+    say(run_report(done.metrics, folder))
     if not swept:
         written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
         if done.metrics["verdict"].get("controlled") is False:

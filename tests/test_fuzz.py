@@ -103,7 +103,7 @@ def build_identify(cfg: DictConfig) -> None:
 
 OPTIONS = (
     ("system=xi", "excitation=chirp", "planning=dyna"),
-    ("system=trms33", "excitation=held_random", "planning=nominal", "task=sine"),
+    ("system=trms33", "excitation=aprbs", "planning=nominal", "task=sine"),
     ("system=pendulum", "excitation=multisine", "scenario=square", "agent=td3_paper"),
     ("experiment=paper", "excitation=prbs", "world_model=pysindy_default", "scenario=noise"),
     ("excitation=sphs", "world_model=oracle", "scenario=delay", "task=square", "planning=none"),

@@ -221,7 +221,7 @@ def held_with(integral, model):
         rate = tensordict["state"][..., 1:].float()
         return tensordict.set("action", 0.5 * error * 1.2 - 0.2 * rate)
 
-    task = dynasindy.workbench.tracking(model, {"theta": (-0.6, 0.6)})
+    task = dynasindy.workbench.tracking_task(model, {"theta": (-0.6, 0.6)})
     controller = Controller(policy, ControlSetup(task, 0.05), integral=integral)
     return forecast(controller, model, None, STILL)
 

@@ -2,7 +2,7 @@
 
 At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c` does the
 same arithmetic on the same tensors without it: weights, targets, the moments of Adam and the smoothing noise are
-torch's and stay where they are. A step equals that of `Steps` up to rounding.
+torch's and stay where they are. A step equals that of `GradientSteps` up to rounding.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from torch.optim import Adam
 
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.agents.steps import Check, Steps, kept_by
-from dynasindy.systems.compiler import load
+from dynasindy.agents.steps import Check, GradientSteps, adam_states
+from dynasindy.systems.compiler import load_library
 
 LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
@@ -28,7 +28,7 @@ FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
 
 
-def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True) -> Steps:
+def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True) -> GradientSteps:
     """Return machine code for these networks where there can be, and otherwise automatic differentiation.
 
     Args:
@@ -45,7 +45,7 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
             pass  # there is no compiler
         except (ValueError, OSError) as error:
             warnings.warn(f"TD3 learns by torch code, which is slower: {error}", stacklevel=3)
-    return Steps(loss, critics, actor, bound)
+    return GradientSteps(loss, critics, actor, bound)
 
 
 def readable(loss: TD3Loss) -> bool:
@@ -63,7 +63,7 @@ def _usual(optimizer: Adam) -> bool:
     return type(optimizer) is Adam and not others and not any(group.get(name) for name in extras)
 
 
-class MachineSteps(Steps):
+class MachineSteps(GradientSteps):
     """Steps of Adam down the two losses of TD3, as machine code.
 
     Tensors of weights and of the optimisers are read where they lie now; where one has been replaced, the steps no
@@ -84,7 +84,7 @@ class MachineSteps(Steps):
     def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
         super().__init__(loss, critics, actor, bound)
         source = resources.files("dynasindy.agents").joinpath("c", "td3.c").read_text(encoding="utf-8")
-        self._code = load(source, FUNCTIONS, fast=True)
+        self._code = load_library(source, FUNCTIONS, fast=True)
         self._code.room.restype = ctypes.c_long
         gradients = [[_zeros(layer) for layer in layers] for layers in (loss.actor_layers, loss.critic_layers)]
         targets = loss.target_actor_layers, loss.target_critic_layers
@@ -112,7 +112,7 @@ class MachineSteps(Steps):
         return [held.data_ptr() for held in self._held], (self.loss.actor_layers, self.loss.critic_layers, *states)
 
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
-        """Take a step of the critics, see `Steps`.
+        """Take a step of the critics, see `GradientSteps`.
 
         Raises:
             ValueError: a tensor of the batch has another shape or kind than the networks take.
@@ -132,7 +132,7 @@ class MachineSteps(Steps):
         return error, torch.tensor(value.value)
 
     def actor(self, batch: TensorDictBase, check: Check) -> Tensor:
-        """Take a step of the actor, see `Steps`.
+        """Take a step of the actor, see `GradientSteps`.
 
         Raises:
             ValueError: the observation has another shape or kind than the networks take.
@@ -218,7 +218,7 @@ def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer
     """Return what a step of Adam reads and writes."""
     flat = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
     slopes = [tensor for layer in gradients for tensor in (layer.weight, layer.bias)]
-    states = kept_by(optimizer, flat)
+    states = adam_states(optimizer, flat)
     moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
     sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
     return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))

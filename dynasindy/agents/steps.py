@@ -15,7 +15,7 @@ Check = Callable[[Tensor, str], None]
 """Takes a loss and its name before any weight moves by it; raises if it is not finite."""
 
 
-class Steps:
+class GradientSteps:
     """Steps of Adam down the two losses of TD3.
 
     Args:
@@ -64,7 +64,7 @@ class Steps:
         optimizer.step()
 
 
-def kept_by(optimizer: Adam, weights: Sequence[Tensor]) -> list[dict[str, Tensor]]:
+def adam_states(optimizer: Adam, weights: Sequence[Tensor]) -> list[dict[str, Tensor]]:
     """Return what Adam keeps of some weights; what it has not made yet is made as it would.
 
     Args:

@@ -31,7 +31,7 @@ from dynasindy.agents.loss import SoftUpdate, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
-from dynasindy.agents.steps import Steps
+from dynasindy.agents.steps import GradientSteps
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
 
@@ -170,7 +170,7 @@ class TD3:
         self.widths, self._device = (n_obs, n_u), device
         self.updates = 0
         self.actor_loss = torch.zeros((), device=device)
-        self._made: Steps | None = None
+        self._made: GradientSteps | None = None
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of TD3 on a batch of transitions (Fujimoto 2018, Algorithm 1).
@@ -236,7 +236,7 @@ class TD3:
         return Adam(list(parameters.parameters()), lr=lr, fused=True)
 
     @property
-    def _steps(self) -> Steps:
+    def _steps(self) -> GradientSteps:
         if self._made is None or not self._made.stands():
             s = self.settings
             optimizers = self.critic_optimizer, self.actor_optimizer

@@ -297,7 +297,7 @@ def sensitivity(linear: Linear, omega: Array) -> Complex:
     return found
 
 
-def open_loop(linear: Linear, omega: Array) -> Complex:
+def open_loop_response(linear: Linear, omega: Array) -> Complex:
     """Return the loop L opened at each input, `(n_omega, n_u)`; closed it is 1 + L = 0 at the limit of stability."""
     return 1 / sensitivity(linear, omega) - 1
 
@@ -317,7 +317,7 @@ def loop_margins(linear: Linear) -> list[Margins]:
 
 def _of(linear: Linear, omega: Array, s: Complex, place: int) -> Margins:
     def _loop(w: float) -> complex:
-        return complex(open_loop(linear, np.array([w]))[0, place])
+        return complex(open_loop_response(linear, np.array([w]))[0, place])
 
     values = 1 / s - 1
     # The loop is real at the ends of the grid, too; under integral action it has no end below.

@@ -20,7 +20,7 @@ from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.rates import turning
 from dynasindy.data.resampling import EVEN, evened, stretches
-from dynasindy.data.table import MAP, Table, all_headings, read_table
+from dynasindy.data.table import MAP, Table, all_headings, read_columns
 from dynasindy.data.units import conversions, undecided, with_units
 from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
@@ -249,7 +249,7 @@ class CsvLog:
         notes: list[str] = []
         clock = clock_of(all_headings(Path(path)), self.time)
         names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        table = read_table(Path(path), names)
+        table = read_columns(Path(path), names)
         notes += table.words
         table = self._complete(path, table, len(names) - len(inputs), notes)
         states = with_units(states, table.headings, True, rotors=False)

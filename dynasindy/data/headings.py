@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter, parts_of
-from dynasindy.data.table import parse_number, read_table, rows_of, seconds_of_date, split_unit
+from dynasindy.data.table import parse_number, read_columns, rows_of, seconds_of_date, split_unit
 
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
@@ -169,7 +169,7 @@ def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[
 def _finite(path: Path, look: ColumnSummary) -> dict[str, Array]:
     """Return the columns that move, by heading, without the rows that lack a value."""
     headings = [heading for heading in look.numeric if heading not in look.still]
-    values = read_table(path, headings).values if headings else np.empty((0, 0))
+    values = read_columns(path, headings).values if headings else np.empty((0, 0))
     return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
 
 

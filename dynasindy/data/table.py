@@ -64,7 +64,7 @@ class Table:
     dated: bool = False
 
 
-def read_table(path: Path, names: Sequence[str]) -> Table:
+def read_columns(path: Path, names: Sequence[str]) -> Table:
     """Read the named columns of a file; a heading `angle [rad]` may be named by `angle`.
 
     The first column is that of time, and may hold dates, such as `2024-05-31 12:00:00.05`, which become seconds.

@@ -89,13 +89,13 @@ def judged(controller: Controller, model: SindyModel, source: Source | None, wan
     return forecast(controller, model, source, scenario, wanted.seed, wanted.within)
 
 
-def write(folder: Path, controller: Controller, model: SindyModel, prediction: Forecast) -> None:
+def write_controller(folder: Path, controller: Controller, model: SindyModel, prediction: Forecast) -> None:
     """Write `controller.json` and `metrics.json`."""
     save(controller, folder / NAME)
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
 
 
-def report(model: SindyModel, prediction: Forecast) -> str:
+def log_report(model: SindyModel, prediction: Forecast) -> str:
     """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
     lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
     if prediction.shown is not None:

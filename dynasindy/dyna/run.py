@@ -222,7 +222,7 @@ def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str])
         raise MemoryError(f"{where}; {saver.words(folder)}") from error
 
 
-def report(metrics: dict[str, Any], folder: Path) -> str:
+def run_report(metrics: dict[str, Any], folder: Path) -> str:
     """Return what a user reads at the end: equations, step tracking, cost, folder."""
     cost = metrics["cost"]
     lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]

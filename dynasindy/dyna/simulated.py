@@ -16,7 +16,7 @@ from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restart
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.identification import ExcitationBuilder
 from dynasindy.evaluation.source import Source
-from dynasindy.excitation import Excitation, HeldRandom
+from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
@@ -135,7 +135,7 @@ class Simulated:
 
     def _unseen(self, signal: Excitation, seconds: float) -> Excitation:
         """Return the signal of the validation."""
-        return HeldRandom(
+        return Aprbs(
             signal.n_u,
             seconds,
             signal.dt,

@@ -14,7 +14,7 @@ HARDLY = 0.01
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RunVerdict:
     """What a run's result is worth; `dataclasses.asdict` gives what `metrics.json` holds.
 
     Attributes:
@@ -31,7 +31,7 @@ class Verdict:
     held: str = ""
 
 
-def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
+def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
     """Compare the trained policy with the untrained one, and with what was asked for, in the scenario of both.
 
     Args:
@@ -42,7 +42,7 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> Verdict:
     """
     usable, sentence = _compared(metrics)
     controlled, held = _held(metrics["held"], within, usable)
-    return Verdict(usable, sentence, controlled, held)
+    return RunVerdict(usable, sentence, controlled, held)
 
 
 def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:

@@ -3,6 +3,6 @@
 from dynasindy.excitation.base import Excitation
 from dynasindy.excitation.chirp import Chirp, PrintedChirp, SquaredChirp
 from dynasindy.excitation.harmonic import Multisine, Sphs
-from dynasindy.excitation.switching import HeldRandom, Prbs
+from dynasindy.excitation.switching import Aprbs, Prbs
 
-__all__ = ["Chirp", "Excitation", "HeldRandom", "Multisine", "Prbs", "PrintedChirp", "Sphs", "SquaredChirp"]
+__all__ = ["Aprbs", "Chirp", "Excitation", "Multisine", "Prbs", "PrintedChirp", "Sphs", "SquaredChirp"]

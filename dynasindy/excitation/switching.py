@@ -58,8 +58,8 @@ class Switching(Excitation):
         return self.levels.gather(0, place.reshape(-1, self.n_u)).reshape(*t.shape, self.n_u)
 
 
-class HeldRandom(Switching):
-    """Hold uniformly random levels."""
+class Aprbs(Switching):
+    """Hold uniformly random levels (amplitude-modulated pseudo-random binary sequence)."""
 
     def _levels(self, n: int, generator: torch.Generator) -> Tensor:
         return 2 * torch.rand(n, self.n_u, generator=generator, dtype=torch.float64) - 1

@@ -29,7 +29,7 @@ from dynasindy.export.expressions import (
     identifiers,
     module_name,
     number,
-    reach,
+    c_number,
     right_sides,
     rows,
     single,
@@ -40,7 +40,7 @@ from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
 from dynasindy.systems.base import WHOLE
-from dynasindy.systems.compiler import SUFFIX, build
+from dynasindy.systems.compiler import SUFFIX, compile_library
 from dynasindy.systems.steps import Steps
 
 _HELPERS = {
@@ -419,8 +419,8 @@ def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
         "n_stops": len(stops.positions),
         "stop_position": ", ".join(map(str, stops.positions)),
         "stop_rate": ", ".join(map(str, stops.rates)),
-        "stop_low": ", ".join(map(reach, stops.low)),
-        "stop_high": ", ".join(map(reach, stops.high)),
+        "stop_low": ", ".join(map(c_number, stops.low)),
+        "stop_high": ", ".join(map(c_number, stops.high)),
     }, len(stops.positions)
 
 
@@ -448,7 +448,7 @@ class Native:
             for name, text in texts.items():
                 (folder / name).write_text(text, encoding="utf-8")
             units = [folder / f"{sources.name}.c", folder / "size.c"]
-            loaded = ctypes.CDLL(str(build(units, folder / f"{sources.name}{SUFFIX}")))
+            loaded = ctypes.CDLL(str(compile_library(units, folder / f"{sources.name}{SUFFIX}")))
         self.shape = sources.shape
         self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
         numbers = ctypes.POINTER(ctypes.c_double)
@@ -497,7 +497,7 @@ def microseconds(sources: ControllerSources) -> float:
         for name, text in {**sources.files(), "many.c": many}.items():
             (Path(place) / name).write_text(text, encoding="utf-8")
         units = [Path(place) / f"{sources.name}.c", Path(place) / "many.c"]
-        call = ctypes.CDLL(str(build(units, Path(place) / f"many{SUFFIX}"))).many
+        call = ctypes.CDLL(str(compile_library(units, Path(place) / f"many{SUFFIX}"))).many
     # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
     n = max(sources.shape)
     rest = (ctypes.c_double * n)(*[0.1] * n)

@@ -71,7 +71,7 @@ def number(value: float) -> str:
     return f"({written})" if written.startswith("-") else written
 
 
-def reach(value: float) -> str:
+def c_number(value: float) -> str:
     """Return the end of a range for C, which may be infinite."""
     if not math.isinf(float(value)):
         return number(value)

@@ -27,7 +27,7 @@ import torch
 from scipy.linalg import eig, expm
 from torch import Tensor
 
-from dynasindy.planning.linear_model import told_by_time
+from dynasindy.planning.linear_model import continuous_rates
 from dynasindy.systems import System
 
 STARTS = 64
@@ -320,4 +320,4 @@ def _modes(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> tupl
     reach = (left.mH @ (b / scale.unsqueeze(-1)).to(left)).abs().amax(-1)
     moved = reach > SHARE * rates.abs() * (left.conj() * right).sum(0).abs()
     seen = right[list(outputs)].abs().amax(0) > SHARE
-    return rates if system.step is None else told_by_time(rates, system.step), moved | seen
+    return rates if system.step is None else continuous_rates(rates, system.step), moved | seen

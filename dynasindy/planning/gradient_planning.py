@@ -23,7 +23,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.gate import Bound
-from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, improve, rewards
+from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.planner import Planned, Planner
 from dynasindy.planning.randomization import GainMargin, ModelEnsemble, RandomizedSystem, Variation
@@ -322,7 +322,7 @@ class GradientPlanning(Planner):
         policy: Network = network or self.network
         flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
         whole = imagine(self.env, self.env.system, flown, rows, task.max_steps)
-        return rewards(self.env, rows, whole).mean().item()
+        return imagined_rewards(self.env, rows, whole).mean().item()
 
     def _held(self, rests: Equilibria) -> WarmStart:
         """Let the policy begin as a law that holds the plant: a regulator that bears late inputs, or ways from afar.

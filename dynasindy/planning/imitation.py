@@ -256,11 +256,11 @@ def improve(
             break
         begun, floor = starts(network, env, rows, rng, periods), Floor()
         flown = imagine(env, env.system, network, begun, periods)
-        rewards(env, begun, flown, floor)
+        imagined_rewards(env, begun, flown, floor)
         way = better(network, env, begun, rng, periods, floor)
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
         imagined += STARTS * periods * (POPULATION * DRAWS + 3)
-        more = rewards(env, begun, way, floor).sum(0) - rewards(env, begun, flown, floor).sum(0)
+        more = imagined_rewards(env, begun, way, floor).sum(0) - imagined_rewards(env, begun, flown, floor).sum(0)
         alive, gained = way.alive[1:], more > GAINED * more.amax()
         if not bool(alive.any()):
             break
@@ -331,7 +331,7 @@ def better(
 
     def _earned(drawn: Tensor) -> Tensor:
         flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods)
-        return rewards(env, many, flown, floor).sum(0)
+        return imagined_rewards(env, many, flown, floor).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
@@ -359,7 +359,7 @@ class OnTop:
         return self.limit(u + self.signal[k]) if k < len(self.signal) else u
 
 
-def rewards(env: ControlEnv, rows: Rows, window: Window, floor: Floor | None = None) -> Tensor:
+def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, floor: Floor | None = None) -> Tensor:
     """Return what each period of a window earns, `(T, rows)`; those after divergence earn as little as the worst.
 
     Args:

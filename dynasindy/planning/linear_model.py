@@ -24,7 +24,7 @@ def jacobians(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     return a, b
 
 
-def zero_order_hold(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
+def discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
     """Sample a linear system exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
 
     Args:
@@ -55,11 +55,11 @@ def modes(a: Tensor, step: float | None = None) -> Tensor:
         step: of the difference equation x + step a x that it is [s]; None of a differential equation.
     """
     rates = torch.linalg.eigvals(a)
-    return rates if step is None else told_by_time(rates, step)
+    return rates if step is None else continuous_rates(rates, step)
 
 
-def told_by_time(rates: Tensor, step: float) -> Tensor:
-    """Return the modes s [1/s] of a difference equation x + step a x, given the eigenvalues of a.
+def continuous_rates(rates: Tensor, step: float) -> Tensor:
+    """Return the modes s [1/s], in continuous time, of a difference equation x + step a x, given the eigenvalues of a.
 
     What is gone after a step has no mode; it counts as one of which `GONE` is left.
     """

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.equilibria import Equilibria
-from dynasindy.planning.linear_model import zero_order_hold
+from dynasindy.planning.linear_model import discretize
 from dynasindy.tasks import Tracking
 
 DEGREE = 3
@@ -183,7 +183,7 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         r: Weight of each squared input.
         step: Of the difference equation that the model is [s]; None of a differential equation.
     """
-    return riccati(*zero_order_hold(a, b, dt, step), q, r)
+    return riccati(*discretize(a, b, dt, step), q, r)
 
 
 def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:

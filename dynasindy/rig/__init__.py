@@ -1,6 +1,6 @@
 """A real plant in the loop: what a rig has to offer, and flights that end in its safe input whatever happens."""
 
-from dynasindy.rig.base import Clock, Fault, Rig, Wiring
+from dynasindy.rig.base import Fault, Rig, RigClock, Wiring
 from dynasindy.rig.env import RigEnv
 from dynasindy.rig.flight import FlightResult, Guard, run_flight
 from dynasindy.rig.flights import FlightSequence
@@ -8,7 +8,6 @@ from dynasindy.rig.inprocess import FastClock, InProcessRig
 from dynasindy.rig.udp import UdpRig
 
 __all__ = [
-    "Clock",
     "FastClock",
     "Fault",
     "FlightResult",
@@ -16,6 +15,7 @@ __all__ = [
     "Guard",
     "InProcessRig",
     "Rig",
+    "RigClock",
     "RigEnv",
     "UdpRig",
     "Wiring",

@@ -13,7 +13,7 @@ from dynasindy.systems import Signature
 Array = NDArray[np.float64]
 
 
-class Clock(Protocol):
+class RigClock(Protocol):
     """What tells the time and waits; the module `time` is one, and a test may have one that is faster."""
 
     def monotonic(self) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
+from dynasindy.rig.base import Array, Fault, Rig, RigClock, Wiring
 from dynasindy.rig.log import Log
 from dynasindy.rig.watchdog import Watchdog
 from dynasindy.systems.base import WHOLE
@@ -151,7 +151,7 @@ def run_flight(
     periods: int,
     path: Path,
     guard: Guard | None = None,
-    clock: Clock = time,
+    clock: RigClock = time,
 ) -> FlightResult:
     """Fly a rig, and leave it at its safe input.
 
@@ -206,7 +206,7 @@ class FlightLoop:
         clock: Tells the time, and waits for the next period of a rig that is asked.
     """
 
-    def __init__(self, rig: Rig, wiring: Wiring, guard: Guard, clock: Clock = time) -> None:
+    def __init__(self, rig: Rig, wiring: Wiring, guard: Guard, clock: RigClock = time) -> None:
         self.rig, self.wiring, self.guard, self.dt, self.clock = rig, wiring, guard, wiring.dt, clock
         self.computing: list[float] = []
         self.jitter: list[float] = []

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynasindy.rig.base import Array, Clock, Fault, Rig, Wiring
+from dynasindy.rig.base import Array, Fault, Rig, RigClock, Wiring
 from dynasindy.rig.flight import FlightLoop, Guard, connection_fault
 from dynasindy.rig.log import Log
 
@@ -43,7 +43,7 @@ class FlightSequence:
         guard: Guard | None = None,
         folder: Path | None = None,
         settle: float = 0.0,
-        clock: Clock = time,
+        clock: RigClock = time,
     ) -> None:
         self.rig, self.wiring, self.guard, self.clock = rig, wiring, guard or Guard(), clock
         self.guard.require(wiring)

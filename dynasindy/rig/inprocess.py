@@ -9,7 +9,7 @@ from collections import deque
 import numpy as np
 import torch
 
-from dynasindy.rig.base import Array, Clock
+from dynasindy.rig.base import Array, RigClock
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 
@@ -55,7 +55,7 @@ class InProcessRig:
         self,
         system: System,
         sensors: Sensors | None = None,
-        clock: Clock = time,
+        clock: RigClock = time,
         safe: Array | None = None,
         seed: int = 0,
         step: float = 0.01,

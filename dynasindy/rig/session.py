@@ -23,7 +23,7 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source, same_input_ranges
 from dynasindy.excitation import Excitation
 from dynasindy.planning import GradientPlanning
-from dynasindy.rig.base import Array, Clock, Rig, Wiring
+from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
 from dynasindy.rig.log import LAST, FlightRecord, log_headings
 from dynasindy.sindy import SindyModel
@@ -78,7 +78,7 @@ class Knowledge:
             ValueError: A function, an equation or an output is not one of this plant.
         """
         signature = with_rates(signature, self.known or {})
-        workbench.tracking(SindyModel(signature, self.library, known=self.known), self.targets)
+        workbench.tracking_task(SindyModel(signature, self.library, known=self.known), self.targets)
 
 
 def targets_within(knowledge: Knowledge, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:
@@ -125,7 +125,7 @@ class Session:
     guard: Guard
     folder: Path
     tell: Tell = print
-    clock: Clock = time
+    clock: RigClock = time
     flights: dict[str, FlightResult] = field(default_factory=dict)
     shown: dict[str, FlightRecord] = field(default_factory=dict)
     model: SindyModel | None = None

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-from dynasindy.rig.base import Clock
+from dynasindy.rig.base import RigClock
 
 
 class Watchdog:
@@ -23,7 +23,7 @@ class Watchdog:
         clock: Tells the time; the computer's own if omitted.
     """
 
-    def __init__(self, bark: Callable[[], None], clock: Clock = time) -> None:
+    def __init__(self, bark: Callable[[], None], clock: RigClock = time) -> None:
         self.bark, self.barked, self.clock = bark, False, clock
         self._deadline: float | None = None
         self._changed = threading.Condition()

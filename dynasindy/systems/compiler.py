@@ -32,7 +32,7 @@ def compiler() -> str | None:
     return next((path for path in map(shutil.which, filter(None, names)) if path), None)
 
 
-def build(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
+def build_library(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
     """Compile C sources to a shared library.
 
     Args:
@@ -72,7 +72,7 @@ def build_fast(source: Path, library: Path) -> Path:
 
 
 @cache
-def load(source: str, functions: tuple[str, ...], *, fast: bool) -> ctypes.CDLL:
+def load_library(source: str, functions: tuple[str, ...], *, fast: bool) -> ctypes.CDLL:
     """Compile a C text for this process; the same text is compiled once.
 
     Args:
@@ -93,7 +93,7 @@ def load(source: str, functions: tuple[str, ...], *, fast: bool) -> ctypes.CDLL:
         stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
         text, library = stem.with_suffix(".c"), stem.with_suffix(SUFFIX)
         text.write_text(source, encoding="utf-8")
-        code = ctypes.CDLL(str(build_fast(text, library) if fast else build([text], library, FAITHFUL)))
+        code = ctypes.CDLL(str(build_fast(text, library) if fast else build_library([text], library, FAITHFUL)))
     if not all(hasattr(code, name) for name in functions):
         raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code
@@ -101,7 +101,7 @@ def load(source: str, functions: tuple[str, ...], *, fast: bool) -> ctypes.CDLL:
 
 def forget() -> None:
     """Forget what was compiled so far, such that whatever is asked for next costs what it costs at first."""
-    load.cache_clear()
+    load_library.cache_clear()
 
 
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:

@@ -17,7 +17,7 @@ from importlib import resources
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import load
+from dynasindy.systems.compiler import load_library
 from dynasindy.systems.steps import steps_of
 from dynasindy.systems.stops import Stops
 from dynasindy.systems.tangents import Tangents
@@ -84,7 +84,7 @@ class Machine:
         self._constants = self._reals(program.constants)
         single = dtype == torch.float32
         source = _source(replace(program, constants=()), width if single else 1, single)
-        self._code = load(source, ("advance", "sensitivities"), fast=single)
+        self._code = load_library(source, ("advance", "sensitivities"), fast=single)
         self._room = _arrays(program.n_x, program.n_u, width if single else 1)
         self._large = self._room * ctypes.sizeof(self._real) > STACK
         self._ends: dict[Stops, tuple[object, ...]] = {}

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from dynasindy.checking import Check, Thresholds
-from dynasindy.checking.linear_loop import frequencies, open_loop
+from dynasindy.checking.linear_loop import frequencies, open_loop_response
 from dynasindy.checking.simulation import TOLERANCE, diverged_rows
 from dynasindy.systems import Signature
 from dynasindy.text import format_duration
@@ -88,7 +88,9 @@ def draw_check(found: Check, thresholds: Thresholds | None = None) -> dict[str, 
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
     if stable and signature.n_u:
         rows = [found.rest.linear.row(k) for k in stable]
-        curves = {_target(found, k): open_loop(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)}
+        curves = {
+            _target(found, k): open_loop_response(row, frequencies(row)) for k, row in zip(stable, rows, strict=True)
+        }
         title = "\n".join(["Loop opened at each input", *_left_out(found)])
         figures["nyquist"] = draw_nyquist(curves, signature.input_names, limits.disk, title)
     figures["steps"] = _steps(found, limits)

@@ -29,7 +29,7 @@ from benchmarks.pysindy_regression import (
 )
 from benchmarks.textbook_systems import cramer_rao
 from dynasindy.data.rollout_data import disturb, record_plant, record_plants
-from dynasindy.excitation import Chirp, Excitation, HeldRandom
+from dynasindy.excitation import Aprbs, Chirp, Excitation
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.named_libraries import paper_table
@@ -103,7 +103,7 @@ def xi_recording(seconds: float, dt: float, seed: int) -> Transitions:
 
 def xi_recordings(seconds: float, dt: float, seeds: Iterable[int]) -> list[Transitions]:
     """Record it for several seeds side by side."""
-    signals = [HeldRandom(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
+    signals = [Aprbs(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
     return record_plants(Xi(), torch.stack([signal.samples(dt) for signal in signals]), dt, round(dt / 0.001))
 
 
@@ -224,7 +224,7 @@ def tras(seeds: int) -> list[Row]:
 
 def trms33(seeds: int) -> list[Row]:
     """Identify `trms33` from 20 s; its Coulomb friction and the products of its inertias are in no library."""
-    excitation = HeldRandom(2, 20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
+    excitation = Aprbs(2, 20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
     rows = rig(Trms33(), "rotor_reaction", excitation, "best honest figure")
     return [*rows, rig(Trms33(), "rotor", excitation, "")[0]]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from benchmarks.pysindy_regression import Score, best_threshold, score, smoothed_rows, stlsq, weak_rows
 from dynasindy.data.rollout_data import disturb, record_plants
-from dynasindy.excitation import HeldRandom
+from dynasindy.excitation import Aprbs
 from dynasindy.safe_io import Row
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import Library
@@ -113,7 +113,7 @@ class Case:
 
     def clean(self, seeds: int) -> list[Transitions]:
         """Record the plant without noise, once for each seed."""
-        signals = [HeldRandom(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)]
+        signals = [Aprbs(1, self.seconds, self.dt, hold=self.hold, amplitude=1.0, seed=k) for k in range(seeds)]
         u = torch.stack([signal.samples(self.dt) for signal in signals])
         return record_plants(self.plant, u, self.dt, round(self.dt / 0.001), torch.tensor(self.start))
 

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from dynasindy.agents import machine as module
 from dynasindy.agents.machine import MachineSteps, readable
-from dynasindy.agents.steps import Steps
+from dynasindy.agents.steps import GradientSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems import compiler as compiling
@@ -184,7 +184,7 @@ def test_an_empty_batch_is_refused():
 def test_what_it_would_not_heed_is_left_to_torch(change):
     agent = pair()[0]
     change(agent)
-    assert type(agent._steps) is Steps
+    assert type(agent._steps) is GradientSteps
 
 
 @needs_compiler
@@ -209,7 +209,7 @@ def test_without_a_compiler_torch_learns_without_a_word(monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     forget()
     agent = pair()[0]
-    assert math.isfinite(agent.update(transitions(10))["critic_loss"]) and type(agent._steps) is Steps
+    assert math.isfinite(agent.update(transitions(10))["critic_loss"]) and type(agent._steps) is GradientSteps
 
 
 @needs_compiler
@@ -218,7 +218,7 @@ def test_a_compiler_that_fails_costs_one_warning(monkeypatch, error):
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr(module, "load", fail)
+    monkeypatch.setattr(module, "load_library", fail)
     agent = pair()[0]
     with pytest.warns(UserWarning, match="learns"):
         agent.update(transitions(10))

@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 from torch.optim import Adam
 
-from dynasindy.agents.steps import Steps
+from dynasindy.agents.steps import GradientSteps
 from dynasindy.agents.td3 import TD3
 
 
@@ -24,7 +24,7 @@ def batch():
 def steps(bound=0.0):
     loss = TD3(3, 2, hidden=(6,), machine_code=False).loss
     networks = loss.qvalue_network_params, loss.actor_network_params
-    return Steps(loss, *(Adam(list(network.parameters()), lr=1e-2) for network in networks), bound)
+    return GradientSteps(loss, *(Adam(list(network.parameters()), lr=1e-2) for network in networks), bound)
 
 
 NAMES = {"critics": "the critics' loss", "actor": "the actor's loss"}

@@ -19,7 +19,7 @@ from dynasindy.checking.linear_loop import (
     guess_rest,
     loop_margins,
     noise_gain,
-    open_loop,
+    open_loop_response,
     sensitivity,
     settling,
 )
@@ -223,7 +223,7 @@ def test_the_loop_is_that_which_is_open_at_one_input_alone():
         expected = [
             (TWO[i] @ np.linalg.solve(np.exp(1j * w * DT) * np.eye(3) - opened, INPUTS[:, i])).item() for w in omega
         ]
-        np.testing.assert_allclose(open_loop(linear, omega)[:, i], expected, rtol=1e-9)
+        np.testing.assert_allclose(open_loop_response(linear, omega)[:, i], expected, rtol=1e-9)
         np.testing.assert_allclose(sensitivity(linear, omega)[:, i], 1 / (1 + np.array(expected)), rtol=1e-9)
 
 

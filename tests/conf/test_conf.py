@@ -263,7 +263,7 @@ def test_the_excitation_of_the_default_is_a_thousand_samples():
     assert parts.model_env.log_dt == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("signal", ["multisine", "held_random", "prbs"])
+@pytest.mark.parametrize("signal", ["multisine", "aprbs", "prbs"])
 def test_runs_over_seeds_do_not_share_their_random_excitation(signal):
     one, again, other = (build(f"excitation={signal}", f"seed={s}")[1].excitation.samples() for s in (1, 1, 2))
     assert (one == again).all() and not (one == other).all()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import all_headings, read_table, seconds_of_date, split_unit
+from dynasindy.data.table import all_headings, read_columns, seconds_of_date, split_unit
 
 
 def write(folder: Path, text: str) -> Path:
@@ -15,14 +15,17 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_cells_headings_and_lines_are_those_of_the_file(tmp_path):
-    table = read_table(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n"), ["c", "a"])
+    table = read_columns(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n"), ["c", "a"])
     assert table.headings == ("c", "a [m]") and table.lines.tolist() == [2, 4, 5]
     assert np.array_equal(table.values, [[3, 1], [math.nan, 4], [math.nan, 7]], equal_nan=True)
 
 
 @pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
 def test_the_ends_of_lines_of_all_systems_are_read(tmp_path, ends):
-    assert read_table(write(tmp_path, ends.join(["a,b", "1,2", "3,4"])), ["a", "b"]).values.tolist() == [[1, 2], [3, 4]]
+    assert read_columns(write(tmp_path, ends.join(["a,b", "1,2", "3,4"])), ["a", "b"]).values.tolist() == [
+        [1, 2],
+        [3, 4],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -41,12 +44,14 @@ def test_a_heading_is_a_name_and_a_unit(heading, parts):
 
 def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
     """What is empty or nan was not measured, and is no text."""
-    table = read_table(write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"), ["time", "a", "b"])
+    table = read_columns(
+        write(tmp_path, "time,a [m],b\n0,1,5\n1,off,nan\n2,,6\n3,ERR 4,7\n4,1,2\n"), ["time", "a", "b"]
+    )
     assert table.words == (
         "line 3, column 'a [m]' holds 'off', which is no number, and 1 more cell of the column holds none; they count "
         "as missing",
     )
-    assert read_table(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n"), ["time", "a"]).words == ()
+    assert read_columns(write(tmp_path, "time,a\n2024-02-28 23:59:59,1\n"), ["time", "a"]).words == ()
 
 
 @pytest.mark.parametrize(
@@ -67,7 +72,7 @@ def test_a_title_above_the_headings_is_told_and_a_line_of_units_is_none(tmp_path
     with pytest.raises(
         ValueError, match=rf"as a title does, and the headings seem to stand in line {line}; allowed"
     ) as e:
-        read_table(file, ["a"])
+        read_columns(file, ["a"])
     assert "\n" not in str(e.value) and "'Motor test 3" in str(e.value)
 
 
@@ -86,22 +91,22 @@ def test_a_title_above_the_headings_is_told_and_a_line_of_units_is_none(tmp_path
 )
 def test_what_is_no_table_is_refused_at_its_line(tmp_path, text, said):
     with pytest.raises(ValueError, match=r".") as error:
-        read_table(write(tmp_path, text), ["a"])
+        read_columns(write(tmp_path, text), ["a"])
     assert said in str(error.value) and str(tmp_path) in str(error.value) and "\n" not in str(error.value)
 
 
 def test_dates_of_the_time_column_become_seconds(tmp_path):
     """Over midnight, with fractions and a zone; of another column they are no numbers."""
     text = "time,a\n2024-02-28 23:59:59.50,1\n2024-02-29T00:00:00.25,2\n2024-02-29 01:00:01+01:00,3\n"
-    values = read_table(write(tmp_path, text), ["time", "a"]).values
+    values = read_columns(write(tmp_path, text), ["time", "a"]).values
     assert np.diff(values[:, 0]) == pytest.approx([0.75, 0.75], abs=1e-6)
     with pytest.raises(ValueError, match="values"):
-        read_table(write(tmp_path, text), ["a", "time"])
+        read_columns(write(tmp_path, text), ["a", "time"])
 
 
 def test_a_column_of_words_is_refused_by_its_name(tmp_path):
     with pytest.raises(ValueError, match="values"):
-        read_table(write(tmp_path, "a,b [V]\n1,on\n2,off\n"), ["a", "b"])
+        read_columns(write(tmp_path, "a,b [V]\n1,on\n2,off\n"), ["a", "b"])
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,14 @@ import torch
 
 import dynasindy
 from dynasindy.data.rollout_data import record_plant
-from dynasindy.dyna.from_log import Wanted, controller_of, judged, model_of, report, write
+from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import Oracle, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step
-from dynasindy.workbench import tracking
+from dynasindy.workbench import tracking_task
 
 LIBRARY = ["1", "u", "Omega", "sin(theta)"]
 
@@ -87,7 +87,7 @@ def test_a_model_that_is_not_sparse_is_refused(source):
 def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
     """Table, prediction and record say that no plant was flown; 64 targets are flown for the task's 20 s."""
     model = model_of(source, build)
-    task = tracking(model, {"theta": (-0.6, 0.6)})
+    task = tracking_task(model, {"theta": (-0.6, 0.6)})
     settings = {"updates": 1, "rollouts": 4, "window": 5}
     wanted = Wanted(task, Scenario("step", Step([[0.2]]), seconds=1.0), seed=3, within=0.9, planning=settings)
     controller = controller_of(model, source, wanted)
@@ -100,8 +100,8 @@ def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
         (prediction, "on a model fitted to data that the plan never saw"),
         (own, "of the plan itself"),
     ):
-        table, sentence = report(model, found).rsplit("\n\n", 1)
+        table, sentence = log_report(model, found).rsplit("\n\n", 1)
         assert place in found.place and found.place in table and sentence == found.words()
-    write(tmp_path, controller, model, prediction)
+    write_controller(tmp_path, controller, model, prediction)
     assert json.loads((tmp_path / "metrics.json").read_text())["prediction"]["sentence"] == prediction.words()
     assert dynasindy.load(tmp_path).outputs == ("theta",)

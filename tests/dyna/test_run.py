@@ -13,7 +13,7 @@ from dynasindy.data import DynaReplay
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.run import Evaluating, Provenance, Saving, report, run
+from dynasindy.dyna.run import Evaluating, Provenance, Saving, run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -196,7 +196,7 @@ def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
     evaluation |= {"control_effort/u_a": 0.1, "control_variation/u_a": 0.2, "return": -12.0, "stop_share": 0.0}
     cost = {"real_steps": 600, "plant_seconds": 30, "imagined_transitions": 8000, "updates": 40, "wall_seconds": 12.3}
     cost["evaluation_steps"] = 25600
-    text = report(
+    text = run_report(
         {
             "cost": cost,
             "equations": ["Omega_p' = -0.414 Omega_p"],
@@ -244,7 +244,7 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     metrics = run(made, evaluating, tmp_path / "run", PROVENANCE, progress=False)
     assert metrics["held"]["share"] == {} and "targets" in metrics["verdict"]["held"]
     assert metrics["verdict"]["controlled"] is None  # nothing is said of control
-    told = report(metrics, tmp_path / "run")
+    told = run_report(metrics, tmp_path / "run")
     assert "scenario 'task'" in told and "steady-state" not in told
     rows = list(csv.DictReader((tmp_path / "run" / "progress.csv").open()))
     assert float(rows[0]["evaluated_return"]) == pytest.approx(metrics["evaluation"]["return"], rel=1e-6)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Signature, System
@@ -42,7 +42,7 @@ def test_a_recording_follows_the_control_period_of_its_plant():
     # Of a lag under a held input exp(-dt / 100) of the distance is left.
     left = torch.exp(torch.tensor(-0.4 / 100.0, dtype=torch.float64))
     torch.testing.assert_close(data.x_next[:, 0], data.u[:, 0] + left * (data.x[:, 0] - data.u[:, 0]))
-    held = HeldRandom(1, 800.0, 2.0, amplitude=0.28, seed=1).samples(0.4)
+    held = Aprbs(1, 800.0, 2.0, amplitude=0.28, seed=1).samples(0.4)
     torch.testing.assert_close(unseen.u, held)  # levels for ten control periods
 
 

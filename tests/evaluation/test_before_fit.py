@@ -13,7 +13,7 @@ from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.identification import LoggedData
-from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
 
@@ -87,7 +87,7 @@ def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
 
 def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):
     """The pendulum's angle, read by an encoder alone."""
-    data = record_plant(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
     source = LoggedData(path).load(None, EXCITATION)
     (hint,) = told(source)
@@ -110,7 +110,7 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
 
 
 def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
-    data = record_plant(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["arm angle [rad]", "arm_angle_rate"], data.x[:, :1], data.u))
     source = LoggedData(path, inputs=["arm_angle_rate"]).load(None, EXCITATION)
     found, rates, _ = with_missing_rates(partial(SindyModel, library="auto"), source, None)

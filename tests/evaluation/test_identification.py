@@ -15,7 +15,7 @@ from dynasindy.evaluation.identification import LoggedData, identify_source
 from dynasindy.evaluation.identification_report import to_words
 from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.source import Source
-from dynasindy.excitation import Chirp, HeldRandom
+from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.sindy.actuators import Actuator, ActuatorFit
@@ -147,12 +147,12 @@ def test_a_model_without_coefficients_is_not_identified():
         identify_source(Oracle(source.signature, Pendulum()), source)
 
 
-def test_validation_is_held_random_of_seven_tenths_of_the_range_about_the_same_offset():
+def test_validation_is_random_levels_of_seven_tenths_of_the_range_about_the_same_offset():
     chirp = partial(Chirp, duration=5.0, amplitude=0.6, offset=0.2)
     one, other = (Simulated(0.02, substeps=1, validation_seconds=6.0, seed=s).load(Pendulum(), chirp) for s in (0, 1))
     u = one.validation.u
     assert (len(one.training), len(one.validation), one.validation.dt) == (250, 300, 0.02)
-    expected = HeldRandom(1, 6.0, amplitude=0.42, offset=0.2, seed=1).samples(0.02)  # the next seed
+    expected = Aprbs(1, 6.0, amplitude=0.42, offset=0.2, seed=1).samples(0.02)  # the next seed
     torch.testing.assert_close(u, expected.to(u))
     assert not torch.equal(u, other.validation.u) and one.notes == ()
     assert torch.equal(one.training.u, other.training.u)  # a chirp has no seed
@@ -212,7 +212,7 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
 @pytest.fixture
 def angle_alone(tmp_path):
     """Write a log of the pendulum without its rate."""
-    data = record_plant(Pendulum(), HeldRandom(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     rows = "\n".join(f"{0.01 * k:.2f},{float(data.x[k, 0])!r},{float(data.u[k, 0])!r}" for k in range(len(data)))
     (tmp_path / "log.csv").write_text("time [s],angle [rad],u\n" + rows)
     return str(tmp_path / "log.csv")

@@ -16,7 +16,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, System
-from dynasindy.workbench import tracking
+from dynasindy.workbench import tracking_task
 
 NAMES = ["p", "v", "u"]
 
@@ -51,7 +51,7 @@ def logged(dt, signature):
 def suited(hertz, damping, dt):
     model = known(hertz, damping)
     log = None if dt is None else logged(dt, model.signature)
-    return suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), log)
+    return suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), log)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_swing_that_friction_hides_at_rest_counts_where_the_log_moves(seen):
     """At rest 200 * 40 of damping leave two real poles; in motion T = 1 / (f sqrt(1 - z^2)) = 0.10692 s is left."""
     model = rubbing(9.4, 0.1, 40.0)
     log = logged(0.005, model.signature)
-    found = suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), log if seen else blind(log))
+    found = suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), log if seen else blind(log))
     assert found.seconds == pytest.approx(0.02) and "oscillation of 0.107 s" in found.why
 
 
@@ -165,7 +165,7 @@ def test_a_swing_that_few_places_of_a_log_show_does_not_count():
     x = log.training.x.clone()
     x[still] = 0.0
     log = replace(log, training=replace(log.training, x=x))
-    assert suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), log).seconds == pytest.approx(0.05)
+    assert suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), log).seconds == pytest.approx(0.05)
 
 
 NAMES_OF_TANK = ["h", "p", "v", "u"]
@@ -195,7 +195,7 @@ def tank_log(dt, model):
 def tank_period(slow, dt, hertz=None):
     model = tank(slow, hertz)
     log = None if dt is None else tank_log(dt, model)
-    return suited_period(model, tracking(model, {"h": (-0.5, 0.5)}), log)
+    return suited_period(model, tracking_task(model, {"h": (-0.5, 0.5)}), log)
 
 
 REGULATED = math.sqrt(1 + 100)
@@ -229,7 +229,7 @@ def test_a_plant_that_has_to_be_held_keeps_its_period():
     model = known(1.0, 0.1)
     rows = [[0.0, 1 / 900], [1.0, 0.0], [0.0, 1 / 900]]
     model.coefficients = torch.tensor(rows, dtype=torch.float64)
-    assert suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), logged(1.0, model.signature)).seconds == 1.0
+    assert suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), logged(1.0, model.signature)).seconds == 1.0
 
 
 def growing(rate):
@@ -251,14 +251,14 @@ def growing(rate):
 )
 def test_the_period_of_an_unstable_plant_is_a_quarter_of_the_time_in_which_it_doubles(rate, dt, seconds):
     model = growing(rate)
-    found = suited_period(model, tracking(model, {"p": (-0.5, 0.5)}), logged(dt, model.signature))
+    found = suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), logged(dt, model.signature))
     assert found.seconds == pytest.approx(seconds)
     assert (found.seconds <= max(dt, math.log(2) / abs(rate) / 4)) and ("doubles" in found.why) is (abs(rate) > 3)
 
 
 def test_a_plan_of_an_unstable_plant_that_fails_is_told_a_shorter_period():
     model = growing(60.0)
-    task, log = tracking(model, {"p": (-0.5, 0.5)}), logged(0.001, model.signature)
+    task, log = tracking_task(model, {"p": (-0.5, 0.5)}), logged(0.001, model.signature)
     told = other_period(model, task, log, 0.01)
     assert told.startswith("a deviation of the unstable model doubles in 0.0116 s, which is 1.2 control periods only")
     assert "period" in told and other_period(model, task, log, 0.002) == ""
@@ -266,7 +266,7 @@ def test_a_plan_of_an_unstable_plant_that_fails_is_told_a_shorter_period():
 
 def test_a_plan_that_fails_is_told_which_period_to_try():
     spring, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
-    task, log = tracking(spring, targets), logged(0.005, spring.signature)
+    task, log = tracking_task(spring, targets), logged(0.005, spring.signature)
     told = other_period(spring, task, log, 0.05)
     assert told.startswith("the model swings every 0.107 s, which is 2.1 control periods only: try a control period of")
     assert told.endswith("of 0.02 s, env.dt=0.02 or in Python dt=0.02")
@@ -274,7 +274,7 @@ def test_a_plan_that_fails_is_told_which_period_to_try():
     coarse = other_period(spring, task, logged(0.05, spring.signature), 0.05)
     assert coarse.endswith("2.1 control periods only: log with a sampling time of 0.021 s at most")
     slow = tank(4000)
-    told = other_period(slow, tracking(slow, {"h": (-0.5, 0.5)}), tank_log(1.0, slow), 1.0)
+    told = other_period(slow, tracking_task(slow, {"h": (-0.5, 0.5)}), tank_log(1.0, slow), 1.0)
     # All but exp(-7) is over after seven time constants of 398 s, 46 min; in 80 periods that is 34.8 s each.
     assert told.startswith("the model takes 4") and "fully" in told
     assert 34.8 <= float(told.rpartition("dt=")[2]) <= 36
@@ -290,7 +290,7 @@ def mapped(a, b, step):
 
 def test_the_period_of_a_difference_equation_without_a_log_is_its_step():
     model = mapped(-0.6, 1.0, 0.3)
-    found = suited_period(model, tracking(model, {"x": (-0.5, 0.5)}), None)
+    found = suited_period(model, tracking_task(model, {"x": (-0.5, 0.5)}), None)
     assert found.seconds == 0.3
     assert found.why == "the control period is 0.3 s, the step of the model; env.dt chooses another one"
 
@@ -302,21 +302,21 @@ def test_the_period_of_a_slow_difference_equation_is_as_many_steps_as_a_plan_nee
     split = {"training": plain.training, "validation": plain.validation}
     first = {name: replace(data, x=data.x[:, :1], x_next=data.x_next[:, :1]) for name, data in split.items()}
     log = replace(plain, signature=model.signature, **first)
-    found, wanted = suited_period(model, tracking(model, {"x": (-0.5, 0.5)}), log), SETTLED * 4000 / 80
+    found, wanted = suited_period(model, tracking_task(model, {"x": (-0.5, 0.5)}), log), SETTLED * 4000 / 80
     assert wanted * 0.99 <= found.seconds < 1.03 * wanted + 1 and found.seconds == round(found.seconds)
 
 
 def test_no_other_period_is_told_for_a_difference_equation():
     """It swings in 0.6 s, two of its steps; a period of a fifth of that is none that it has."""
     model = mapped(-0.6, 1.0, 0.3)
-    task = tracking(model, {"x": (-0.5, 0.5)})
+    task = tracking_task(model, {"x": (-0.5, 0.5)})
     assert other_period(model, task, None, 0.3) == "" and other_period(model, task, None, 0.6) == ""
 
 
 def test_a_task_that_is_planned_for_twice_is_planned_for_once():
     """The commands ask with the task as it is given, and `plan` with the one that the log has made of it."""
     model = tank(4000)
-    task, log = tracking(model, {"h": (-0.5, 0.5)}), tank_log(1.0, model)
+    task, log = tracking_task(model, {"h": (-0.5, 0.5)}), tank_log(1.0, model)
     once = as_planned(task, model, log)
     assert suited_period(model, task, log) == suited_period(model, once, log)
     assert torch.equal(once.start, as_planned(once, model, log).start)

@@ -68,7 +68,7 @@ def plant(control) -> Transitions:
     return Transitions.from_trajectory(x, torch.tensor(np.array(us))[:, None], 0.01)
 
 
-def test_a_controller_is_seen_and_held_random_inputs_are_none():
+def test_a_controller_is_seen_and_random_levels_are_none():
     reference = np.repeat(np.random.default_rng(2).uniform(-1, 1, 10), 300)
     loop = plant(lambda k, y, old, g: 2 * (reference[k] - y[0]) - 0.3 * y[1])
     assert closed_loop(loop) == [True]

@@ -7,9 +7,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.excitation import Chirp, HeldRandom, Multisine, Prbs, PrintedChirp, Sphs, SquaredChirp
+from dynasindy.excitation import Aprbs, Chirp, Multisine, Prbs, PrintedChirp, Sphs, SquaredChirp
 
-MOVING = [Chirp, HeldRandom, Multisine, Prbs, Sphs, SquaredChirp]
+MOVING = [Chirp, Aprbs, Multisine, Prbs, Sphs, SquaredChirp]
 
 
 @pytest.mark.parametrize("kind", [*MOVING, PrintedChirp])
@@ -46,7 +46,7 @@ def test_the_seed_makes_the_signal():
     [
         lambda: Chirp(2, 1e15),
         lambda: Chirp(2, 10.0, 1e-15),
-        lambda: HeldRandom(2, hold=1e-15),
+        lambda: Aprbs(2, hold=1e-15),
         lambda: Sphs(2, harmonics=10**12),
         lambda: Chirp(2).samples(1e-15),
     ],
@@ -124,8 +124,8 @@ def test_a_range_may_reach_the_limit_and_must_not_lie_beyond_it():
 
 @pytest.mark.parametrize("dt", [0.05, 2.0])
 def test_times_that_are_not_given_follow_the_control_period(dt):
-    assert [kind(1, None, dt).n_steps for kind in (Chirp, Multisine, HeldRandom)] == [200] * 3
-    held = HeldRandom(1, None, dt, hold=None).samples()
+    assert [kind(1, None, dt).n_steps for kind in (Chirp, Multisine, Aprbs)] == [200] * 3
+    held = Aprbs(1, None, dt, hold=None).samples()
     assert (held[:10] == held[0]).all() and (held[10:20] == held[10]).all() and held[10] != held[9]
     swept = Chirp(1, None, dt, band=None, amplitude=1.0).samples()
     torch.testing.assert_close(swept, Chirp(1, 200 * dt, dt, band=(0.0, 0.05 / dt), amplitude=1.0).samples())
@@ -204,7 +204,7 @@ def test_eight_harmonics_and_one_at_least():
 
 
 def test_levels_are_held_for_the_time_given():
-    u = HeldRandom(2, duration=10.0, hold=0.5, amplitude=1.0, seed=1).samples(0.01)
+    u = Aprbs(2, duration=10.0, hold=0.5, amplitude=1.0, seed=1).samples(0.01)
     jumps = [(u[1:, i] != u[:-1, i]).nonzero().flatten() + 1 for i in range(2)]
     assert set(jumps[0].diff().tolist()) == {50}
     assert not set(jumps[0].tolist()) & set(jumps[1].tolist())
@@ -212,7 +212,7 @@ def test_levels_are_held_for_the_time_given():
 
 def test_a_signal_is_the_loop_over_its_holds():
     """Input i jumps i / n_u of a hold earlier; every hold takes the next level."""
-    held = HeldRandom(2, duration=3.0, hold=0.5, amplitude=1.0, seed=4)
+    held = Aprbs(2, duration=3.0, hold=0.5, amplitude=1.0, seed=4)
     levels = held.levels
     assert levels.shape == (9, 2) and bool((levels.abs() <= 1).all()) and levels.unique().numel() == 18
     for step in range(60):
@@ -224,7 +224,7 @@ def test_a_signal_is_the_loop_over_its_holds():
 
 
 def test_levels_fill_the_range_evenly_and_both_ends_come_as_often():
-    uniform = HeldRandom(2, duration=1000.0, hold=0.5, seed=0).levels
+    uniform = Aprbs(2, duration=1000.0, hold=0.5, seed=0).levels
     assert abs(float(uniform.mean())) < 0.03 and abs(float(uniform.std()) - 3**-0.5) < 0.02
     assert float(uniform.min()) < -0.99 and float(uniform.max()) > 0.99
     binary = Prbs(2, duration=1000.0, hold=0.5, seed=0).levels

@@ -7,7 +7,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from dynasindy.export.expressions import comment, fill, identifiers, module_name, number, reach, rows, single
+from dynasindy.export.expressions import comment, fill, identifiers, module_name, number, c_number, rows, single
 
 
 def test_identifiers_are_of_ascii_letters_and_differ():
@@ -36,7 +36,7 @@ def test_a_number_is_exact_and_finite():
         number(math.nan)
     with pytest.raises(ValueError, match="could not convert"):
         number("system()")
-    assert (reach(math.inf), reach(-math.inf), reach(-1)) == ("INFINITY", "-INFINITY", "(-1.0)")
+    assert (c_number(math.inf), c_number(-math.inf), c_number(-1)) == ("INFINITY", "-INFINITY", "(-1.0)")
 
 
 def test_a_single_is_the_same_float_again():

@@ -12,7 +12,7 @@ import torch
 from scipy.linalg import expm
 from torch import Tensor
 
-from dynasindy.excitation import Chirp, Excitation, HeldRandom, Multisine
+from dynasindy.excitation import Aprbs, Chirp, Excitation, Multisine
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import of_sums
 from dynasindy.sindy.fit_report import Refined
@@ -97,7 +97,7 @@ def test_equals_pysindy_on_the_same_data():
 
 
 def test_ten_seconds_of_held_inputs_give_the_published_terms():
-    data = _recording(Xi(), HeldRandom(2, 10.0, amplitude=(0.6, 0.45), offset=HOVER, seed=1))
+    data = _recording(Xi(), Aprbs(2, 10.0, amplitude=(0.6, 0.45), offset=HOVER, seed=1))
     model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("one_step"))
     model.fit(data)
     found = _found(model)
@@ -133,7 +133,7 @@ def test_known_rows_masks_and_fixed_coefficients_are_kept():
 
 
 def test_an_update_equals_a_fit_to_all_data():
-    data = _recording(Xi(), HeldRandom(2, 4.0, amplitude=(0.5, 0.3), offset=HOVER, seed=3))
+    data = _recording(Xi(), Aprbs(2, 4.0, amplitude=(0.5, 0.3), offset=HOVER, seed=3))
     parts = [data.select(torch.arange(400) < 250), data.select(torch.arange(400) >= 250)]
     whole, grown = SindyModel(Xi().signature), SindyModel(Xi().signature)
     whole.fit(Transitions.cat(parts))
@@ -197,7 +197,7 @@ def test_a_log_of_nothing_but_noise_is_no_error(method, time):
 
 @pytest.mark.parametrize("stage", ["regression", "refinement"])
 def test_coefficients_that_are_not_finite_are_told_and_the_model_stays(stage):
-    data = _recording(Xi(), HeldRandom(2, duration=5.0, amplitude=(0.6, 0.45), offset=HOVER, seed=0))
+    data = _recording(Xi(), Aprbs(2, duration=5.0, amplitude=(0.6, 0.45), offset=HOVER, seed=0))
     model = SindyModel(Xi().signature, "paper_table")
     model.fit(data)
     before = model.coefficients.clone()
