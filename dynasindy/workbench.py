@@ -13,7 +13,7 @@ The speed of a cart follows its motor with a time constant of 0.5 s, sampled eve
 >>> print(*model.equations())
 speed' = -2 speed + 2 u
 >>> controller = dynasindy.plan(model, {"speed": (-0.5, 0.5)}, log=log, updates=60)  # without it, as many as suit
->>> print(dynasindy.forecast(controller, model, log).words())
+>>> print(dynasindy.forecast(controller, model, log).summary())
 PREDICTED on 3 models fitted to data that the plan never saw (no plant was moved): CONTROLLED: ...
 >>> controller.reset()
 >>> u = controller.act({"speed": 0.1}, {"speed": 0.3})  # once per control period: measured, wanted

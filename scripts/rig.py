@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     given = load(cfg.controller) if cfg.controller else None
     if given is None:
         knowledge.require_of(system.signature)
-    print(guard.words(wiring), flush=True)
+    print(guard.summary(wiring), flush=True)
     words = HydraConfig.get().overrides.task
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         write_text(Path(cfg.folder) / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))  # targets, for check.py

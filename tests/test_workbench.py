@@ -309,7 +309,7 @@ def test_targets_that_no_input_holds_are_told(model):
     weak = copy.deepcopy(model)
     drive = weak.coefficients[model.library.names.index("u")]
     drive[drive != 0] = 4.0
-    told = held_with(None, weak).words()
+    told = held_with(None, weak).summary()
     assert "no input within [-1, 1] was found that holds" in told and "a smaller range of targets" in told
     span = re.search(r"theta from (\S+) to ([\d.]+)", told)
     assert -float(span[1]) == pytest.approx(math.asin(4 / 9.81), abs=0.03) and float(span[2]) < 0.45

@@ -38,7 +38,7 @@ class Drawing(NamedTuple):
     more: str
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """All of it."""
         return f"{self.by}, {self.more}"
 

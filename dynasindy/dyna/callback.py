@@ -54,7 +54,7 @@ class Place:
         """Return how many places come before this one."""
         return self.excited + self.planned + self.episodes
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return the latest thing that is done, in words."""
         if self.episodes:
             return f"episode {self.episodes}"

@@ -93,7 +93,7 @@ class Saver(Callback):
         self.checkpoints, self.every, self.state, self.again = checkpoints, every, state, again
         self.seconds, self.bytes = 0.0, 0
 
-    def words(self, folder: Path) -> str:
+    def summary(self, folder: Path) -> str:
         """Return what is kept of a run that is stopped, and how it goes on."""
         if (state := self.checkpoints.newest()) is None:
             return f"nothing is kept in {folder} yet, the same command begins anew"
@@ -102,7 +102,7 @@ class Saver(Callback):
         near = folder.absolute()
         near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
         return (
-            f"the run is kept up to the end of {done.words()}: go on with {self.again} resume={near} "
+            f"the run is kept up to the end of {done.summary()}: go on with {self.again} resume={near} "
             "(with finish=true, to evaluate and draw what it has learnt instead)"
         )
 

@@ -103,4 +103,4 @@ def log_report(model: SindyModel, prediction: Forecast) -> str:
         shown = prediction.shown
         told = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
         lines += [told, *beyond_targets(shown), *restless(shown), ""]
-    return "\n".join([*lines, prediction.words()])
+    return "\n".join([*lines, prediction.summary()])

@@ -189,8 +189,8 @@ class Recorder(Callback):
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
             "excitation": self.restarts,
-            "planning": self.parts.planner.words(),
-            "reward": self.plant.task.words(),
+            "planning": self.parts.planner.summary(),
+            "reward": self.plant.task.summary(),
             "gate": distrusted(
                 [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions], self.parts.gate.state_error
             ),

@@ -210,16 +210,16 @@ def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str])
         yield
     except KeyboardInterrupt as stop:
         recorder.write_tables()
-        raise Stopped(f"stopped; {saver.words(folder)}", getattr(stop, "signal", 2)) from stop
+        raise Stopped(f"stopped; {saver.summary(folder)}", getattr(stop, "signal", 2)) from stop
     except Diverged as error:
         recorder.write_tables()
-        raise Diverged(f"in {present()}: {error}; {saver.words(folder)}") from error
+        raise Diverged(f"in {present()}: {error}; {saver.summary(folder)}") from error
     except Exception as error:
         if not is_memory_error(error):
             raise
         wanted = memory_wanted(error)
         where = f"in {present()}{wanted and f', where {wanted} more were wanted'}"
-        raise MemoryError(f"{where}; {saver.words(folder)}") from error
+        raise MemoryError(f"{where}; {saver.summary(folder)}") from error
 
 
 def run_report(metrics: dict[str, Any], folder: Path) -> str:

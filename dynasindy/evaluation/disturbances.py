@@ -28,7 +28,7 @@ SHARE = 1e-3
 class SizedDisturbance(Protocol):
     """A disturbance that says how large it is."""
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Say what disturbs, by how much and in which units."""
 
 
@@ -54,7 +54,7 @@ class Pushed(Altered):
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.system(x, u) + self.push.to(x)
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Say how large the push is."""
         signature = self.signature
         units = [f"{u}^2" if u.endswith("/s") else "1/s" if u == "-" else f"{u}/s" for u in signature.state_units]
@@ -93,7 +93,7 @@ class Detuned(Altered):
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
         return self.gain.to(x) * self.system(x, self.input_gain.to(u) * u)
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Say which factors are not 1."""
         rates = [f"{name}'" for name in self.signature.state_names]
         factors = zip(
@@ -149,7 +149,7 @@ class SensorNoise:
         seen["observation"] = self.env.task.observation(measured, tensordict["task_params"], t.to(x)).float()
         return tensordict.set("action", self.policy(seen)["action"])
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Say how large the noise of each state is."""
         signature = self.env.system.signature
         rows = zip(signature.state_names, self.std.tolist(), signature.state_units, strict=True)
@@ -183,7 +183,7 @@ class DelayedActuator:
         self.waiting.append(action)
         return tensordict.set("action", self.waiting.popleft())
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Say how late the inputs are."""
         periods = "1 control period" if self.periods == 1 else f"{self.periods} control periods"
         return f"inputs late by {periods}, {self.periods * self.dt:g} s"

@@ -90,7 +90,7 @@ class Forecast:
         ]
         return not all(share <= self.within and worst <= LOST * self.within for share, worst in errors)
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return the prediction in one line."""
         n = len(self.flights)
         flown = [flight for flight in self.flights if flight is not None]
@@ -149,7 +149,7 @@ class Forecast:
             "models": len(flights),
             **judged,
             "score": score,
-            "sentence": self.words(),
+            "sentence": self.summary(),
             "flights": flights,
             "doubts": [*self.doubts],
         }

@@ -203,7 +203,7 @@ def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastError
 def _renamed(found: LogFit) -> LogFit:
     """Return the fit with what its equations now say of the state that follows a signal, if it has one."""
     signal = found.model.followed.get(found.model.signature.state_names[-1], "") if found.follower else ""
-    return replace(found, follower=LagStateCandidate(found.model, signal, 0.0).words() if signal else "")
+    return replace(found, follower=LagStateCandidate(found.model, signal, 0.0).summary() if signal else "")
 
 
 def _noted(found: LogFit, note: str) -> LogFit:
@@ -276,7 +276,7 @@ def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:
     with attempt(), reporting_as(f"fit with a state that follows {trial.signal}"):
         data = source.with_states_of(trial.model)
         report = trial.model.fit(data.training)
-        return LogFit(trial.model, data, report, trial.words())
+        return LogFit(trial.model, data, report, trial.summary())
     return None
 
 

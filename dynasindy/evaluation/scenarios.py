@@ -265,7 +265,7 @@ def evaluate(
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
-    words = tuple(each.words() for each in disturbing if isinstance(each, SizedDisturbance))
+    words = tuple(each.summary() for each in disturbing if isinstance(each, SizedDisturbance))
     return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
 

@@ -299,7 +299,7 @@ class GradientPlanning(Planner):
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return the settings of the latest phase and why they are so, in one line."""
         return f"{self.pace}" if self.phase and self.rollouts else ""
 

@@ -50,7 +50,7 @@ class Planner(ABC):
     def distrust(self) -> None:
         """Drop what came from a model that is no longer trusted."""
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return in one line which settings it chose itself; nothing for most planners."""
         return ""
 

@@ -86,7 +86,7 @@ class Guard:
                 f"{', '.join(wiring.measured)}"
             )
 
-    def words(self, wiring: Wiring) -> str:
+    def summary(self, wiring: Wiring) -> str:
         """Say within which ranges a flight goes on."""
         units = dict(zip(wiring.signature.state_names, wiring.signature.state_units, strict=True))
         told = [f"{name} within {low:g} to {high:g} {units[name]}" for name, (low, high) in self.ranges.items()]

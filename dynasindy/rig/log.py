@@ -135,7 +135,7 @@ class FlightRecord:
         known = np.isfinite(apart)
         return np.where(known, apart, 0.0).sum(0) / np.where(known.any(0), known.sum(0), np.nan)
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return the errors in one line; one below the step of its sensor is no number of the plant."""
         if not len(self.time):
             return "no period was flown, so there is no error to tell"

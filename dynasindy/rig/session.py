@@ -252,7 +252,7 @@ class Session:
         flown, path = self._fly(name, _act, len(rows)), self.folder / f"{name}.csv"
         shown = FlightRecord.of(path, controller.signature, controller.outputs, rows, flown.ended)
         self.shown[name] = shown
-        self.tell(f"  {shown.words()}")
+        self.tell(f"  {shown.summary()}")
         return flown
 
     def _require(self, controller: Controller) -> None:

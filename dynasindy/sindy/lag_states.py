@@ -54,7 +54,7 @@ class LagStateCandidate:
     signal: str
     gain: float
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Say what was found, after the fit; empty where the state does not follow."""
         rate = float(self.model.coefficients[-1, -1])
         if not rate > 0:

@@ -144,7 +144,7 @@ class LearnedReward(Task):
         """Reward that counts as one where models are judged: a standard deviation of what was paid."""
         return float(self.learnt.get("spread", 1.0))
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return the reward, and how much of what was paid it leaves over, in one line."""
         if "missed" not in self.learnt:
             return ""

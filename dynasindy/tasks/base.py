@@ -125,7 +125,7 @@ class Task(ABC):
     def learn(self, x: Tensor, u: Tensor, x_next: Tensor, paid: Tensor) -> None:  # noqa: B027 - most rewards are known
         """Learn from what real periods have paid, `(N,)`, of states and inputs `(N, n)`."""
 
-    def words(self) -> str:
+    def summary(self) -> str:
         """Return in one line what was learnt; nothing for most tasks."""
         return ""
 

@@ -86,12 +86,12 @@ def test_checkpoints_come_every_so_many_episodes_and_before_the_first(tmp_path, 
 
 def test_the_line_of_a_stopped_run_says_how_it_goes_on(tmp_path):
     saver = Saver(Checkpoints(tmp_path / "checkpoints"), 1, lambda: {"place": Place(True, True, 3).state_dict()})
-    assert "nothing is kept" in saver.words(tmp_path)
+    assert "nothing is kept" in saver.summary(tmp_path)
     saver.reached(Place(True, True, 3))
-    assert "episode" in saver.words(tmp_path)
+    assert "episode" in saver.summary(tmp_path)
     saver.again = "python scripts/train.py"
-    assert f"go on with python scripts/train.py resume={tmp_path}" in saver.words(tmp_path)
-    assert f"resume={tmp_path}" in saver.words(tmp_path) and "\n" not in saver.words(tmp_path)
+    assert f"go on with python scripts/train.py resume={tmp_path}" in saver.summary(tmp_path)
+    assert f"resume={tmp_path}" in saver.summary(tmp_path) and "\n" not in saver.summary(tmp_path)
 
 
 def test_a_disk_that_cannot_be_read_is_no_reason_to_begin_anew(tmp_path, monkeypatch):

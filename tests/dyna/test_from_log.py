@@ -101,7 +101,7 @@ def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
         (own, "of the plan itself"),
     ):
         table, sentence = log_report(model, found).rsplit("\n\n", 1)
-        assert place in found.place and found.place in table and sentence == found.words()
+        assert place in found.place and found.place in table and sentence == found.summary()
     write_controller(tmp_path, controller, model, prediction)
-    assert json.loads((tmp_path / "metrics.json").read_text())["prediction"]["sentence"] == prediction.words()
+    assert json.loads((tmp_path / "metrics.json").read_text())["prediction"]["sentence"] == prediction.summary()
     assert dynasindy.load(tmp_path).outputs == ("theta",)

@@ -107,13 +107,13 @@ def test_what_is_not_named_stays_as_it_is() -> None:
 def test_each_says_how_large_it_is() -> None:
     env = make()
     assert (
-        Pushed(Xi(), {"Omega_p": -0.5, "omega_a": 20.0}).words()
+        Pushed(Xi(), {"Omega_p": -0.5, "omega_a": 20.0}).summary()
         == "pushed by -0.5 rad/s^2 on Omega_p, 20 rpm/s on omega_a"
     )
-    assert Detuned(Xi(), {"Omega_a": 0.9}, [1.0, 0.8]).words() == "detuned: Omega_a' times 0.9, u_p times 0.8"
+    assert Detuned(Xi(), {"Omega_a": 0.9}, [1.0, 0.8]).summary() == "detuned: Omega_a' times 0.9, u_p times 0.8"
     noise = SensorNoise(lambda td: td, env, [0.002, 0.0, 0.0, 0.0, 40.0, 0.0])
-    assert noise.words() == "measured with white noise, standard deviation alpha_a 0.002 rad, omega_a 40 rpm"
-    assert [DelayedActuator(lambda td: td, env, k).words() for k in (1, 2)] == [
+    assert noise.summary() == "measured with white noise, standard deviation alpha_a 0.002 rad, omega_a 40 rpm"
+    assert [DelayedActuator(lambda td: td, env, k).summary() for k in (1, 2)] == [
         "inputs late by 1 control period, 0.05 s",
         "inputs late by 2 control periods, 0.1 s",
     ]

@@ -27,8 +27,8 @@ def seen(share, away=None, worst=None, idle=None):
 def test_it_is_promised_where_every_model_is_held():
     good = Forecast((seen(0.001), seen(0.009)))
     assert good.promised
-    assert "models" in good.words()
-    assert "average" in good.words()
+    assert "models" in good.summary()
+    assert "average" in good.summary()
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_one_model_that_is_not_held_breaks_it(flights, words):
     found = Forecast(flights)
     assert not found.promised
     with pytest.raises(ValueError, match=words):
-        raise ValueError(found.words())
+        raise ValueError(found.summary())
     assert found.record()["promised"] is False
     assert len(found.record()["flights"]) == len(flights)
 
@@ -56,9 +56,9 @@ def test_one_model_that_is_not_held_breaks_it(flights, words):
 def test_an_error_that_is_finer_than_the_sensor_is_told_as_one_that_it_cannot_show():
     fine = Forecast((seen(0.001), seen(0.002)), resolved={"theta": 0.01})
     told = "theta 0.1 to 0.2 % of the target range on average (its sensor resolves 1 %, and cannot show what is less)"
-    assert told in fine.words()
-    assert "sensor" not in replace(fine, resolved={"theta": 0.0005}).words()
-    assert "sensor" not in replace(fine, resolved={}).words()
+    assert told in fine.summary()
+    assert "sensor" not in replace(fine, resolved={"theta": 0.0005}).summary()
+    assert "sensor" not in replace(fine, resolved={}).summary()
 
 
 def test_what_a_sensor_resolves_is_a_share_of_the_targets():
@@ -87,11 +87,11 @@ def test_a_model_promises_nothing_of_itself():
     found = Forecast((seen(0.001),), own=True)
     assert found.controlled
     assert not found.promised
-    assert "promises" in found.words()
-    assert "asked for" not in found.words()
+    assert "promises" in found.summary()
+    assert "asked for" not in found.summary()
     far = Forecast((seen(0.02),), own=True)
     assert not far.controlled
-    assert "CONTROLLED" in far.words()
+    assert "CONTROLLED" in far.summary()
 
 
 def test_what_is_asked_for_is_an_argument():
@@ -100,13 +100,13 @@ def test_what_is_asked_for_is_an_argument():
 
 
 def test_a_share_of_zero_is_zero():
-    assert "range" in Forecast((seen(0.0), seen(0.001))).words()
+    assert "range" in Forecast((seen(0.0), seen(0.001))).summary()
 
 
 def test_a_mileage_breaks_no_promise():
     found = Forecast((seen(0.001, idle={"mileage": 1.0}),))
     assert found.promised
-    assert "mileage" in found.words()
+    assert "mileage" in found.summary()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.009, 0.011])
@@ -218,31 +218,31 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = "nothing runs away: a longer plan, of more updates, may hold it"
     swinging = TrackingCriteria({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
-    assert "tracked" in Forecast((swinging,)).words()
-    assert longer in Forecast((swinging,)).words() and longer in Forecast((seen(0.02),)).words()
-    assert longer not in Forecast((seen(0.001),)).words()
+    assert "tracked" in Forecast((swinging,)).summary()
+    assert longer in Forecast((swinging,)).summary() and longer in Forecast((seen(0.02),)).summary()
+    assert longer not in Forecast((seen(0.001),)).summary()
     for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):
-        assert longer not in Forecast(gone).words() and "away" in Forecast(gone).words()
+        assert longer not in Forecast(gone).summary() and "away" in Forecast(gone).summary()
 
 
 def test_a_doubt_breaks_a_promise():
     doubted = Forecast((seen(0.001),), doubts=("a function is missing",))
     assert not doubted.controlled and not doubted.record()["controlled"]
     assert doubted.record()["doubts"] == ["a function is missing"]
-    assert "promised" in doubted.words() and doubted.words().endswith("a function is missing")
+    assert "promised" in doubted.summary() and doubted.summary().endswith("a function is missing")
 
 
 def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer_plan():
-    told = Forecast((seen(0.001), seen(0.02))).words()
+    told = Forecast((seen(0.001), seen(0.02))).summary()
     assert "longer" in told and "longer plan" not in told
-    assert "log longer" not in Forecast((seen(0.02), seen(0.03))).words()
+    assert "log longer" not in Forecast((seen(0.02), seen(0.03))).summary()
 
 
 def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
-    told = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).words()
+    told = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).summary()
     assert "flights" in told
     assert told.endswith("0.3 % at worst, after it overshot by 62 % of the step")
-    assert "overshot" not in Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).words()
+    assert "overshot" not in Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).summary()
 
 
 def test_the_overshoot_is_that_of_flights():
@@ -260,7 +260,7 @@ def test_the_overshoot_is_that_of_flights():
 
 @pytest.mark.parametrize(("flights", "told"), [((None,), True), ((seen(0.02),), True), ((seen(0.001),), False)])
 def test_a_period_to_try_is_told_in_place_of_a_longer_plan_where_a_plan_fails(flights, told):
-    words = Forecast(flights, period="try a control period of 2 s").words()
+    words = Forecast(flights, period="try a control period of 2 s").summary()
     assert words.endswith("try a control period of 2 s") == told and "longer plan" not in words
 
 

@@ -328,5 +328,5 @@ def test_a_controller_out_of_a_file_that_fails_is_told_which_period_to_try(tmp_p
     controller = dynasindy.plan(model, targets, log, dt=0.05, updates=1, rollouts=4, window=5)
     save(controller, tmp_path / "controller.json")
     steps = Scenario("step", step_references([-0.5], [0.5], 4), 4, 2.0)
-    told = dynasindy.forecast(dynasindy.load(tmp_path), model, log, steps).words()
+    told = dynasindy.forecast(dynasindy.load(tmp_path), model, log, steps).summary()
     assert "flights" in told and "env.dt=0.02" in told

@@ -354,7 +354,7 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         assert result.errors[0, -1, 0].item() == pytest.approx(0.02 * math.pi / box)
         found = judge_tracking(result, torch.tensor([True, True]))
         assert found.turned == (["theta"] if box > 6 else [])
-        told = Forecast((found,), result).words()
+        told = Forecast((found,), result).summary()
         assert ("of a turn" in told) is (box > 6)
 
 

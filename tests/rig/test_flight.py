@@ -288,7 +288,7 @@ def test_the_limits_of_a_plant_guard_what_has_no_range_of_its_own():
 
 def test_the_ranges_in_which_a_flight_goes_on_are_said_in_the_units_of_the_states():
     wiring = Wiring(Pendulum().signature, (True, True), 0.05)
-    said = Guard({"theta": -1.5}, {"theta": 1.5, "Omega": 8.0}).words(wiring)
+    said = Guard({"theta": -1.5}, {"theta": 1.5, "Omega": 8.0}).summary(wiring)
     assert "-1.5 to 1.5 rad" in said and "-inf to 8 rad/s" in said
 
 

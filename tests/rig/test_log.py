@@ -61,7 +61,7 @@ def test_the_last_half_of_each_target_counts(flight):
     assert flight.ends.tolist() == [False, False, True, True, False, False, True, True]
     assert flight.errors()[0] == pytest.approx((0.1 + 0.3 + 0.25) / 3)
     assert np.isnan(flight.errors()[1])
-    assert "0.217 rad" in flight.words() and "level" in flight.words()
+    assert "0.217 rad" in flight.summary() and "level" in flight.summary()
 
 
 def test_what_is_drawn_is_the_log(flight):
@@ -85,7 +85,7 @@ def test_a_flight_that_ended_early_is_shown_as_far_as_it_went(tmp_path):
     assert short.errors()[0] == pytest.approx(4.0)
     (tmp_path / "none.csv").write_text(LOG.splitlines()[0] + "\n")
     none = FlightRecord.of(tmp_path / "none.csv", SIGNATURE, ("theta",), [[1.0]] * 8)
-    assert "no period" in none.words()
+    assert "no period" in none.summary()
 
 
 @pytest.mark.parametrize(("off", "said"), [(0.2, "step of 0.01 rad"), (3, "0.03 rad")])
@@ -95,4 +95,4 @@ def test_an_error_below_the_step_of_an_encoder_is_no_number_of_the_plant(tmp_pat
     log = "\n".join(["time [s],theta [rad],u [-]", *(f"{0.1 * k},{0.01 * c:.2f},0" for k, c in enumerate(counts))])
     (tmp_path / "log.csv").write_text(log)
     shown = FlightRecord.of(tmp_path / "log.csv", SIGNATURE, ("theta",), [[0.01 * off]] * 120)
-    assert shown.words().endswith(said)
+    assert shown.summary().endswith(said)

@@ -72,7 +72,7 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
     found = dynasindy.forecast(controller, model, read, seed=seed, within=0.02)
     assert list(model.equations()) == told["equations"]
     assert json.loads(json.dumps(found.record())) == told["prediction"]
-    assert found.words() in done.stdout
+    assert found.summary() in done.stdout
     assert found.promised == promised
     assert any("lagging" in line for line in told["equations"]) == (plant == "propeller")
 

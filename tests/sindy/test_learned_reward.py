@@ -41,7 +41,7 @@ def test_a_reward_of_either_end_of_the_period_is_found(later):
     assert not earned(task, x, u, x_next).any()  # nothing is known yet
     task.learn(x, u, x_next, paid)
     torch.testing.assert_close(earned(task, *drawn(20, 1)), _by_hand(*drawn(20, 1), later), atol=1e-6, rtol=1e-6)
-    assert task.words().startswith("3 - 2 a^2 + 0.5 a b - 0.1 u^2,") and ("at the end" in task.words()) == later
+    assert task.summary().startswith("3 - 2 a^2 + 0.5 a b - 0.1 u^2,") and ("at the end" in task.summary()) == later
     assert task.unit == pytest.approx(float(paid.std()))
 
 
@@ -86,10 +86,10 @@ def test_a_given_reward_is_used_and_compared_with_what_was_paid():
     task = LearnedReward(SIGNATURE, reward)
     torch.testing.assert_close(earned(task, x, u, x_next), x[:, 0] - 2.0 * x_next[:, 1] * u[:, 0])
     task.learn(x, u, x_next, reward(x, u, x_next))
-    assert "leaves 0 %" in task.words()
+    assert "leaves 0 %" in task.summary()
     off = reward(x, u, x_next)
     task.learn(x, u, x_next, off + 0.5 * off.std())  # half a deviation beside it, everywhere
-    assert "50 %" in task.words()
+    assert "50 %" in task.summary()
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_what_was_learnt_is_kept():
     task.learn(x, u, x_next, x_next[:, 1] ** 2 - u[:, 0])
     other.load_state_dict(copy.deepcopy(task.state_dict()))
     assert torch.equal(earned(other, x, u, x_next), earned(task, x, u, x_next))
-    assert (other.words(), other.unit) == (task.words(), task.unit)
+    assert (other.summary(), other.unit) == (task.summary(), task.unit)
 
 
 def test_a_reward_without_inputs_is_that_of_inputs_of_zero():
@@ -171,4 +171,4 @@ def test_pendulum_v1_pays_itself_and_both_planners_imagine_it(planning, hearing)
     torch.testing.assert_close(imagined[:, 0], by_hand, rtol=0, atol=0.35)
     resumed = of_pendulum(planning)
     resumed.load_state_dict(parts.state_dict())
-    assert resumed.plant.task.words() == parts.plant.task.words() != ""
+    assert resumed.plant.task.summary() == parts.plant.task.summary() != ""
