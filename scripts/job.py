@@ -100,7 +100,7 @@ def settings_of(cfg: DictConfig) -> str:
     if cfg.system is None:
         given = HydraConfig.get().runtime.choices.system
         plants = sorted(
-            file.stem for file in (CONF / "system").glob("[a-z]*.yaml") if file.stem not in (given, "unknown")
+            file.stem for file in (CONF / "system").glob("[a-z]*.yaml") if file.stem not in (given, "black_box")
         )
         raise ValueError(
             f"system={given} is no plant to train on, only a log of one; choose one of {', '.join(plants)}, "

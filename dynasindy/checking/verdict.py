@@ -20,13 +20,13 @@ from dynasindy.text import format_duration
 
 GENTLE = "Where plant.rates names rates, try task.reward.rate_weight=10, by which quick movements cost more than by 0.1"
 CAREFUL = (
-    f"{GENTLE}. On any plant, try planning.margin=0.5 with planning.variation.parameters=0.2, by which training varies "
-    "the plant more"
+    f"{GENTLE}. On any plant, try planning.gain_range=0.5 with planning.randomization.parameters=0.2, by which "
+    "training varies the plant more"
 )
 VARIED = (
-    "Where a plant is not stable, try planning.variation.parameters=0.2, by which training varies the plant by up to "
-    "that share; where only the steady error is too large, give the controller integral action, as the page on checks "
-    "shows"
+    "Where a plant is not stable, try planning.randomization.parameters=0.2, by which training varies the plant by up "
+    "to that share; where only the steady error is too large, give the controller integral action, as the page on "
+    "checks shows"
 )
 REMEDIES = {
     "stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
@@ -40,7 +40,7 @@ REMEDIES = {
     "saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
     "one coefficient": f"The size of these changes is fixed, so longer data do not help. {VARIED}",
     "all coefficients": VARIED,
-    "settling": "For a plant that is not as the model says, try planning.variation.parameters=0.2, or give the "
+    "settling": "For a plant that is not as the model says, try planning.randomization.parameters=0.2, or give the "
     "controller integral action, as the page on checks shows",
     "recovery": "Switch the controller on near the middle of the targets, or give plant.start the range from which it "
     "is to come back, and train anew",

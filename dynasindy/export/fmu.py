@@ -23,7 +23,7 @@ from dynasindy.export.expressions import fill, formulas, module_name, number
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
-from dynasindy.systems.compiler import SUFFIX, build_library, compiler
+from dynasindy.systems.compiler import SUFFIX, compile_library, compiler
 
 REFERENCES = {2: "unsigned int", 3: "uint32_t"}
 """Versions of FMI that are written, and what their value references are in C."""
@@ -192,7 +192,7 @@ def _compiled(sources: Mapping[str, str]) -> bytes:
         for name, text in sources.items():
             (Path(place) / name).write_text(text, encoding="utf-8")
         units = [Path(place) / name for name in sources if name.endswith(".c")]
-        return build_library(units, Path(place) / f"unit{SUFFIX}").read_bytes()
+        return compile_library(units, Path(place) / f"unit{SUFFIX}").read_bytes()
 
 
 def _platform(version: int) -> str:

@@ -4,7 +4,7 @@ from dynasindy.planning.gate import Gate, ModelError, ModelPrediction, replay_er
 from dynasindy.planning.gradient_planning import GradientPlanning
 from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning
 from dynasindy.planning.planner import Planned, Planner
-from dynasindy.planning.randomization import RandomizedSystem, Variation
+from dynasindy.planning.randomization import Randomization, RandomizedSystem
 
 __all__ = [
     "Gate",
@@ -16,7 +16,7 @@ __all__ = [
     "NoPlanning",
     "Planned",
     "Planner",
+    "Randomization",
     "RandomizedSystem",
-    "Variation",
     "replay_error",
 ]

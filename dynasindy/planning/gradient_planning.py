@@ -26,7 +26,7 @@ from dynasindy.planning.gate import Bound
 from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.planner import Planned, Planner
-from dynasindy.planning.randomization import GainMargin, ModelEnsemble, RandomizedSystem, Variation
+from dynasindy.planning.randomization import GainMargin, ModelEnsemble, Randomization, RandomizedSystem
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.systems import Diverged, Signature, System
@@ -55,8 +55,8 @@ class Episodes:
         self.system: System = planner.env.system
         if planner.others:
             self.system = ModelEnsemble([self.system, *planner.others])
-        if planner.variation.parameters:
-            self.system = RandomizedSystem(self.system, planner.variation.parameters, planner.rollouts)
+        if planner.randomization.parameters:
+            self.system = RandomizedSystem(self.system, planner.randomization.parameters, planner.rollouts)
             self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
@@ -78,7 +78,7 @@ class Episodes:
             margin: Draws the strengths; None leaves them those of the model.
         """
         planner, rows = self.planner, self.rows
-        rows.late = planner.variation.delays(planner.rollouts, planner.rng)
+        rows.late = planner.randomization.delays(planner.rollouts, planner.rng)
         if margin is not None:
             self.margin = margin
             rows.strength = margin.draw(rows.params, planner.rng)
@@ -96,7 +96,7 @@ class Episodes:
         rows.t = rows.t.masked_fill(new.unsqueeze(-1), 0.0)
         if self.margin is not None and rows.strength is not None:
             rows.strength = rows.strength.where(new, self.margin.draw(rows.params, planner.rng))
-        if rows.late is not None and (delays := planner.variation.delays(len(new), planner.rng)) is not None:
+        if rows.late is not None and (delays := planner.randomization.delays(len(new), planner.rng)) is not None:
             rows.late = delays.where(new.unsqueeze(-1), rows.late)
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
         if isinstance(self.system, RandomizedSystem):
@@ -120,7 +120,7 @@ def references(env: ControlEnv, rows: int, rng: torch.Generator) -> Rows:
     return Rows(x, torch.zeros(rows, env.system.signature.n_u), params, torch.zeros(rows, 1))
 
 
-FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "held", "margin")
+FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "warm_start", "gain_range")
 """Settings that follow the plant where they are not given."""
 GIVEN_UP, SHORTER = 0.02, 0.1
 """Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
@@ -137,8 +137,8 @@ class GradientPlanning(Planner):
         env: Imagined environment, `real.with_system(world_model)`.
         agent: Agent whose actor learns, or an actor alone.
         replay: Storages; imagined episodes may begin at real states. None where there are none.
-        updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps`, `held` and
-            `margin` follow the plant where they are None, see `dynasindy.planning.plan_settings`.
+        updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps`,
+            `warm_start` and `gain_range` follow the plant where they are None, see `dynasindy.planning.plan_settings`.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
         rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
         window: Control periods that a gradient reaches back.
@@ -147,8 +147,8 @@ class GradientPlanning(Planner):
         max_grad_norm: Bound of each gradient's norm.
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
-        held: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
-        margin: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
+        warm_start: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
+        gain_range: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
             `dynasindy.planning.randomization`; None for 0.3. Where ways from afar are imitated, as in the model.
         real_starts: Share of imagined episodes that begin at real states.
         jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
@@ -158,15 +158,15 @@ class GradientPlanning(Planner):
         patience: Tests in a row without improvement after which a phase ends early.
         searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
             tracks no reference.
-        variation: How imagined plants stray from the model; by default inputs are a control period late in
+        randomization: How imagined plants stray from the model; by default inputs are a control period late in
             one episode of two. Where ways from afar are imitated, or the task tracks no reference, they never are.
         others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
 
     Raises:
-        ValueError: A number is out of range, `held` is asked for and the task tracks no reference, or the noise has not
-            one deviation per state.
+        ValueError: A number is out of range, `warm_start` is asked for and the task tracks no reference, or the noise
+            has not one deviation per state.
     """
 
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
@@ -192,20 +192,22 @@ class GradientPlanning(Planner):
         substeps: Count | None = None,
         check_every: int = 50,
         patience: int | None = None,
-        held: bool | None = None,
-        margin: float | None = None,
+        warm_start: bool | None = None,
+        gain_range: float | None = None,
         searches: Count = 16,
-        variation: Variation | None = None,
+        randomization: Randomization | None = None,
         others: Sequence[System] = (),
         every: int = 1,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, held, margin), strict=True)
+        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, warm_start, gain_range), strict=True)
         self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
         sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
-        _require_positive({**{k: v for k, v in self.given.items() if k not in ("updates", "held", "margin")}, **sizes})
-        _require_share(margin)
+        _require_positive(
+            {**{k: v for k, v in self.given.items() if k not in ("updates", "warm_start", "gain_range")}, **sizes}
+        )
+        _require_share(gain_range)
         least = min(rollouts, updates or 0, more_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
@@ -220,9 +222,9 @@ class GradientPlanning(Planner):
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
-        self.variation, self.others = variation or Variation(), list(others)
+        self.randomization, self.others = randomization or Randomization(), list(others)
         self.rng = torch.Generator().manual_seed(seed)
-        self.env = ControlEnv(env.system, _imagined_task(env.task, width, held), env.dt, substeps or 1)
+        self.env = ControlEnv(env.system, _imagined_task(env.task, width, warm_start), env.dt, substeps or 1)
         self.env.stops = env.stops
         self.held_out = references(self.env, 64, torch.Generator().manual_seed(seed + 1))
         self.finest, self.phase = env.substeps, 0
@@ -245,12 +247,12 @@ class GradientPlanning(Planner):
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
         episodes = Episodes(self)
-        rows, late = self.held_out, None if rests is None else self.variation.ends(len(self.held_out.x))
+        rows, late = self.held_out, None if rests is None else self.randomization.ends(len(self.held_out.x))
         rows.reach, rows.strength, rows.late = episodes.rows.reach, None, late
         begun = WarmStart(-math.inf)
-        if rests is not None and pace.held and (first or not arrives(self.network, self.env, rests, self.rng)):
+        if rests is not None and pace.warm_start and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = self._held(rests)
-        elif rests is not None and pace.held:
+        elif rests is not None and pace.warm_start:
             begun = WarmStart(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
@@ -262,7 +264,7 @@ class GradientPlanning(Planner):
             rows.late = None
             best = begun.score if begun.afar else self.test()
         elif rests is not None:
-            episodes.vary(margin := GainMargin.of(self.env, rests, pace.margin))
+            episodes.vary(margin := GainMargin.of(self.env, rests, pace.gain_range))
             if margin is not None:
                 rows.strength = margin.ends(rows.params)
                 best = self.test() if best > -math.inf else best
@@ -278,7 +280,7 @@ class GradientPlanning(Planner):
                 failures = 0 if score > best else failures + 1
                 if score > best:
                     best, best_weights = score, self._weights()
-                elif rests is not None and pace.held and best - score > max(abs(best), GIVEN_UP):
+                elif rests is not None and pace.warm_start and best - score > max(abs(best), GIVEN_UP):
                     # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
                     lr, failures = SHORTER * lr, 0
                     self.network.load_state_dict(best_weights)
@@ -388,9 +390,9 @@ def _require_memory(signature: Signature, rollouts: int, window: int) -> None:
     check_memory(size, f"planning.rollouts={rollouts} of planning.window={window} periods")
 
 
-def _require_share(margin: float | None) -> None:
-    if margin is not None and not 0 <= margin < 1:
-        raise ValueError(f"gradient planning got margin={margin}; give a share of at least 0 and below 1")
+def _require_share(gain_range: float | None) -> None:
+    if gain_range is not None and not 0 <= gain_range < 1:
+        raise ValueError(f"gradient planning got gain_range={gain_range}; give a share of at least 0 and below 1")
 
 
 def _require_positive(sizes: dict[str, Any]) -> None:
@@ -417,13 +419,15 @@ def _network(policy: nn.Module) -> nn.Module:
     return network
 
 
-def _imagined_task(task: Task, width: float | None, held: bool | None) -> Task:
+def _imagined_task(task: Task, width: float | None, warm_start: bool | None) -> Task:
     """Return the task with a cost whose slope does not vanish near zero.
 
     Without a width, and where no reference is tracked, it is the task itself.
     """
-    if held and not isinstance(task, Tracking):
-        raise ValueError(f"task {type(task).__name__} has no targets to hold the plant at; leave out planning.held")
+    if warm_start and not isinstance(task, Tracking):
+        raise ValueError(
+            f"task {type(task).__name__} has no targets to hold the plant at; leave out planning.warm_start"
+        )
     if width is None or not isinstance(task, Tracking):
         return task
     smooth = task.fenced(FENCE)

@@ -4,7 +4,7 @@
 | -------------- | ------------------------------------------------------------------------------------------ |
 | window         | the slowest mode of the closed loop that a linear-quadratic regulator makes                |
 | lr             | whether deviations grow without control: then smaller steps, from a held plant             |
-| held           | likewise, and whether the task lets an input use little of its range                       |
+| warm_start     | likewise, and whether the task lets an input use little of its range                       |
 | patience       | whether deviations grow without control                                                    |
 | substeps       | the fastest mode of the model                                                              |
 
@@ -68,10 +68,10 @@ class PlanSettings:
         updates: Gradient updates of the first phase.
         patience: Tests in a row without improvement after which a phase ends.
         substeps: Runge-Kutta steps per imagined control period.
-        held: Whether the policy begins as a regulator that holds the plant.
+        warm_start: Whether the policy begins as a regulator that holds the plant.
         why: What of the plant they follow, in words.
         afar: Whether it begins by imitating ways to the rest from afar, as a swing-up.
-        margin: Share by which inputs are weaker or stronger in imagined episodes, at most.
+        gain_range: Share by which inputs are weaker or stronger in imagined episodes, at most.
     """
 
     window: int = 60
@@ -79,15 +79,15 @@ class PlanSettings:
     updates: int = 280
     patience: int = 3
     substeps: int = 1
-    held: bool = False
+    warm_start: bool = False
     why: str = "as for the twin rotor"
     afar: bool = False
-    margin: float = MARGIN
+    gain_range: float = MARGIN
 
     def __str__(self) -> str:
         """Return the settings in one line."""
         law = "ways from afar, found by search" if self.afar else "a regulator"
-        begun = f"begun as {law}, " if self.held else ""
+        begun = f"begun as {law}, " if self.warm_start else ""
         return (
             f"{begun}window {self.window} periods, lr {self.lr:g}, {self.updates} updates, patience {self.patience}, "
             f"{self.substeps} step{'s' * (self.substeps > 1)} a period: {self.why}"
@@ -102,8 +102,8 @@ def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
     targets = _targets(task, generator)
-    if task.rests is not None:
-        return between(env.system, task.outputs, targets, start, task.rests, task.input_limits)
+    if task.equilibria is not None:
+        return between(env.system, task.outputs, targets, start, task.equilibria, task.input_limits)
     return find_equilibria(env.system, task.outputs, targets, start, env.dt, task.input_limits)
 
 
@@ -140,7 +140,7 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
         assert isinstance(env.task, Tracking)
         narrow = _narrow(env.task) if regulator is not None else ""
         why = "; ".join(filter(None, (why, narrow)))
-        return PlanSettings(window=window, substeps=substeps, held=bool(narrow), why=why)
+        return PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why)
     if regulator is None:
         return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
     return PlanSettings(window, 3e-3, 200, 3, substeps, True, why)
@@ -161,7 +161,7 @@ def settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> fl
         share: Share of a step within which outputs have settled.
     """
     rests, weights = find_task_equilibria(env), Weights()
-    if rests is None or not len(rests) or choose_plan_settings(env, rests).held:
+    if rests is None or not len(rests) or choose_plan_settings(env, rests).warm_start:
         return 0.0
     assert isinstance(env.task, Tracking)
     moved, k, extents = rests.moved, rests.middle(), torch.full((len(rests.moved),), math.inf, dtype=torch.float64)

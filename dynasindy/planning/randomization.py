@@ -117,24 +117,26 @@ class GainMargin:
 
 
 @dataclass(frozen=True)
-class Variation:
+class Randomization:
     """How far imagined plants stray from the model; by default inputs are late, and nothing else differs.
 
     Attributes:
         parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
-        late: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two; true is 1.
+        input_delay: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two; true
+            is 1.
 
     Raises:
         ValueError: A number is out of range.
     """
 
     parameters: float = 0.0
-    late: float | bool = 1.0
+    input_delay: float | bool = 1.0
 
     def __post_init__(self) -> None:
-        if not (0 <= self.parameters < 1 and 0 <= self.late <= 1):
+        if not (0 <= self.parameters < 1 and 0 <= self.input_delay <= 1):
             raise ValueError(
-                f"a variation needs 0 <= parameters < 1 and 0 <= late <= 1, got {self}; mend planning.variation"
+                f"a randomization needs 0 <= parameters < 1 and 0 <= input_delay <= 1, got {self}; mend "
+                "planning.randomization"
             )
 
     def delays(self, rows: int, rng: torch.Generator) -> Tensor | None:
@@ -143,11 +145,11 @@ class Variation:
         About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
         was planned with delays drawn evenly from between has less margin.
         """
-        return self.late * (torch.rand(rows, 1, generator=rng) < 0.5).float() if self.late else None
+        return self.input_delay * (torch.rand(rows, 1, generator=rng) < 0.5).float() if self.input_delay else None
 
     def ends(self, rows: int) -> Tensor | None:
         """Return delays to test a policy with, `(rows, 1)`: three episodes in time and three that are late, in turn."""
-        return self.late * (torch.arange(rows) // 3 % 2).unsqueeze(-1).float() if self.late else None
+        return self.input_delay * (torch.arange(rows) // 3 % 2).unsqueeze(-1).float() if self.input_delay else None
 
 
 class ModelEnsemble(System):

@@ -32,7 +32,7 @@ def compiler() -> str | None:
     return next((path for path in map(shutil.which, filter(None, names)) if path), None)
 
 
-def build_library(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
+def compile_library(sources: Sequence[Path], library: Path, options: Sequence[str] = ("-O2", *STRICT)) -> Path:
     """Compile C sources to a shared library.
 
     Args:
@@ -93,7 +93,7 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool) -> ctyp
         stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
         text, library = stem.with_suffix(".c"), stem.with_suffix(SUFFIX)
         text.write_text(source, encoding="utf-8")
-        code = ctypes.CDLL(str(build_fast(text, library) if fast else build_library([text], library, FAITHFUL)))
+        code = ctypes.CDLL(str(build_fast(text, library) if fast else compile_library([text], library, FAITHFUL)))
     if not all(hasattr(code, name) for name in functions):
         raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code

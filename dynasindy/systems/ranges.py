@@ -54,7 +54,7 @@ def sample_states(ends: Tensor, batch: torch.Size, generator: torch.Generator) -
 
 
 def read_equilibria(
-    signature: Signature, given: Sequence[Mapping[str, Sequence[float]]] | None, key: str = "plant.rests"
+    signature: Signature, given: Sequence[Mapping[str, Sequence[float]]] | None, key: str = "plant.equilibria"
 ) -> tuple[Tensor, Tensor] | None:
     """Return states `(n, n_x)` that rest, and the inputs `(n, n_u)` that hold them; None where none are given.
 

@@ -30,7 +30,7 @@ from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.metrics import STEADY_SECONDS
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
-from dynasindy.planning import Gate, GradientPlanning, Variation
+from dynasindy.planning import Gate, GradientPlanning, Randomization
 from dynasindy.planning.integral import IntegralAction
 from dynasindy.safe_io import Row, append_rows, read_rows
 from dynasindy.sensing import Channel, Sensors
@@ -102,8 +102,8 @@ class Case:
         detuned: Evaluate on a plant with other parameters, in a gust.
         integral: Evaluate with integral action, too.
         unseen: Evaluate in situations that nothing was tuned on.
-        variation: How imagined plants stray.
-        margin: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
+        randomization: How imagined plants stray.
+        gain_range: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
         updates: Gradient updates of the first planning phase; None for as many as suit the plant.
         hidden: Widths of the policy's hidden layers.
         plants: Plants that it is measured on.
@@ -117,8 +117,8 @@ class Case:
     detuned: bool = False
     integral: bool = False
     unseen: bool = False
-    variation: Variation = field(default_factory=Variation)
-    margin: float | None = None
+    randomization: Randomization = field(default_factory=Randomization)
+    gain_range: float | None = None
     updates: int | None = None
     hidden: tuple[int, ...] = (128, 128)
     plants: tuple[str, ...] = ("xi", "tras")
@@ -126,7 +126,9 @@ class Case:
 
 CASES = {
     "step": Case(episodes=1),
-    "nominal": Case(episodes=1, variation=Variation(late=0.0), margin=0.0),  # planned on the model as it is
+    "nominal": Case(
+        episodes=1, randomization=Randomization(input_delay=0.0), gain_range=0.0
+    ),  # planned on the model as it is
     "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
     "moving": Case(moving=True, updates=400),
@@ -215,7 +217,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
 
 
 def _planning(case: Case) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("variation", "margin", "updates")}
+    return {name: getattr(case, name) for name in ("randomization", "gain_range", "updates")}
 
 
 def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:

@@ -297,5 +297,5 @@ def test_what_may_mend_several_findings_stands_behind_the_first_weak_one():
     lines = in_lines([*weak, CheckFinding("a", False, "b")])
     # Of the margins only the first weak one has the advice, which all of them share; that on the slew is another one.
     assert lines[0] == "ok    gain margin: b" and lines[2] == "WEAK  disk margin: b" and lines[4] == "WEAK  a: b"
-    assert lines[1] == str(weak[1]) and "planning.margin=" in lines[1] and "planning.margin=" not in lines[3]
+    assert lines[1] == str(weak[1]) and "planning.gain_range=" in lines[1] and "planning.gain_range=" not in lines[3]
     assert lines[3] == str(weak[3]) and "rate_weight" in lines[3]

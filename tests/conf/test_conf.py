@@ -21,7 +21,7 @@ from dynasindy.planning import Gate
 CONF = Path(__file__).resolve().parents[2] / "conf"
 GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "sensors", "scenario", "experiment")
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("[a-z]*.yaml"))]
-PLANTS = sorted({file.stem for file in (CONF / "system").glob("[a-z]*.yaml")} - {"logged", "unknown"})
+PLANTS = sorted({file.stem for file in (CONF / "system").glob("[a-z]*.yaml")} - {"logged", "black_box"})
 """The plants of the folder, to which whoever uses the package may have added some of their own."""
 SHIPPED = ("pendulum", "tras", "trms33", "xi")
 """Plants of the package with equations of its own; of these more is asked than of a plant that was added."""
@@ -41,7 +41,7 @@ def build(*overrides):
 
 
 # What needs Optuna is composed by tests/scripts/test_tune.py, where that is installed; what has no equations by none.
-@pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged", "system=unknown", "experiment=tune"}))
+@pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged", "system=black_box", "experiment=tune"}))
 def test_every_option_is_built(option):
     build(option)
 
@@ -96,10 +96,10 @@ def test_plants_of_the_package_are_known_to_stay(system):
 
 
 def test_rests_of_a_plant_reach_its_task():
-    _, parts = build("system=pendulum", "experiment=smoke", "+plant.rests=[{x: [0.5, 0.0], u: [0.39]}]")
-    assert [part.tolist() for part in parts.plant.task.rests] == [[[0.5, 0.0]], [[0.39]]]
-    with pytest.raises(ValueError, match=r"task\.rests has"):
-        build("system=pendulum", "experiment=smoke", "+plant.rests=[{x: [0.5], u: [0.39]}]")
+    _, parts = build("system=pendulum", "experiment=smoke", "+plant.equilibria=[{x: [0.5, 0.0], u: [0.39]}]")
+    assert [part.tolist() for part in parts.plant.task.equilibria] == [[[0.5, 0.0]], [[0.39]]]
+    with pytest.raises(ValueError, match=r"task\.equilibria has"):
+        build("system=pendulum", "experiment=smoke", "+plant.equilibria=[{x: [0.5], u: [0.39]}]")
 
 
 def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():

@@ -17,7 +17,7 @@ from dynasindy.dyna.run import Evaluating, Provenance, Saving, run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
-from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning, Variation
+from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning, Randomization
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
@@ -25,7 +25,7 @@ from dynasindy.tasks import RandomStep, Step, Tracking
 REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2)
 GRADIENT = partial(
     GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, searches=0,
-    variation=Variation(parameters=0.1),
+    randomization=Randomization(parameters=0.1),
 )  # fmt: skip
 PLANNERS = {
     "none": NoPlanning,

@@ -21,7 +21,7 @@ from dynasindy.export.expressions import fill
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import Oracle, SindyModel
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
-from dynasindy.systems.compiler import STRICT, SUFFIX, build_library, compiler
+from dynasindy.systems.compiler import STRICT, SUFFIX, compile_library, compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -247,7 +247,7 @@ def test_linear_equations_are_solved_as_numpy_solves_them_and_those_without_a_so
     wrapped = "int run(double *a, double *b, int n, int m);\nint run(double *a, double *b, int n, int m)"
     text = f"#include <math.h>\n{fill('solve.c', {})}\n{wrapped}\n{{\n    return solve(a, b, n, m);\n}}\n"
     (tmp_path / "solve.c").write_text(text, encoding="utf-8")
-    run = ctypes.CDLL(str(build_library([tmp_path / "solve.c"], tmp_path / f"solve{SUFFIX}"))).run
+    run = ctypes.CDLL(str(compile_library([tmp_path / "solve.c"], tmp_path / f"solve{SUFFIX}"))).run
 
     def solved(a, b):
         a, b = np.array(a, dtype=float), np.array(b, dtype=float)
@@ -327,7 +327,9 @@ def test_the_header_tells_the_places_of_names(pendulum, settings, tmp_path):
     for name, content in {**sources.files(), "shim.c": text}.items():
         (tmp_path / name).write_text(content)
     options = ["-Wno-missing-prototypes", *STRICT]
-    library = ctypes.CDLL(str(build_library([tmp_path / "shim.c", tmp_path / "ctl.c"], tmp_path / "shim.so", options)))
+    library = ctypes.CDLL(
+        str(compile_library([tmp_path / "shim.c", tmp_path / "ctl.c"], tmp_path / "shim.so", options))
+    )
     assert library.place() == 100
     assert "theta [rad]" in sources.header and "Period: 0.04 s" in " ".join(sources.header.split())
 

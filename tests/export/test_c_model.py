@@ -11,7 +11,7 @@ import torch
 from dynasindy.export import model_sources
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
-from dynasindy.systems.compiler import build_library, compiler
+from dynasindy.systems.compiler import compile_library, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 WORDS = ["1", "a", "a |a| b", "sign(b)", "exp(-(2 a)^2)", "sqrt(b - 0.3)", "max(0, a - -0.2)", "b /(1 + 3 cos(a)^2)"]
@@ -21,7 +21,7 @@ def compiled(sources, folder, result="dx"):
     for name, text in sources.files().items():
         (folder / name).write_text(text)
     call = getattr(
-        ctypes.CDLL(str(build_library([folder / f"{sources.name}.c"], folder / "m.so"))), f"{sources.name}_{result}"
+        ctypes.CDLL(str(compile_library([folder / f"{sources.name}.c"], folder / "m.so"))), f"{sources.name}_{result}"
     )
 
     def field(x, u, n):

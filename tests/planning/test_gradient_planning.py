@@ -13,7 +13,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import (
     GradientPlanning,
     Planned,
-    Variation,
+    Randomization,
     gradient_planning,
 )
 from dynasindy.planning.gradient_planning import Episodes, _schedule
@@ -129,8 +129,8 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
 
 def test_every_variation_can_be_planned_with(setting, small):
     env, agent, replay = setting()
-    variation = Variation(parameters=0.1, late=True)
-    planner = GradientPlanning(env, agent, replay, updates=3, variation=variation, **small)
+    randomization = Randomization(parameters=0.1, input_delay=True)
+    planner = GradientPlanning(env, agent, replay, updates=3, randomization=randomization, **small)
     planner.plan()
     assert bool(weights(agent.policy).isfinite().all())
 
@@ -237,8 +237,8 @@ def test_patience_counts_failures_in_a_row(planned):
 
 def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
-    never = Variation(late=0.0)
-    settings = small | {"updates": 6, "check_every": 2, "held": True, "margin": 0.0, "variation": never}
+    never = Randomization(input_delay=0.0)
+    settings = small | {"updates": 6, "check_every": 2, "warm_start": True, "gain_range": 0.0, "randomization": never}
     planner = GradientPlanning(env, agent, replay, **settings, lr=0.5)
     # Six regulators and the untrained policy, the imitation, then a policy that has lost the plant, a worse and a
     # better one.
@@ -264,8 +264,8 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
 )
 def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back, small):
     env, agent, replay = setting()
-    settings = small | {"updates": 4, "check_every": 2, "patience": 1, "variation": Variation(late=0.0)}
-    planner = GradientPlanning(env, agent, replay, **settings, held=True, margin=0.0, lr=0.5)
+    settings = small | {"updates": 4, "check_every": 2, "patience": 1, "randomization": Randomization(input_delay=0.0)}
+    planner = GradientPlanning(env, agent, replay, **settings, warm_start=True, gain_range=0.0, lr=0.5)
     scores = iter([-9.0, *6 * [-2.0], best, then, then])
     planner._update = lambda *_: True
     planner.test = lambda network=None: next(scores)
@@ -297,7 +297,7 @@ def test_by_default_inputs_are_up_to_30_percent_weaker_or_stronger_and_late_in_o
 
 def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small, monkeypatch):
     env, agent, replay = setting()
-    planner = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), held=True, margin=0.3)
+    planner = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), warm_start=True, gain_range=0.3)
     monkeypatch.setattr(gradient_planning, "hold", lambda *given: gradient_planning.WarmStart(-1.0, afar=True))
     seen, update = [], planner._update
     planner._update = lambda episodes, optimizer: (seen.append(episodes.rows), update(episodes, optimizer))[1]
@@ -309,7 +309,7 @@ def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small,
 @pytest.mark.parametrize("afar", [False, True])
 def test_ways_from_afar_are_asked_for_in_time_and_regulators_hold_late_inputs(setting, small, monkeypatch, afar):
     env, agent, replay = setting()
-    planner, asked = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), held=True), []
+    planner, asked = GradientPlanning(env, agent, replay, **(small | {"updates": 1}), warm_start=True), []
 
     def hold(network, env, rests, score, rng):
         asked.append((planner.held_out.late is not None, weights(network), torch.rand(1, generator=rng).item()))
@@ -408,7 +408,7 @@ def test_a_policy_that_is_told_to_begins_as_a_regulator(setting, small):
     earned = {}
     for held in (False, True):
         env, agent, replay = setting()
-        planner = GradientPlanning(env, agent, replay, updates=1, lr=1e-6, held=held, **small)
+        planner = GradientPlanning(env, agent, replay, updates=1, lr=1e-6, warm_start=held, **small)
         planner.plan()
         earned[held] = planner.test()
     assert earned[True] > 0.2 * earned[False]  # costs are negative: four fifths of them are gone
@@ -471,4 +471,4 @@ def test_without_references_the_plan_is_as_good_as_the_regulator_of_the_textbook
 def test_without_references_there_is_nothing_to_hold_the_plant_at(settle):
     env = ControlEnv(Spring(), settle(Spring().signature))
     with pytest.raises(ValueError, match="task Settle has no targets to hold the plant at"):
-        GradientPlanning(env, Actor(2, 1, hidden=(8,)), held=True)
+        GradientPlanning(env, Actor(2, 1, hidden=(8,)), warm_start=True)

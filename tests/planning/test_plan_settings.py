@@ -216,7 +216,7 @@ def test_rests_that_are_given_are_taken_instead_of_searched_ones():
     plant, box = Linear(4.0, 1.0, 8.0), ([-0.5], [0.5])
     given = [{"x": [-0.5, 0.0], "u": [0.3]}, {"x": [0.5, 0.0], "u": [-0.3]}]
     for rests, share in ((None, -0.5), (given, -0.6)):
-        task = Tracking(plant.signature, RandomStep(*box), ["x"], ["v"], TrackingReward((4.0,)), rests=rests)
+        task = Tracking(plant.signature, RandomStep(*box), ["x"], ["v"], TrackingReward((4.0,)), equilibria=rests)
         found = find_task_equilibria(ControlEnv(plant, task, 0.05, 1))
         assert len(found) > 10
         torch.testing.assert_close(found.u, share * found.targets, atol=1e-5, rtol=0)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning import RandomizedSystem, Variation
+from dynasindy.planning import Randomization, RandomizedSystem
 from dynasindy.planning.randomization import GainMargin, InputStrength, ModelEnsemble
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import SindyModel
@@ -69,11 +69,11 @@ def test_members_of_a_difference_equation_move_by_its_steps():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{name: value} for name in ("parameters", "late") for value in (-0.1, 1.1, math.nan, math.inf)]
+    "wrong", [{name: value} for name in ("parameters", "input_delay") for value in (-0.1, 1.1, math.nan, math.inf)]
 )
 def test_impossible_variations_are_refused(wrong):
-    with pytest.raises(ValueError, match=r"planning\.variation"):
-        Variation(**wrong)
+    with pytest.raises(ValueError, match=r"planning\.randomization"):
+        Randomization(**wrong)
 
 
 def test_versions_fill_their_ranges_evenly_on_both_sides_and_apart():
@@ -100,12 +100,12 @@ def test_the_versions_are_those_of_the_generator():
 
 
 def test_one_episode_of_two_is_late_by_as_much_as_may_be():
-    drawn = Variation(late=0.7).delays(4000, torch.Generator().manual_seed(0))
+    drawn = Randomization(input_delay=0.7).delays(4000, torch.Generator().manual_seed(0))
     assert drawn.shape == (4000, 1) and sorted(drawn.unique().tolist()) == pytest.approx([0.0, 0.7])
     assert float((drawn > 0).float().mean()) == pytest.approx(0.5, abs=0.03)  # of 4000 throws of a coin
-    never = Variation(late=0.0)
+    never = Randomization(input_delay=0.0)
     assert never.delays(5, torch.Generator()) is None and never.ends(5) is None
-    assert Variation(late=True).ends(8).flatten().tolist() == [0, 0, 0, 1, 1, 1, 0, 0]
+    assert Randomization(input_delay=True).ends(8).flatten().tolist() == [0, 0, 0, 1, 1, 1, 0, 0]
 
 
 def test_members_keep_the_stops_of_the_model():

@@ -160,7 +160,7 @@ def test_a_plan_that_was_stopped_is_gone_on_with_by_its_equations(tmp_path):
 
 
 ARM = """# @package _global_
-defaults: [unknown, _self_]
+defaults: [black_box, _self_]
 system:
   states: {theta: rad}
   inputs: {u: {low: -12, high: 12, unit: V}}

@@ -276,4 +276,4 @@ def test_what_takes_a_value_from_a_group_that_is_none_names_both(instead):
 
 @pytest.mark.parametrize("late", ["false", "true", "0.5"])
 def test_a_delay_of_imagined_inputs_is_a_number_or_what_older_runs_have(late):
-    check(composed("train", f"planning.variation.late={late}"))
+    check(composed("train", f"planning.randomization.input_delay={late}"))

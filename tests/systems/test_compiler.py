@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.systems import compiler as module
-from dynasindy.systems.compiler import SUFFIX, build_fast, build_library, compiler
+from dynasindy.systems.compiler import SUFFIX, build_fast, compile_library, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
@@ -16,14 +16,14 @@ def test_without_a_compiler_one_line_says_so(tmp_path, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     assert compiler() is None
     with pytest.raises(FileNotFoundError, match="clang"):
-        build_library([tmp_path / "any.c"], tmp_path / "any.so")
+        compile_library([tmp_path / "any.c"], tmp_path / "any.so")
 
 
 @needs_compiler
 def test_what_the_compiler_refuses_costs_one_line(tmp_path):
     (tmp_path / "bad.c").write_text("int f(void) { return ; }}\n")
     bad, made = tmp_path / "bad.c", tmp_path / "bad.so"
-    for attempt in (lambda: build_library([bad], made), lambda: build_fast(bad, made)):
+    for attempt in (lambda: compile_library([bad], made), lambda: build_fast(bad, made)):
         with pytest.raises(ValueError, match="refused") as error:
             attempt()
         assert "\n" not in str(error.value)
@@ -47,7 +47,7 @@ def test_a_compiler_that_hangs_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", str(asleep))
     monkeypatch.setattr(module, "LONGEST", 0.1)
     with pytest.raises(ValueError, match="took"):
-        build_library([tmp_path / "any.c"], tmp_path / "any.so")
+        compile_library([tmp_path / "any.c"], tmp_path / "any.so")
 
 
 @needs_compiler

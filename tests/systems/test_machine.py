@@ -14,7 +14,7 @@ import torch
 
 from dynasindy.systems import compiler as compiling
 from dynasindy.systems import machine as module
-from dynasindy.systems.compiler import build_library, compiler, forget
+from dynasindy.systems.compiler import compile_library, compiler, forget
 from dynasindy.systems.machine import Machine, Program
 from dynasindy.systems.stops import Stops
 
@@ -126,7 +126,7 @@ def test_a_flight_of_a_falling_row_is_the_parabola_that_it_falls_along():
 
 def test_a_program_is_compiled_once_whatever_its_constants(monkeypatch):
     Machine(DECAY, torch.float64)
-    monkeypatch.setattr(compiling, "build_library", lambda *_: pytest.fail("compiled again"))
+    monkeypatch.setattr(compiling, "compile_library", lambda *_: pytest.fail("compiled again"))
     other = Machine(Program(1, 1, DECAY.lines, DECAY.results, (0.0,)), torch.float64)
     one = torch.ones(1, 1, dtype=torch.float64)
     assert other.integrate(one, one, 0.5, 1)[0].item() == 1.5
@@ -295,7 +295,7 @@ def test_no_number_leads_to_what_c_leaves_undefined(tmp_path):
     probe = tmp_path / "probe.c"
     probe.write_text("int probe(void);\nint probe(void) { return 1; }\n")
     try:
-        ctypes.CDLL(str(build_library([probe], tmp_path / "probe.so", sanitizer)))
+        ctypes.CDLL(str(compile_library([probe], tmp_path / "probe.so", sanitizer)))
     except (ValueError, OSError):
         pytest.skip("the compiler has no sanitizer of undefined behaviour")
     wrapper = tmp_path / "cc"

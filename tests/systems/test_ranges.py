@@ -59,5 +59,5 @@ def test_rests_are_a_number_per_state_and_per_input():
     ],
 )
 def test_what_is_no_rest_is_refused_with_the_names_of_states_and_inputs(rest):
-    with pytest.raises(ValueError, match="rests"):
-        read_equilibria(SIGNATURE, [{"x": [0.0, 0.0, 0.0], "u": [0.0]}, rest], "task.rests")
+    with pytest.raises(ValueError, match="equilibria"):
+        read_equilibria(SIGNATURE, [{"x": [0.0, 0.0, 0.0], "u": [0.0]}, rest], "task.equilibria")
