@@ -23,13 +23,13 @@ from dynasindy.control import Controller
 from dynasindy.control.files import network, require_states
 from dynasindy.export.expressions import (
     Formulas,
+    c_number,
     comment,
     fill,
     formulas,
     identifiers,
     module_name,
     number,
-    c_number,
     right_sides,
     rows,
     single,

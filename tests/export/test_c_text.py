@@ -7,7 +7,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from dynasindy.export.expressions import comment, fill, identifiers, module_name, number, c_number, rows, single
+from dynasindy.export.expressions import c_number, comment, fill, identifiers, module_name, number, rows, single
 
 
 def test_identifiers_are_of_ascii_letters_and_differ():

@@ -10,7 +10,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import generate, machine
 from dynasindy.sindy.functions import register_function, unregister_function
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
-from dynasindy.sindy.named_libraries import compile_library
+from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, integrate
 from dynasindy.systems.base import Signature
 from dynasindy.systems.compiler import compiler
@@ -33,7 +33,7 @@ def sparse(library: Library, share: float, seed: int) -> torch.Tensor:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
 def test_code_equals_the_sum_of_all_functions(name, share):
-    library = compile_library(name, Tras().signature)
+    library = build_library(name, Tras().signature)
     x, u = draw(3, 4, 6, seed=1), draw(3, 4, 2, seed=2)
     for seed in range(3):
         xi = sparse(library, share, seed)
@@ -70,7 +70,7 @@ def test_rows_that_are_empty_constant_or_one_function_have_the_shape_of_the_batc
 
 
 def test_derivatives_by_states_and_inputs_are_those_of_the_sum():
-    library = compile_library("rotor", Tras().signature)
+    library = build_library("rotor", Tras().signature)
     xi, x, u = sparse(library, 0.5, 3), draw(4, 6, seed=1), draw(4, 2, seed=2)
     ours, plain = generate(library, xi), lambda x, u: library(x, u) @ xi
     for argument in (0, 1):
