@@ -37,7 +37,6 @@ class Drawing(NamedTuple):
     by: str
     more: str
 
-    @property
     def summary(self) -> str:
         """All of it."""
         return f"{self.by}, {self.more}"

@@ -535,7 +535,7 @@ def _changes(found: Check, limits: Thresholds) -> list[CheckFinding]:
         (
             "all coefficients",
             slice(0, others.draws),
-            f"{others.draws} plants with all coefficients drawn, {others.how.words}",
+            f"{others.draws} plants with all coefficients drawn, {others.how.summary()}",
         ),
     ):
         radius, labels = others.worst[rows], others.labels[rows]
