@@ -39,6 +39,7 @@ import torch
 from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
+from dynasindy.control.integral import IntegralAction
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.arguments import as_arguments, as_warning
@@ -56,7 +57,6 @@ from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.evaluation.verdict import beyond, doubts, uncontrolled_outputs, unlogged
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.integral import IntegralAction
 from dynasindy.planning.plan_settings import find_task_equilibria, unheld
 from dynasindy.progress import reporting_as
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors

@@ -13,9 +13,9 @@ def main(cfg: DictConfig) -> None:
     from saved_run import load_config, load_policy, load_scenario, load_sensing
     from schema import check
 
+    from dynasindy.control.integral import IntegralAction
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
-    from dynasindy.planning.integral import IntegralAction
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.viz.animation import animate

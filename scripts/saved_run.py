@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from schema import check as check_values
 from schema import register_functions
 
-from dynasindy.dyna.weights import read_weights
+from dynasindy.dyna.folder import read_weights
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
 from dynasindy.limits import raise_if_memory

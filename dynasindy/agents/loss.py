@@ -1,12 +1,15 @@
 """TorchRL's TD3 loss and target updater on plain tensors: the same values and gradients in less time."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
-from torch import Tensor
+from torch import Tensor, nn
+from torch.optim import Adam
 from torchrl.objectives import SoftUpdate as TorchRLSoftUpdate
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives import ValueEstimators
@@ -105,7 +108,7 @@ class TD3Loss(TorchRLTD3Loss):
         self.target_actor_layers = actor.layers(parameters["target_actor_network_params"])
         self.target_critic_layers = critic.layers(parameters["target_qvalue_network_params"])
 
-    def _apply(self, fn: Callable[..., Any], *args: Any) -> "TD3Loss":
+    def _apply(self, fn: Callable[..., Any], *args: Any) -> TD3Loss:
         moved = super()._apply(fn, *args)
         self._list_layers()  # moving to a device or a dtype replaces tensors
         return moved
@@ -128,3 +131,56 @@ class SoftUpdate(TorchRLSoftUpdate):
     def step(self) -> None:
         """Move the targets."""
         torch._foreach_lerp_(self.targets, self.sources, self.tau)
+
+
+Check = Callable[[Tensor, str], None]
+"""Takes a loss and its name before any weight moves by it; raises if it is not finite."""
+
+
+class GradientSteps:
+    """Steps of Adam down the two losses of TD3.
+
+    Args:
+        loss: the loss module.
+        critics: the optimiser of the critics.
+        actor: the optimiser of the actor.
+        bound: bound of each gradient's norm; 0 leaves gradients as they are.
+    """
+
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
+        self.loss, self.optimizers, self.bound = loss, (critics, actor), bound
+
+    def stands(self) -> bool:
+        """Return whether the steps still fit what they were made of."""
+        return True
+
+    def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
+        """Take a step of the critics; return their loss and their mean value.
+
+        Args:
+            batch: transitions `(batch,)`.
+            check: told of the loss before the step.
+        """
+        loss, parts = self.loss.value_loss(batch)
+        check(loss, "the critics' loss")
+        self._descend(loss, self.optimizers[0])
+        return loss.detach(), parts["pred_value"].mean()
+
+    def actor(self, batch: TensorDictBase, check: Check) -> Tensor:
+        """Take a step of the actor; return its loss.
+
+        Args:
+            batch: transitions `(batch,)`.
+            check: told of the loss before the step.
+        """
+        loss, _ = self.loss.actor_loss(batch)
+        check(loss, "the actor's loss")
+        self._descend(loss, self.optimizers[1])
+        return loss.detach()
+
+    def _descend(self, loss: Tensor, optimizer: Adam) -> None:
+        optimizer.zero_grad()
+        loss.backward()
+        if self.bound:
+            nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.bound)
+        optimizer.step()

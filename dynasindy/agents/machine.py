@@ -17,9 +17,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torch.optim import Adam
 
-from dynasindy.agents.loss import TD3Loss
+from dynasindy.agents.loss import Check, GradientSteps, TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.agents.steps import Check, GradientSteps, adam_states
 from dynasindy.systems.compiler import load_library
 
 LINE = 64
@@ -218,7 +217,7 @@ def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer
     """Return what a step of Adam reads and writes."""
     flat = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
     slopes = [tensor for layer in gradients for tensor in (layer.weight, layer.bias)]
-    states = adam_states(optimizer, flat)
+    states = _adam_states(optimizer, flat)
     moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
     sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
     return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))
@@ -227,3 +226,21 @@ def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer
 def _pointers(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
     addresses = (ctypes.c_void_p * len(tensors))(*(tensor.data_ptr() for tensor in tensors))
     return ctypes.cast(addresses, Pointers)
+
+
+def _adam_states(optimizer: Adam, weights: Sequence[Tensor]) -> list[dict[str, Tensor]]:
+    """Return what Adam keeps of some weights; what it has not made yet is made as it would.
+
+    Args:
+        optimizer: The optimiser.
+        weights: Tensors that lie where its parameters do.
+    """
+    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
+    states = []
+    for tensor in weights:
+        state = optimizer.state[owners[tensor.data_ptr()]]
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32)
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
+        states.append(state)
+    return states

@@ -27,11 +27,10 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from dynasindy.agents.loss import SoftUpdate, TD3Loss
+from dynasindy.agents.loss import GradientSteps, SoftUpdate, TD3Loss
 from dynasindy.agents.machine import best_steps
 from dynasindy.agents.networks import actor, critic
 from dynasindy.agents.noise import DecayingGaussian
-from dynasindy.agents.steps import GradientSteps
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
 

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
-from dynasindy.planning.integral import IntegralAction
+from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing.observer import Belief
 from dynasindy.sensing.offset import acting
 from dynasindy.sindy import SindyModel

@@ -14,8 +14,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.limits import raise_if_memory
-from dynasindy.planning.linear_model import EquilibriumSolver
+from dynasindy.planning.equilibria import find_equilibria
 from dynasindy.progress import report_progress
 
 NUDGE = 1e-5
@@ -36,6 +35,8 @@ SETTLED = 600
 Array = NDArray[np.float64]
 
 
+BOUNDLESS = 1e3
+"""Inputs beyond their limits that a model may rest by."""
 RESTS = "where the loop rests"
 """What is under way, in words."""
 Say = Callable[[int, str], None]
@@ -123,16 +124,13 @@ def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
     n_x, n_u = loop.signature.n_x, loop.signature.n_u
     x, u = torch.zeros(len(r), n_x, dtype=torch.float64), torch.zeros(len(r), n_u, dtype=torch.float64)
     x[:, loop.task.outputs] = r
-    try:
-        found = EquilibriumSolver(loop.plant.model, loop.task.output_names)
-    except ValueError:
-        return loop.at(x, u)
-    for k, target in enumerate(r):
-        say(0, f"place {k + 1} of {len(r)} sought in the model")
-        try:
-            x[k], u[k] = found.state_and_input(target, found(target))
-        except (ValueError, RuntimeError) as error:  # out of reach, or a slope that has no inverse
-            raise_if_memory(error)
+    say(0, "sought in the model")
+    # Inputs beyond their limits are cut off below: near enough to begin from.
+    limits = torch.tensor([[-BOUNDLESS], [BOUNDLESS]]).expand(-1, n_u)
+    found = find_equilibria(loop.plant.model, loop.task.outputs, r, torch.zeros(n_x), loop.dt, limits)
+    for target, state, command in zip(found.targets, found.x, found.u, strict=True):
+        same = (r == target).all(-1)
+        x[same], u[same] = state, command
     return loop.at(x, loop.task.limit(u))
 
 

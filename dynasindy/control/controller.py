@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 from torch import Tensor
 
-from dynasindy.planning.integral import IntegralAction
+from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import Belief
 from dynasindy.sensing.offset import Policy, acting

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from dynasindy.agents.networks import MLP
 from dynasindy.control.controller import Controller, ControlSetup
-from dynasindy.planning.integral import IntegralAction
+from dynasindy.control.integral import IntegralAction
 from dynasindy.safe_io import DamagedFileError, read_json, reading, write_json
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel

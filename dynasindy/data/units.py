@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from dynasindy.data.rates import is_rate_of
 from dynasindy.data.table import split_unit
-from dynasindy.systems.angles import TURNS
+from dynasindy.systems.base import TURNS
 
 if TYPE_CHECKING:
     from dynasindy.data.columns import Column

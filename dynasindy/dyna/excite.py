@@ -30,8 +30,7 @@ from dynasindy.dyna.components import Components, PlantComponents
 from dynasindy.dyna.local_model import LocalModel, fit_local_model
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
-from dynasindy.planning.linear_model import discretize
-from dynasindy.planning.regulator import riccati
+from dynasindy.planning.regulator import regulated
 from dynasindy.progress import report_progress
 from dynasindy.systems import steps_needed
 from dynasindy.tasks import Tracking
@@ -264,7 +263,7 @@ class RegulatedExcitation:
     def _regulates(self, found: LocalModel, parts: PlantComponents) -> bool:
         """Take the regulator of a linear model, and return whether there is one."""
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-        solved = riccati(*discretize(found.a, found.b, parts.plant.dt), 1.0 / scale.square(), 1.0)
+        solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
         if solved is None:
             return False
         self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)

@@ -16,7 +16,7 @@ from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates, require_plant, shapes
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Task, Tracking
-from dynasindy.tasks.constants import constants
+from dynasindy.tasks.base import constants
 
 FARTHEST = 1e4
 """Ranges of a state beyond which nothing is told of a plant: squares and exponents of such numbers soon overflow."""

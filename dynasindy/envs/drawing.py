@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from dynasindy.systems import Signature
-from dynasindy.systems.angles import turn_of
+from dynasindy.systems.base import turn_of
 from dynasindy.text import duration_unit
 
 Vector = NDArray[np.float64]

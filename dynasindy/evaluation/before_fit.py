@@ -13,8 +13,7 @@ from dynasindy.sindy.named_libraries import auto, auto_rig
 from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.sindy.shape_parameters import of_one_angle
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
-from dynasindy.systems.angles import TURNS
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import TURNS, Signature
 
 PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
 """Plants whose library and known equations `system=NAME` takes."""

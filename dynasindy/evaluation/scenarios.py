@@ -27,7 +27,7 @@ from dynasindy.progress import report_progress
 from dynasindy.safe_io import file_name
 from dynasindy.sensing import Sensing, unveiled
 from dynasindy.systems import Diverged, Signature, System, steps_needed
-from dynasindy.systems.angles import turn_of
+from dynasindy.systems.base import turn_of
 from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
 
 Policy = Callable[[TensorDictBase], TensorDictBase]

@@ -13,8 +13,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import logged_input_ranges
 from dynasindy.planning.equilibria import PERIOD, find_equilibria
 from dynasindy.sindy import SindyModel
-from dynasindy.systems.angles import turn_of
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import Signature, turn_of
 
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.evaluation.scenarios import Evaluation
-from dynasindy.systems.angles import turn_of
+from dynasindy.systems.base import turn_of
 
 FAR = 20.0
 """Ranges beyond which a state has run away, whatever the reference does."""

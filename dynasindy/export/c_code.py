@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from dynasindy.agents.networks import MLP
 from dynasindy.control import Controller
 from dynasindy.control.files import network, require_states
+from dynasindy.control.integral import IntegralAction
 from dynasindy.export.expressions import (
     Formulas,
     c_number,
@@ -34,7 +35,6 @@ from dynasindy.export.expressions import (
     rows,
     single,
 )
-from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
 from dynasindy.sindy import SindyModel

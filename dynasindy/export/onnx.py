@@ -32,8 +32,8 @@ from torch.overrides import TorchFunctionMode
 
 from dynasindy.control import Controller
 from dynasindy.control.files import network
+from dynasindy.control.integral import IntegralAction
 from dynasindy.export.formats import field_of
-from dynasindy.planning.integral import IntegralAction
 from dynasindy.safe_io import replace_file
 from dynasindy.sensing.observer import Belief, Observer
 from dynasindy.sindy import SindyModel

@@ -2,8 +2,7 @@
 
 from dynasindy.planning.gate import Gate, ModelError, ModelPrediction, replay_error
 from dynasindy.planning.gradient_planning import GradientPlanning
-from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning
-from dynasindy.planning.planner import Planned, Planner
+from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning, Planned, Planner
 from dynasindy.planning.randomization import Randomization, RandomizedSystem
 
 __all__ = [

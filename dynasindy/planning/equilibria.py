@@ -27,7 +27,6 @@ import torch
 from scipy.linalg import eig, expm
 from torch import Tensor
 
-from dynasindy.planning.linear_model import continuous_rates
 from dynasindy.systems import System
 
 STARTS = 64
@@ -39,6 +38,8 @@ LEFT, NEARLY = 1e-3, 5e-2
 the smaller: a cosine and a sine of one angle, both tracked, have one in theory, and nearly one in a fitted model."""
 PERIOD = 0.05
 """Longest control period that `LEFT` and `NEARLY` are meant for [s]; a slower plant rests with so much less."""
+GONE = 1e-6
+"""Part of a motion that is left after a step of a difference equation, below which nothing is."""
 _STEP = 1e-5
 
 
@@ -169,6 +170,26 @@ def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
 def _slope(f: Callable[[Tensor], Tensor], n: int, dtype: torch.dtype) -> Tensor:
     steps = _STEP * torch.eye(n, dtype=dtype)
     return ((f(steps) - f(-steps)) / (2 * _STEP)).mT
+
+
+def modes(a: Tensor, step: float | None = None) -> Tensor:
+    """Return the modes s of a linear system, its motions e^(s t), complex `(n_x,)` [1/s].
+
+    Args:
+        a: `(n_x, n_x)` [1/s].
+        step: of the difference equation x + step a x that it is [s]; None of a differential equation.
+    """
+    rates = torch.linalg.eigvals(a)
+    return rates if step is None else _continuous_rates(rates, step)
+
+
+def _continuous_rates(rates: Tensor, step: float) -> Tensor:
+    """Return the modes s [1/s], in continuous time, of a difference equation x + step a x, given the eigenvalues of a.
+
+    What is gone after a step has no mode; it counts as one of which `GONE` is left.
+    """
+    factors = 1 + step * rates
+    return torch.where(factors.abs() > GONE, factors, GONE).log() / step
 
 
 def growth(a: Tensor, scale: Tensor, seconds: float, step: float | None = None) -> float:
@@ -320,4 +341,4 @@ def _modes(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> tupl
     reach = (left.mH @ (b / scale.unsqueeze(-1)).to(left)).abs().amax(-1)
     moved = reach > SHARE * rates.abs() * (left.conj() * right).sum(0).abs()
     seen = right[list(outputs)].abs().amax(0) > SHARE
-    return rates if system.step is None else continuous_rates(rates, system.step), moved | seen
+    return rates if system.step is None else _continuous_rates(rates, system.step), moved | seen

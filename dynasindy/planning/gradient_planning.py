@@ -23,9 +23,9 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.gate import Bound
+from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.planner import Planned, Planner
 from dynasindy.planning.randomization import GainMargin, ModelEnsemble, Randomization, RandomizedSystem
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress

@@ -22,8 +22,7 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria, between, find_equilibria, growth, slopes
-from dynasindy.planning.linear_model import modes
+from dynasindy.planning.equilibria import Equilibria, between, find_equilibria, growth, modes, slopes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration

@@ -16,12 +16,13 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import torch
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import expm, solve_discrete_are
 from torch import Tensor
+from torch.nn.functional import pad
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.equilibria import Equilibria
-from dynasindy.planning.linear_model import discretize
+from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Tracking
 
 DEGREE = 3
@@ -184,6 +185,29 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         step: Of the difference equation that the model is [s]; None of a differential equation.
     """
     return riccati(*discretize(a, b, dt, step), q, r)
+
+
+def discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
+    """Sample a linear system exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
+
+    Args:
+        a: `(n_x, n_x)` [1/s].
+        b: `(n_x, n_u)` [1/s].
+        dt: sampling time [s].
+        step: of the difference equation x + step (a x + b u) that it is [s]; None of a differential equation.
+
+    Raises:
+        ValueError: the sampling time is not made of whole steps of the difference equation.
+    """
+    if step is not None:
+        h, count, _ = steps_of(step, dt, 1)
+        once = torch.eye(len(a), dtype=a.dtype) + h * a
+        powers = [torch.linalg.matrix_power(once, k) for k in range(count)]
+        return once @ powers[-1], h * torch.stack(powers).sum(0) @ b
+    # The input is a state that does not change. scipy.signal has this as a function, for a second of imports.
+    held = pad(torch.cat((a, b), 1), (0, 0, 0, b.shape[1]))
+    sampled = torch.as_tensor(expm((held * dt).numpy()))[: len(a)]
+    return sampled[:, : len(a)], sampled[:, len(a) :]
 
 
 def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:

@@ -17,17 +17,16 @@ Source: the usual equations, e.g. Simon, Optimal State Estimation (2006), sectio
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from dynasindy.sensing.kinematic import Kinematic
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
-from dynasindy.systems import Stops, System, integrate
+from dynasindy.systems import Signature, Stops, System, integrate
 from dynasindy.systems.steps import Rates, Steps, steps_of
 
 DRIFTING = 0.01
@@ -403,3 +402,25 @@ class Observer:
         """Return measurements with a NaN for each push, and for each state that has no sensor, whatever was given."""
         padded = torch.nn.functional.pad(y, (0, len(self.pushed)), value=torch.nan)
         return padded.masked_fill(self.variance.isinf() | padded.isinf(), torch.nan)
+
+
+class Kinematic(System):
+    """A system whose states move at the rates that are states themselves, and otherwise stay.
+
+    An observer on it is a local polynomial with a fading memory: a line through the latest angles, whose slope is the
+    rate.
+
+    Args:
+        signature: Names, units and ranges of the plant.
+        rates: Index of a state to that of its rate.
+    """
+
+    def __init__(self, signature: Signature, rates: Mapping[int, int]) -> None:
+        super().__init__(signature)
+        self.rates = dict(rates)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)`, whatever the inputs are."""
+        columns = x.unbind(-1)
+        still = torch.zeros_like(columns[0])
+        return torch.stack([columns[self.rates[i]] if i in self.rates else still for i in range(len(columns))], -1)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Library, latex_name, variable
-from dynasindy.systems.diverged import Diverged
+from dynasindy.systems.base import Diverged
 
 CANCELLED = 1e-9
 """Part of its own change that is left of a state, below which nothing is."""

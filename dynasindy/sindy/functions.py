@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.safe_io import FileError
-from dynasindy.systems.parsed import parsed
+from dynasindy.systems.tangents import parsed
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.regression import Regression, RunningSums
 from dynasindy.systems import Diverged, Signature
 from dynasindy.tasks import Task
-from dynasindy.tasks.constants import constants
+from dynasindy.tasks.base import constants
 
 Reward = Callable[[Tensor, Tensor, Tensor], Tensor]
 """`(x, u, x_next) -> (*batch,)`: states, inputs in [-1, 1], and the states a control period later."""

@@ -49,8 +49,7 @@ from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums,
 from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
 from dynasindy.sindy.shooting import ENOUGH, PIECES, RunsAway, states_without_scale
 from dynasindy.sindy.world_model import WorldModel
-from dynasindy.systems.base import PRECISIONS, Signature
-from dynasindy.systems.diverged import Diverged
+from dynasindy.systems.base import PRECISIONS, Diverged, Signature
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import ALIKE, UNTOLD

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from dynasindy.systems.machine import Machine
-from dynasindy.systems.steps import require_step, taken
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops, require_step, taken
 from dynasindy.systems.tracing import program
 from dynasindy.text import did_you_mean
 
@@ -295,3 +294,25 @@ class Altered(System):
     def step(self) -> float | None:
         """Step of the difference equation that it is [s]; None of a differential equation."""
         return self.system.step
+
+
+TURNS = {
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
+    "mrad": 1e-3,
+    **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
+}
+"""Units of angles that are not rad, in rad."""
+
+
+def turn_of(unit: str) -> float:
+    """Return how much one turn is in a unit of angles, such as 360 deg; infinite in any other unit."""
+    return 2 * math.pi if unit == "rad" else 2 * math.pi / TURNS[unit] if unit in TURNS else math.inf
+
+
+class Diverged(ArithmeticError):
+    """Numbers that are not finite where a run cannot go on from them.
+
+    The message is one line: the phase, what went wrong in it and with which numbers, and what to do. No setting is
+    impossible in itself, as with a `ValueError`; it is how the run went that leaves no usable result. Whoever raises
+    it leaves networks, models and storages as they were before, so that what was good may still be saved.
+    """

@@ -7,11 +7,10 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from dynasindy.systems.base import System
-from dynasindy.systems.plain import plain
-from dynasindy.systems.steps import VectorField, steps_of, time_step_of
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops, VectorField, steps_of, time_step_of
 
 COARSE = 1e-3
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""
@@ -192,3 +191,13 @@ def steps_needed(
             return substeps * 2**doublings, first
         ends, touched = finer, also
     return None, first
+
+
+def plain(*tensors: Tensor) -> bool:
+    """Return whether no derivative is asked of tensors, and no transform of `torch.func` is under way."""
+    if torch._C._are_functorch_transforms_active():
+        return False
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
+        return False
+    # Outside of forward mode, to unpack them would cost several times what is asked here.
+    return forward_ad._current_level < 0 or all(forward_ad.unpack_dual(tensor).tangent is None for tensor in tensors)

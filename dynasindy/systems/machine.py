@@ -18,8 +18,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.systems.compiler import load_library
-from dynasindy.systems.steps import steps_of
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops, steps_of
 from dynasindy.systems.tangents import Tangents
 
 SINGLE = {

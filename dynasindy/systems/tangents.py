@@ -10,9 +10,8 @@ from __future__ import annotations
 import ast
 import math
 import re
+import threading
 from collections.abc import Mapping, Sequence
-
-from dynasindy.systems.parsed import parsed
 
 Slopes = dict[int, str]
 """Text of each derivative that is not zero, by the number of the variable."""
@@ -130,3 +129,20 @@ def _added(parts: Sequence[Slopes]) -> Slopes:
         for number, slope in part.items():
             total[number] = f"({total[number]} + {slope})" if number in total else slope
     return total
+
+
+_ALONE = threading.Lock()
+
+
+def parsed(formula: str) -> ast.expr:
+    """Return the syntax tree of a formula.
+
+    One thread parses at a time: CPython 3.11 counts the depth of trees for all threads together, and ends in a
+    SystemError ("AST constructor recursion depth mismatch") where one begins while another is at it.
+
+    Raises:
+        SyntaxError: It is no expression of Python.
+        ValueError: It holds characters that no source may hold.
+    """
+    with _ALONE:
+        return ast.parse(formula, mode="eval").body

@@ -7,7 +7,7 @@ import math
 from torch import Tensor
 
 from dynasindy.systems.base import Signature
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops
 
 SIGNATURE = Signature(
     state_names=("alpha_a", "alpha_p", "Omega_a", "Omega_p", "omega_a", "omega_p"),

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from dynasindy.systems.plain import plain
+from dynasindy.systems.integrators import plain
 
 N_PARAMS = 5
 """offset, amplitude [unit of the output], frequency [Hz], phase [rad], square (0 or 1)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.tasks.constants import constants
+from dynasindy.tasks.base import constants
 
 ERROR_SHAPES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "quadratic": lambda error, width: error * error,

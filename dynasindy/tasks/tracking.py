@@ -13,8 +13,7 @@ from torch import Tensor
 from dynasindy.systems import Signature, ranges
 from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
-from dynasindy.tasks.base import Task
-from dynasindy.tasks.constants import constants
+from dynasindy.tasks.base import Task, constants
 from dynasindy.tasks.references import N_PARAMS, Reference
 from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
 from dynasindy.text import did_you_mean

@@ -20,6 +20,7 @@ import torch
 from benchmarks.common import Stopwatch, TimedPlanner, add_choices, add_output, add_seeds, commit
 from benchmarks.unseen_situations import judge_following, judge_holding
 from dynasindy.agents import TD3
+from dynasindy.control.integral import IntegralAction
 from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.components import Components, LoopSettings
@@ -31,7 +32,6 @@ from dynasindy.evaluation.metrics import STEADY_SECONDS
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Randomization
-from dynasindy.planning.integral import IntegralAction
 from dynasindy.safe_io import Row, append_rows, read_rows
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel

@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.agents import machine as module
+from dynasindy.agents.loss import GradientSteps
 from dynasindy.agents.machine import MachineSteps, readable
-from dynasindy.agents.steps import GradientSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems import compiler as compiling

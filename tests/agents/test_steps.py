@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 from torch.optim import Adam
 
-from dynasindy.agents.steps import GradientSteps
+from dynasindy.agents.loss import GradientSteps
 from dynasindy.agents.td3 import TD3
 
 

@@ -39,7 +39,7 @@ def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
     model = carts(friction=0.5, spring=2.0)
     how = variants(model, 1, 1).how
     assert how.by == "each within 5 % of itself"
-    assert how.words == "each within 5 % of itself, as the model tells no standard errors"
+    assert how.summary() == "each within 5 % of itself, as the model tells no standard errors"
     wanted = torch.tensor([[0.01, -0.009], [-0.009, 0.04]], dtype=torch.float64)
     places = torch.tensor([1, 2]), torch.tensor([1, 1])  # friction and spring
     model.covariance = Covariance(*places, torch.linalg.cholesky(wanted))
@@ -48,7 +48,7 @@ def test_draws_spread_and_go_together_as_the_covariance_of_the_fit_says(carts):
     np.testing.assert_allclose(torch.cov(drawn[:, 1:, 1].mT), wanted, rtol=0.1)
     assert drawn[:, 0].std(0).max() == drawn[:, :, 0].std(0).max() == 0  # what is known, and what was not fitted
     assert found.how.by == "from the covariance of the fit"
-    assert found.how.words == "from the covariance of the fit, with standard errors of 10 to 20 %"
+    assert found.how.summary() == "from the covariance of the fit, with standard errors of 10 to 20 %"
     np.testing.assert_allclose(found.coefficients[4000, :, 1] / model.coefficients[:, 1], [1.2, 1, 1])
 
 

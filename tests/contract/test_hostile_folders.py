@@ -94,7 +94,7 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "hydra.utils.get_class": {"path": "pathlib.Path"},
         "dynasindy.evaluation.saved.shutil.copy": {"src": str(REPOSITORY / "README.md"), "dst": str(canary)},
         "dynasindy.evaluation.saved.os.system": {"command": f"touch {canary}"},
-        "dynasindy.dyna.weights.torch.load": {"f": str(pickled), "weights_only": False},
+        "dynasindy.dyna.folder.torch.load": {"f": str(pickled), "weights_only": False},
         "dynasindy.safe_io.Path": {"_args_": [str(canary)]},
         "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
         "dynasindy.safe_io.write_csv": {"path": str(canary), "header": ["a"], "rows": []},

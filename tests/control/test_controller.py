@@ -10,9 +10,9 @@ import torch
 from dynasindy.agents.networks import actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
+from dynasindy.control.integral import IntegralAction
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
-from dynasindy.planning.integral import IntegralAction
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature, System

@@ -18,7 +18,7 @@ from dynasindy.data.rollout_data import (
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import Diverged, Tras, rk4
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops
 from dynasindy.tasks import Step, Tracking
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from dynasindy.dyna.weights import read_weights
+from dynasindy.dyna.folder import read_weights
 
 
 def test_the_network_acts_as_the_one_that_was_saved(tmp_path):

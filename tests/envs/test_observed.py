@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.envs.observed import Observed
+from dynasindy.envs.foreign import Observed
 
 NAMES = ["s", "w", "c", "unread"]
 

@@ -10,12 +10,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import (
-    GradientPlanning,
-    Planned,
-    Randomization,
-    gradient_planning,
-)
+from dynasindy.planning import GradientPlanning, Planned, Randomization, gradient_planning
 from dynasindy.planning.gradient_planning import Episodes, _schedule
 from dynasindy.planning.rollout import imagine
 from dynasindy.systems import Diverged, Signature, System

@@ -5,15 +5,20 @@ import pytest
 import torch
 from scipy.signal import cont2discrete
 
-from dynasindy.planning.linear_model import EquilibriumSolver, discretize, jacobians, modes
+from dynasindy.planning.equilibria import Equilibria, find_equilibria, modes
+from dynasindy.planning.regulator import discretize
 from dynasindy.systems import Signature, System, Tras, Xi
 
-OUTPUTS = ("alpha_a", "alpha_p")
+OUTPUTS = (0, 1)
+
+
+def equilibria_of(system: System, targets: torch.Tensor) -> Equilibria:
+    return find_equilibria(system, OUTPUTS[: targets.shape[-1]], targets, torch.zeros(system.signature.n_x), 0.05)
 
 
 def linear_xi():
-    equilibria = EquilibriumSolver(Xi(), OUTPUTS)
-    return jacobians(Xi(), *equilibria.state_and_input(torch.zeros(2), equilibria.home))
+    found = equilibria_of(Xi(), torch.zeros(1, 2))
+    return found.a[0], found.b[0]
 
 
 def test_eigenvalues_of_xi_at_pitch_zero_are_those_known():
@@ -40,10 +45,8 @@ def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its
         def forward(self, x, u):
             return -2 * x + 3 * u
 
-    equilibria = EquilibriumSolver(Box(), ["x"])
-    reference = torch.tensor([[0.3]])
-    x, u = equilibria.state_and_input(reference, equilibria(reference))
-    assert float(x) == pytest.approx(0.3) and float(u) == pytest.approx(0.2)
+    found = equilibria_of(Box(), torch.tensor([[0.3]]))
+    assert float(found.x) == pytest.approx(0.3) and float(found.u) == pytest.approx(0.2)
 
 
 def test_an_integrator_with_two_inputs_is_held_exactly():
@@ -56,40 +59,22 @@ def test_an_integrator_with_two_inputs_is_held_exactly():
 def test_equilibria_of_xi_are_those_known():
     known = {-0.5: (-0.157, -0.131), -0.25: (-0.139, 0.044), 0.0: (-0.122, 0.210), 0.4: (-0.100, 0.432)}
     reference = torch.tensor([[0.3, pitch] for pitch in known])
-    equilibria = EquilibriumSolver(Xi(), OUTPUTS)
-    x, u = equilibria.state_and_input(reference, equilibria(reference))
-    torch.testing.assert_close(u.float(), torch.tensor(list(known.values())), atol=1e-3, rtol=0)
-    torch.testing.assert_close(x[:, :2], reference.double())
+    found = equilibria_of(Xi(), reference)
+    torch.testing.assert_close(found.u.float(), torch.tensor(list(known.values())), atol=1e-3, rtol=0)
+    torch.testing.assert_close(found.x[:, :2], reference.double())
 
 
 @pytest.mark.parametrize("system", [Tras(), Xi()])
 def test_a_system_stays_at_its_equilibrium(system):
-    reference = torch.rand(3, 4, 2) - 0.5
-    equilibria = EquilibriumSolver(system, OUTPUTS)
-    x, u = equilibria.state_and_input(reference, equilibria(reference))
-    assert x.shape == (3, 4, 6)
+    found = equilibria_of(system, torch.rand(12, 2) - 0.5)
+    assert found.x.shape == (12, 6)
     scale = torch.tensor(system.signature.x_scale)
-    assert (system(x, u) / scale).abs().max() < 1e-8
+    assert (system(found.x, found.u) / scale).abs().max() < 1e-8
 
 
-def test_a_moving_equilibrium_moves_at_its_rate_and_in_nothing_else():
-    system, reference, rate = Tras(), torch.tensor([[0.1, -0.3], [0.0, 0.2]]), torch.tensor([[0.05, 0.02], [-0.1, 0.0]])
-    equilibria = EquilibriumSolver(system, OUTPUTS)
-    x, u = equilibria.state_and_input(reference, equilibria(reference, drift=equilibria.moving(rate)))
-    dx = system(x, u) / torch.tensor(system.signature.x_scale)
-    torch.testing.assert_close(dx[:, :2], rate.double(), atol=1e-8, rtol=0)
-    assert dx[:, 2:].abs().max() < 1e-8
-    torch.testing.assert_close(x[:, 2:4], rate.double(), atol=1e-8, rtol=0)
-
-
-def test_as_many_outputs_as_inputs_are_asked_for():
-    with pytest.raises(ValueError, match="alpha_a"):
-        EquilibriumSolver(Tras(), ("alpha_a",))
-
-
-def test_reference_out_of_reach_is_refused():
-    with pytest.raises(ValueError, match="rest"):
-        EquilibriumSolver(Tras(), OUTPUTS)(torch.tensor([[0.0, float("nan")]]))
+def test_a_reference_that_is_no_number_has_no_equilibrium():
+    found = equilibria_of(Tras(), torch.tensor([[0.0, float("nan")], [0.1, 0.0]]))
+    assert found.targets.tolist() == [[pytest.approx(0.1), 0.0]] and len(found.unheld) == 1
 
 
 @pytest.mark.parametrize("steps", [1, 3])

@@ -36,12 +36,12 @@ def test_the_twin_rotor_keeps_the_settings_that_it_was_measured_with(plant):
         plant(), low=(-0.5, -0.5), high=(0.5, 0.4), outputs=("alpha_a", "alpha_p"), rates=("Omega_a", "Omega_p")
     )
     assert (found.window, found.lr, found.updates, found.patience, found.substeps) == (60, 1e-2, 280, 3, 1)
-    assert not found.held
+    assert not found.warm_start
 
 
 def test_a_plant_that_runs_away_is_held_and_trained_in_smaller_steps():
     calm, wild = pace(Linear(-1.0, 1.0, 4.0)), pace(Linear(4.0, 0.0, 4.0))
-    assert wild.held and not calm.held
+    assert wild.warm_start and not calm.warm_start
     # p'' = 4 p: exp(2 t) doubles every ln(2) / 2 s.
     assert "unstable" in wild.why and "0.35 s" in wild.why
     # p'' = -p - p': both modes decay as exp(-t / 2), by half every 2 ln(2) s.
@@ -58,14 +58,14 @@ def test_nothing_decays_in_an_integrator_nor_where_an_episode_is_too_short_for_i
 def test_a_double_integrator_runs_away_although_no_mode_grows():
     # After 20 s a deviation of the rate has made one of 20 of the position: below the bound; after 80 s above it.
     slow = pace(Linear(0.0, 0.0, 4.0), dt=0.05)
-    assert not slow.held and "20 times" in slow.why
-    assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).held
+    assert not slow.warm_start and "20 times" in slow.why
+    assert pace(Linear(0.0, 0.0, 1.0), dt=0.2).warm_start
 
 
 def test_time_counts_in_control_periods():
     # The same plant ten times slower under a period ten times longer.
     fast, slow = pace(Linear(-1.0, 1.0, 4.0)), pace(Slow(Linear(-1.0, 1.0, 4.0)), dt=0.5)
-    assert (fast.window, fast.substeps, fast.held) == (slow.window, slow.substeps, slow.held)
+    assert (fast.window, fast.substeps, fast.warm_start) == (slow.window, slow.substeps, slow.warm_start)
     assert pace(Linear(-1.0, 1.0, 4.0), dt=0.01).window > fast.window
 
 
@@ -92,7 +92,7 @@ def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(l
     task = Tracking(plant.signature, RandomStep(*given.values()), ("x",), ("v",), TrackingReward((4.0,)), **given)
     env = ControlEnv(plant, task.with_input_limits([limits[:1], limits[1:]]), 0.05, 1)
     found = choose_plan_settings(env, find_task_equilibria(env))
-    assert found.held == little == ("20 %" in found.why)
+    assert found.warm_start == little == ("20 %" in found.why)
 
 
 class Pair(System):
@@ -121,7 +121,7 @@ def test_one_input_that_may_do_little_is_enough_to_begin_as_a_regulator(limits, 
     task = Tracking(plant.signature, RandomStep(*given.values()), ("x", "y"), ("v", "w"), reward, **given)
     env = ControlEnv(plant, task.with_input_limits(limits), 0.05, 1)
     found = choose_plan_settings(env, find_task_equilibria(env))
-    assert found.held == little == ("20 %" in found.why)
+    assert found.warm_start == little == ("20 %" in found.why)
 
 
 def test_a_plant_without_a_rest_keeps_the_defaults():
@@ -142,7 +142,7 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     assert find_task_equilibria(env) is None
     found = choose_plan_settings(env, None, 5)
     assert found == PlanSettings(100, 3e-3, 400, 8, 5, why="the task has no references")
-    assert not found.held
+    assert not found.warm_start
 
 
 class Rubbing(Linear):
@@ -192,7 +192,7 @@ def test_the_fate_of_a_deviation_of_a_difference_equation_is_told_by_what_a_step
     ):
         env = mapped(a, b)
         found = choose_plan_settings(env, find_task_equilibria(env))
-        assert told in found.why and found.held == (abs(a) > 1)
+        assert told in found.why and found.warm_start == (abs(a) > 1)
         assert found.substeps == 1  # whose steps are its own, however fast it is
 
 

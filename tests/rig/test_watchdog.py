@@ -3,7 +3,7 @@
 import threading
 import time
 
-from dynasindy.rig.watchdog import Watchdog
+from dynasindy.rig.flight import Watchdog
 
 
 def test_it_barks_when_nobody_comes():

@@ -1,6 +1,6 @@
 import torch
 
-from dynasindy.sensing.kinematic import Kinematic
+from dynasindy.sensing.observer import Kinematic
 from dynasindy.systems import Signature
 
 

@@ -14,7 +14,7 @@ from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, integrate
 from dynasindy.systems.base import Signature
 from dynasindy.systems.compiler import compiler
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops
 
 SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
 NAMES = ["paper_table", "paper_equation", "rotor", "rotor_reaction", "polynomial", "fourier"]

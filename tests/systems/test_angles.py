@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dynasindy.systems.angles import turn_of
+from dynasindy.systems.base import turn_of
 
 
 @pytest.mark.parametrize(("unit", "turn"), [("rad", 6.2831853), ("deg", 360), ("mrad", 6283.1853), ("turns", 1)])

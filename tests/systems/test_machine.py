@@ -16,7 +16,7 @@ from dynasindy.systems import compiler as compiling
 from dynasindy.systems import machine as module
 from dynasindy.systems.compiler import compile_library, compiler, forget
 from dynasindy.systems.machine import Machine, Program
-from dynasindy.systems.stops import Stops
+from dynasindy.systems.steps import Stops
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 DECAY = Program(1, 1, (("v0", "k[0] * x[0]"),), ("u[0] - v0",), (2.0,))

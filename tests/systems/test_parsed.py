@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from dynasindy.systems.parsed import parsed
+from dynasindy.systems.tangents import parsed
 
 
 def test_what_is_no_formula_is_refused():

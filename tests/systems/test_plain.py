@@ -3,7 +3,7 @@
 import torch
 from torch.autograd import forward_ad
 
-from dynasindy.systems.plain import plain
+from dynasindy.systems.integrators import plain
 
 X = torch.ones(3)
 

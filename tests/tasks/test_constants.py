@@ -2,7 +2,7 @@
 
 import torch
 
-from dynasindy.tasks.constants import constants
+from dynasindy.tasks.base import constants
 
 
 def test_the_same_numbers_are_kept_and_others_are_their_own():

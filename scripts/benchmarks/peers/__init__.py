@@ -36,7 +36,7 @@ from dynasindy.dyna.loop import train
 from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
-from dynasindy.planning.linear_model import EquilibriumSolver
+from dynasindy.planning.equilibria import find_equilibria
 from dynasindy.safe_io import Row, append_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Tras
@@ -221,9 +221,10 @@ def nmpc_plan(model: SindyModel, dt: float) -> dict[str, Any]:
     of a speed; `guess` is where the first plan of a flight begins, besides the outputs at their targets.
     """
     signature, outputs, rates = model.signature, list(KNOWN), list(KNOWN.values())
-    equilibria = EquilibriumSolver(model, outputs)
+    places = [signature.state_index(name) for name in outputs]
     targets = torch.cartesian_prod(*(torch.linspace(-0.5, 0.5, 7, dtype=torch.float64) for _ in outputs))
-    rests = equilibria.state_and_input(targets, equilibria(targets))[0].numpy()
+    found = find_equilibria(model, places, targets, torch.zeros(signature.n_x), dt)
+    targets, rests = found.targets, found.x.numpy()
     basis = np.array([serve.monomials(row) for row in targets.tolist()])
     free = [name for name in signature.state_names if name not in (*outputs, *rates)]
     speeds = {name: rests[:, signature.state_index(name)] for name in free}

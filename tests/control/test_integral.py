@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
+from dynasindy.control.integral import IntegralAction
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.integral import IntegralAction
 from dynasindy.systems.pendulum import Pendulum
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
