@@ -229,7 +229,7 @@ def plan(
     task = as_planned(task, model, log)
     setup = ControlSetup(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
     if log is not None and sensors is None:
-        sensors = sensors_of(log, model)
+        sensors = _sensors_of(log, model)
     observer = None if sensors is None else _watching(model, sensors, setup, log)
     env = ControlEnv(model, task, setup.dt, setup.substeps, seed=seed)
     others = []
@@ -374,7 +374,7 @@ def rates_of(model: SindyModel) -> dict[str, str]:
     return {names[state]: names[rate] for rate, state in rate_states(model.library, model.constraints).items()}
 
 
-def sensors_of(log: Source, model: SindyModel) -> Sensors | None:
+def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     """Return the sensors that a log shows: what was measured, in which steps, how noisily.
 
     For exact states it is None, as no observer is needed, unless the model's inputs act late, which one makes up for.

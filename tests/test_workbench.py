@@ -25,7 +25,7 @@ from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
-from dynasindy.workbench import forecast, sensors_of
+from dynasindy.workbench import _sensors_of, forecast
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -200,12 +200,12 @@ def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
     x = torch.stack([t**3, 3 * t**2], -1)
     smooth = replace(exact, training=replace(exact.training, x=x[:300], x_next=x[1:301]))
     assert len(exact.training) == 300
-    found = sensors_of(smooth, late)
+    found = _sensors_of(smooth, late)
     assert list(found.channels) == ["theta", "Omega"]
     assert all(channel.noise < 1e-6 and channel.resolution == 0 for channel in found.channels.values())
     prompt = copy.copy(late)
     prompt.delay = 0.0
-    assert sensors_of(smooth, prompt) is None
+    assert _sensors_of(smooth, prompt) is None
 
 
 def test_a_delay_needs_a_log(late):

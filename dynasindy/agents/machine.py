@@ -37,9 +37,9 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
         bound: bound of each gradient's norm; 0 leaves gradients as they are.
         machine_code: whether machine code is wanted.
     """
-    if machine_code and readable(loss) and all(map(_usual, (critics, actor))):
+    if machine_code and _readable(loss) and all(map(_usual, (critics, actor))):
         try:
-            return MachineSteps(loss, critics, actor, bound)
+            return _MachineSteps(loss, critics, actor, bound)
         except FileNotFoundError:
             pass  # there is no compiler
         except (ValueError, OSError) as error:
@@ -47,7 +47,7 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_
     return GradientSteps(loss, critics, actor, bound)
 
 
-def readable(loss: TD3Loss) -> bool:
+def _readable(loss: TD3Loss) -> bool:
     """Return whether the machine code knows these networks: plain perceptrons in float32 in the CPU's memory."""
     layers = (*loss.actor_layers, *loss.critic_layers)
     tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
@@ -62,14 +62,14 @@ def _usual(optimizer: Adam) -> bool:
     return type(optimizer) is Adam and not others and not any(group.get(name) for name in extras)
 
 
-class MachineSteps(GradientSteps):
+class _MachineSteps(GradientSteps):
     """Steps of Adam down the two losses of TD3, as machine code.
 
     Tensors of weights and of the optimisers are read where they lie now; where one has been replaced, the steps no
     longer stand, and others take their place.
 
     Args:
-        loss: the loss module, whose networks are `readable`.
+        loss: the loss module, whose networks are `_readable`.
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
         bound: bound of each gradient's norm; 0 leaves gradients as they are.

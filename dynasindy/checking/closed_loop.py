@@ -124,7 +124,7 @@ class Plant:
         return integrate(rates, x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]
 
 
-class Moved(NamedTuple):
+class _Moved(NamedTuple):
     """The loop one control period later.
 
     Attributes:
@@ -251,7 +251,7 @@ class ClosedLoop:
         extra: Tensor | float = 0.0,
         noise: Tensor | float = 0.0,
         first: bool = False,
-    ) -> Moved:
+    ) -> _Moved:
         """Measure, act, and let the plant move for one control period.
 
         Args:
@@ -280,7 +280,7 @@ class ClosedLoop:
         after[..., self.parts["x"]] = self.plant.period(
             z[..., self.parts["x"]], waiting.unflatten(-1, (-1, u.shape[-1]))
         )
-        return Moved(after, covariance, u)
+        return _Moved(after, covariance, u)
 
     def _measured(self, z: Tensor) -> Tensor:
         """Return the measurement that arrives now, noise apart."""

@@ -135,7 +135,7 @@ def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
 
 
 @torch.no_grad()
-def covariance_at(loop: ClosedLoop, z: Tensor, say: Say = _unheard) -> Tensor:
+def _covariance_at(loop: ClosedLoop, z: Tensor, say: Say = _unheard) -> Tensor:
     """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(*batch, n_o, n_o)`."""
     covariance = loop.uncertain(z)
     if loop.observer is None:
@@ -151,7 +151,7 @@ def covariance_at(loop: ClosedLoop, z: Tensor, say: Say = _unheard) -> Tensor:
     return covariance
 
 
-def linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
+def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Linear, Tensor, Tensor]:
     """Return loops linearised at `z`, how far each moves from there in a period `(rows, n)`, and its commands."""
     n, n_u, n_x = loop.size, loop.signature.n_u, loop.signature.n_x
     scale = torch.cat([loop.scale, torch.ones(n_u), torch.tensor(loop.signature.x_scale)]).double()
@@ -189,7 +189,7 @@ def find_rest(
     r, total = r.double(), len(r)
     say = say or (lambda known, words: report_progress(RESTS, known, total, "targets", words))
     z = guess_rest(loop, r, say) if start is None else start.z
-    covariance = covariance_at(loop, z, say) if start is None else start.covariance
+    covariance = _covariance_at(loop, z, say) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r, 0, say)
     lost = (~still).nonzero().flatten()
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
@@ -199,7 +199,7 @@ def find_rest(
         again, calm = _newton(loop.rows(lost), moved, spread, r[lost], known, say)
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
         still = still.index_copy(0, lost, calm)
-    linear, _, u = linearise(loop, found, covariance, r)
+    linear, _, u = _linearise(loop, found, covariance, r)
     restless = total - int(still.sum())
     say(total, f"{restless} of them without a rest" if restless else "")
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
@@ -236,7 +236,7 @@ def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, known: i
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
     for k in range(NEWTON):
         say(known + int(still.sum()), f"step {k + 1} of Newton's method")
-        linear, moved, _ = linearise(loop.rows(left), z[left], covariance[left], r[left])
+        linear, moved, _ = _linearise(loop.rows(left), z[left], covariance[left], r[left])
         calm = ((moved / scale).abs() < STILL).all(-1)
         still[left] = calm
         sound = moved.isfinite().all(-1) & torch.from_numpy(np.isfinite(linear.a).all((-2, -1)))

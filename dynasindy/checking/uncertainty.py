@@ -26,7 +26,7 @@ PHASE = "plants that differ from the model"
 """What is under way, in words."""
 
 
-class Drawing(NamedTuple):
+class _Drawing(NamedTuple):
     """Say how coefficients were drawn.
 
     Attributes:
@@ -42,7 +42,7 @@ class Drawing(NamedTuple):
         return f"{self.by}, {self.more}"
 
 
-WITHIN = Drawing(f"each within {100 * DRAWN:g} % of itself", "as the model tells no standard errors")
+WITHIN = _Drawing(f"each within {100 * DRAWN:g} % of itself", "as the model tells no standard errors")
 """How they were drawn by that share."""
 
 
@@ -60,7 +60,7 @@ class Variants:
     labels: list[str]
     coefficients: Tensor
     draws: int
-    how: Drawing = WITHIN
+    how: _Drawing = WITHIN
 
 
 def uncertain(model: SindyModel) -> list[tuple[int, int]]:
@@ -91,7 +91,7 @@ def variants(model: SindyModel, draws: int, seed: int) -> Variants:
         drawn = model.covariance.draw(xi, draws, generator)
         shares = 100 * model.covariance.shares(xi)
         errors = f"with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
-        how = Drawing("from the covariance of the fit", errors)
+        how = _Drawing("from the covariance of the fit", errors)
     moved, labels = [], [f"draw {k + 1}" for k in range(draws)]
     for k, i in found:
         for sign in (1, -1):
@@ -121,7 +121,7 @@ class Spread:
     radius: Tensor
     error: Tensor
     draws: int
-    how: Drawing = WITHIN
+    how: _Drawing = WITHIN
     settling: Tensor | None = None
 
     @property

@@ -131,14 +131,16 @@ def check_record(found: Check, findings: Sequence[CheckFinding] = ()) -> dict[st
                 "target": dict(zip(outputs, target, strict=True)),
                 "rests": bool(found.rest.still[k]),
                 "stable": bool(found.stable[k]),
-                "spectral_radius": plain_number(found.rest.linear.radius[k]),
-                "eigenvalues": [[plain_number(v.real), plain_number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6],
+                "spectral_radius": _plain_number(found.rest.linear.radius[k]),
+                "eigenvalues": [
+                    [_plain_number(v.real), _plain_number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6
+                ],
                 "steady_error": _at(found, outputs, found.steps.steady_error, k),
                 "swing": None
                 if bool(found.stable[k])
                 else _named((*outputs, *names), torch.cat([found.swings.outputs[k], found.swings.inputs[k]])),
                 "margins": {
-                    name: {key: plain_number(value) for key, value in vars(margin).items()}
+                    name: {key: _plain_number(value) for key, value in vars(margin).items()}
                     for name, margin in zip(names, found.margins[k], strict=False)
                 },
                 "noise_to_input": {
@@ -154,11 +156,11 @@ def check_record(found: Check, findings: Sequence[CheckFinding] = ()) -> dict[st
     changes = [
         {
             "change": label,
-            "spectral_radius": plain_number(float(others.worst[k])),
+            "spectral_radius": _plain_number(float(others.worst[k])),
             "steady_error": _named(outputs, others.farthest[k]),
             "settling": None
             if others.settling is None or others.worst[k] >= 1
-            else plain_number(float(others.settling[:, k].amax())),
+            else _plain_number(float(others.settling[:, k].amax())),
         }
         for k, label in enumerate(others.labels)
     ]
@@ -179,13 +181,13 @@ def check_record(found: Check, findings: Sequence[CheckFinding] = ()) -> dict[st
     return {**parts, "left": list(found.left)}
 
 
-def plain_number(value: float) -> float | None:
+def _plain_number(value: float) -> float | None:
     """Return a number as JSON can hold it: None for what is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def _named(names: Any, values: Any) -> dict[str, float | None]:
-    return {name: plain_number(float(value)) for name, value in zip(names, values, strict=True)}
+    return {name: _plain_number(float(value)) for name, value in zip(names, values, strict=True)}
 
 
 def _at(found: Check, names: Any, values: Tensor, target: int) -> dict[str, float | None] | None:
@@ -410,7 +412,7 @@ def in_figures(found: Check, findings: Sequence[CheckFinding]) -> dict[str, Any]
         if at_targets := [each[i] for each in found.margins if each]:
             worst = {key: min(getattr(m, key) for m in at_targets) for key in ("gain", "phase", "delay", "disk")}
             worst["lower"] = max(m.lower for m in at_targets)
-            least[name] = {key: plain_number(value) for key, value in worst.items()}
+            least[name] = {key: _plain_number(value) for key, value in worst.items()}
     return {
         "verdict": in_short(found, findings),
         "stable": bool(found.stable.all()),

@@ -34,7 +34,7 @@ RATED = 5
 """Samples under a local cubic, of those that it would have, from which on it gives a rate."""
 
 
-def holes(x: Mapping[str, Array], segment: NDArray[np.int64], notes: list[str]) -> NDArray[np.bool_]:
+def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], notes: list[str]) -> NDArray[np.bool_]:
     """Tell which rows lie in a long stretch without a state, or where a recording has not begun or is over.
 
     A sensor that is read every fifth row has no such stretches: what is long depends on how often it is read.
@@ -76,7 +76,7 @@ def _outside(seen: NDArray[np.bool_], segment: NDArray[np.int64]) -> NDArray[np.
     return (rows < first[labels]) | (rows > last[labels])
 
 
-def rates_beside(column: Array, length: int, dt: float) -> Array:
+def _rates_beside(column: Array, length: int, dt: float) -> Array:
     """Return slopes of local cubics over `length` samples, `(n,)`, NaN where too few of these were measured.
 
     Args:
@@ -345,7 +345,7 @@ def _free(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
     free, ends = [], np.cumsum([0, *(len(part.t) for part in parts)])
     for part, (first, last) in zip(parts, itertools.pairwise(ends), strict=True):
         mine = {name: column[first:last] for name, column in x.items()}
-        free.append(~(holes(mine, part.segment, part.notes) | _stuck(mine, part.notes)))
+        free.append(~(_holes(mine, part.segment, part.notes) | _stuck(mine, part.notes)))
     return np.concatenate(free)
 
 
@@ -428,7 +428,7 @@ def _with_rates(
                 continue
             whole = bool(np.isfinite(samples).all())
             rate[rows] = (
-                savgol_filter(samples, SMOOTH, 3, deriv=1, delta=dt) if whole else rates_beside(samples, SMOOTH, dt)
+                savgol_filter(samples, SMOOTH, 3, deriv=1, delta=dt) if whole else _rates_beside(samples, SMOOTH, dt)
             )
         rate *= column.scale
         notes.append(f"{name} was reconstructed from {column.derivative_of}")

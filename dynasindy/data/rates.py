@@ -136,7 +136,7 @@ def contradicted(data: Transitions, signature: Signature, known: Mapping[str, st
         signature: names and units of the states.
         known: the rate of each state, as it was said.
     """
-    told, names = exchanged(data, signature, known), signature.state_names
+    told, names = _exchanged(data, signature, known), signature.state_names
     for state, rate in known.items():
         tie = _factor(data, names.index(state), names.index(rate))
         if state not in told and tie != NO_TIE and -TIED < tie[1] < LOOSE:
@@ -148,7 +148,7 @@ def contradicted(data: Transitions, signature: Signature, known: Mapping[str, st
     return told
 
 
-def exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:
+def _exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:
     """Return sentences on the states that are clearly the rates of what is said to be their rate, by state.
 
     Args:
@@ -193,7 +193,7 @@ def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str]
     return found
 
 
-def misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) -> list[Mismatch]:
+def _misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) -> list[Mismatch]:
     """Return the rates that are known to be those of a state and are clearly in other units, or of the other sign.
 
     Where the log contradicts that the two belong together, nothing is told of their units.
@@ -224,9 +224,9 @@ def require_consistent_rates(
         ValueError: A rate was exchanged with its state, is in other units, or counts the other way.
     """
     pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
-    for told in exchanged(data, signature, pairs).values():
+    for told in _exchanged(data, signature, pairs).values():
         raise ValueError(told)
-    for wrong in misfit(data, signature, pairs):
+    for wrong in _misfit(data, signature, pairs):
         unit = signature.state_units[signature.state_index(wrong.state)]
         allowed = f"the unit of {wrong.state} per second" if unit == "-" else unit_of_rate(unit)
         raise ValueError(

@@ -44,7 +44,7 @@ INDEX_BYTES = 8
 """What TorchRL keeps of each row beside its keys: its place in the storage."""
 
 
-class CheckedWriter(TensorDictRoundRobinWriter):
+class _CheckedWriter(TensorDictRoundRobinWriter):
     """Writer that refuses rows a storage would accept silently and return as zeros later.
 
     Args:
@@ -162,7 +162,7 @@ class DynaReplay:
             ValueError: the storages, which take their memory now, would not fit into it.
         """
         writer = self.real.writer
-        assert isinstance(writer, CheckedWriter)
+        assert isinstance(writer, _CheckedWriter)
         rows = rollout.select(*writer.keys, strict=False).reshape(-1)
         require_finite_rollout(rows)
         if not self.real.storage.initialized:
@@ -199,7 +199,7 @@ class DynaReplay:
             ValueError: There are fewer real rows.
         """
         writer, size = self.real.writer, len(self.real)
-        assert isinstance(writer, CheckedWriter)
+        assert isinstance(writer, _CheckedWriter)
         if len(rows) > size:
             raise ValueError(f"Replay has {size} real rows, given {len(rows)} to replace them; give at most as many.")
         places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
@@ -257,7 +257,7 @@ class DynaReplay:
     def columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
         """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""
         writer = buffer.writer
-        assert isinstance(writer, CheckedWriter)
+        assert isinstance(writer, _CheckedWriter)
         version, columns = self._views.get(writer.name, (None, []))
         if version != writer.version:  # they are taken anew after each write
             rows = buffer.storage.get(slice(0, len(buffer)))
@@ -288,7 +288,7 @@ class DynaReplay:
     def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(
             storage=LazyTensorStorage(capacity, device=self.device),
-            writer=CheckedWriter(name, keys),
+            writer=_CheckedWriter(name, keys),
             batch_size=self.batch_size,
             generator=self.generator,
         )

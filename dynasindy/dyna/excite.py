@@ -63,7 +63,7 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
     pilot, steps = pilot or RegulatedExcitation(parts.excitation), parts.excitation.n_steps
     if not parts.plant.begins_anew:
         return interact(parts.env, pilot, steps)
-    low, high = excitation_limits(parts)
+    low, high = _excitation_limits(parts)
     tries: list[TensorDict] = []
     while (done := sum(len(rows) for rows in tries)) < steps:
         pilot.begun = done
@@ -79,7 +79,7 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
     return torch.cat(tries)
 
 
-def excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
+def _excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
     """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
     scale, task = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64), parts.plant.task
     if not isinstance(task, Tracking):
@@ -101,7 +101,7 @@ def restarts(parts: PlantComponents, rows: TensorDict) -> str:
     ends = (rows["step_count"][1:, 0] == 0).nonzero().flatten()
     if not len(ends):
         return ""
-    (low, high), signature = excitation_limits(parts), parts.plant.system.signature
+    (low, high), signature = _excitation_limits(parts), parts.plant.system.signature
     last = rows["next", "state"][ends]
     units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), strict=True)
     why = [
@@ -279,7 +279,7 @@ def _free_ends(found: LocalModel, parts: PlantComponents) -> Tensor:
         return ends
     drawn = task.sample(torch.Size((DRAWN,)), torch.Generator().manual_seed(0))
     targets = task.reference(drawn, torch.zeros(DRAWN, 1)).double()
-    low, high = excitation_limits(parts)
+    low, high = _excitation_limits(parts)
     for place, values in zip(task.outputs, targets.unbind(-1), strict=True):
         if not bool(found.a[:, place].any()):
             home = found.home[place]

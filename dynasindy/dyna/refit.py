@@ -130,7 +130,7 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
         Diverged: The refit is not finite, and no window is held out that would tell the earlier model's error.
     """
     length = WINDOW
-    starts = held_out_windows(rollout.numel(), length, settings.held_out)
+    starts = _held_out_windows(rollout.numel(), length, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)
         return Refit(first_fit(parts, settings, rollout), torch.nan, torch.nan, True, unseen)
@@ -192,7 +192,7 @@ def _observe(parts: Components, newest: TensorDictBase) -> None:
     parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))
 
 
-def held_out_windows(steps: int, length: int, every: int) -> Tensor:
+def _held_out_windows(steps: int, length: int, every: int) -> Tensor:
     """Return the first steps of the windows to hold out of an episode, `(n_windows,)`.
 
     Args:

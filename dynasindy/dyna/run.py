@@ -26,7 +26,7 @@ from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
 
 
-class Stateful(Protocol):
+class _Stateful(Protocol):
     """What a checkpoint holds a state of."""
 
     def state_dict(self) -> dict[str, Any]:
@@ -134,7 +134,7 @@ def run(
         evaluating.within,
         evaluating.tensorboard,
     )
-    kept: dict[str, Stateful] = {"place": place, "parts": parts, "recorder": recorder}
+    kept: dict[str, _Stateful] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         refuse_links(folder)
         check_settings(folder, provenance.settings)
@@ -175,7 +175,7 @@ def _begin(folder: Path, provenance: Provenance, recorder: Recorder) -> None:
     recorder.begin()
 
 
-def _restore(kept: Mapping[str, Stateful], state: Mapping[str, Any], folder: Path) -> None:
+def _restore(kept: Mapping[str, _Stateful], state: Mapping[str, Any], folder: Path) -> None:
     """Bring the parts of a run back to a saved state.
 
     Raises:

@@ -79,7 +79,7 @@ class Foreign(System):
                 f"{id} has {n_seen} states and {n_u} inputs, plant.{named} names {len(entries)} ({', '.join(entries)}) "
                 f"and plant.inputs {len(names)} ({', '.join(names)}); name each of them"
             )
-        self.observed = Observed(entries, list(ranges), angles)
+        self.observed = _Observed(entries, list(ranges), angles)
         both = self.observed.ends(torch.as_tensor(np.stack([seen.low, seen.high])).double())
         ends = both.abs().amax(0).tolist()
         scale = [r or (end if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
@@ -120,7 +120,7 @@ class Foreign(System):
 
 
 @dataclass
-class Copies:
+class _Copies:
     """Copies of an environment, and whose episodes they are in.
 
     Attributes:
@@ -175,7 +175,7 @@ class GymnasiumEnv(ControlEnv):
         period = system.period if dt is None else dt
         if period is None:
             raise ValueError(f"{system.id} does not say how long a step is; give env.dt in seconds")
-        self.ends, self.copies = True, Copies()
+        self.ends, self.copies = True, _Copies()
         super().__init__(system, task, period, 1, dtype=dtype, seed=seed)
         self.foreign = system
         if task.starts is None:
@@ -267,7 +267,7 @@ def _period(copy: gymnasium.Env[Any, Any]) -> float | None:
     return None
 
 
-class Observed:
+class _Observed:
     """The state of a plant in the observations of a Gymnasium environment.
 
     An angle is told by its sine and its cosine up to whole turns. An episode begins in (-pi, pi], and from then on the

@@ -22,7 +22,7 @@ PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trm
 Array = NDArray[np.float32]
 
 
-class GymControl(gymnasium.Env[Array, Array]):
+class _GymControl(gymnasium.Env[Array, Array]):
     """A `ControlEnv` with one row behind Gymnasium's interface.
 
     Observation, action and reward are those of `ControlEnv`; `info` holds `state` and `reference`. Episodes
@@ -117,7 +117,7 @@ def twin_rotor(
     low: tuple[float, float] = (-0.4, -0.25),
     high: tuple[float, float] = (0.4, 0.25),
     render_mode: str | None = None,
-) -> GymControl:
+) -> _GymControl:
     """Return the twin rotor under random step references, the paper's training task.
 
     Args:
@@ -132,10 +132,10 @@ def twin_rotor(
     if plant not in PLANTS:
         raise ValueError(f"plant '{plant}' is unknown; use one of {', '.join(PLANTS)}")
     system = PLANTS[plant]()
-    return GymControl(ControlEnv(system, Tracking(system.signature, RandomStep(low, high))), render_mode)
+    return _GymControl(ControlEnv(system, Tracking(system.signature, RandomStep(low, high))), render_mode)
 
 
-def pendulum(low: float = -1.0, high: float = 1.0, render_mode: str | None = None) -> GymControl:
+def pendulum(low: float = -1.0, high: float = 1.0, render_mode: str | None = None) -> _GymControl:
     """Return the pendulum under random step references between `low` and `high` [rad]."""
     system = Pendulum()
     task = Tracking(
@@ -145,4 +145,4 @@ def pendulum(low: float = -1.0, high: float = 1.0, render_mode: str | None = Non
         rates=("Omega",),
         reward=TrackingReward(error_weights=(4.0,)),
     )
-    return GymControl(ControlEnv(system, task), render_mode)
+    return _GymControl(ControlEnv(system, task), render_mode)

@@ -116,7 +116,7 @@ def read_tables(results: Path) -> tuple[list[Row], list[Row]]:
     return _read_table(results / TABLE), _read_table(results / CURVES)
 
 
-def summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> Row:
+def _summarise_run(curve: Sequence[Mapping[str, float | None]], level: Level) -> Row:
     """Return what one run came to.
 
     Args:
@@ -228,7 +228,7 @@ def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
         place, curve = _place(folder, root), _curve(folder)
         if ranges := _ranges(folder):
             curve = [{**line, SHARE: _worst(line, ranges)} for line in curve]
-        row = {**place, **summarise_run(curve, level), "commit": _commit(folder)}
+        row = {**place, **_summarise_run(curve, level), "commit": _commit(folder)}
         return row, [{**place, **line} for line in curve]
 
 

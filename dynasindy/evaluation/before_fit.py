@@ -24,7 +24,7 @@ FEW = 50
 
 
 @dataclass(frozen=True)
-class Before:
+class _Before:
     """Hold what is told before the fit.
 
     Attributes:
@@ -33,10 +33,10 @@ class Before:
     """
 
     lines: tuple[str, ...]
-    lacking: Lacking
+    lacking: _Lacking
 
 
-def before_fit(model: SindyModel, source: Source) -> Before:
+def before_fit(model: SindyModel, source: Source) -> _Before:
     """Look at a model and its data before the fit.
 
     Args:
@@ -45,7 +45,7 @@ def before_fit(model: SindyModel, source: Source) -> Before:
     """
     notes = [f"note: {note}" for note in source.notes]
     if not source.logged:
-        return Before((*wrong_units(model, source), *notes), Lacking({}, {}))
+        return _Before((*wrong_units(model, source), *notes), _Lacking({}, {}))
     lacking = rates_lacking(model, source)
     lines = [
         *wrong_units(model, source),
@@ -55,7 +55,7 @@ def before_fit(model: SindyModel, source: Source) -> Before:
         *_many_functions(model, source),
         *missing_rates(model, lacking),
     ]
-    return Before(tuple(lines), lacking)
+    return _Before(tuple(lines), lacking)
 
 
 def wrong_units(model: SindyModel, source: Source) -> list[str]:
@@ -93,7 +93,7 @@ def _angles(model: SindyModel, source: Source) -> list[str]:
     return lines
 
 
-def missing_rates(model: SindyModel, lacking: Lacking) -> list[str]:
+def missing_rates(model: SindyModel, lacking: _Lacking) -> list[str]:
     """Say which rates a log lacks or may lack, and the words that give them, once for each state.
 
     Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
@@ -150,7 +150,7 @@ def with_missing_rates(
 
 
 @dataclass(frozen=True)
-class Lacking:
+class _Lacking:
     """Hold the rate of each state, by its name: those that are known and those that are missing.
 
     Attributes:
@@ -163,7 +163,7 @@ class Lacking:
     with_angles: dict[str, str]
 
 
-def rates_lacking(model: SindyModel, source: Source) -> Lacking:
+def rates_lacking(model: SindyModel, source: Source) -> _Lacking:
     """Return which rates a log lacks; to find them takes a regression of each state.
 
     Args:
@@ -175,7 +175,7 @@ def rates_lacking(model: SindyModel, source: Source) -> Lacking:
     angles = []
     if model.step is None and "rad/s" not in signature.state_units and not _chosen(model, signature):
         angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
-    return Lacking(
+    return _Lacking(
         *(
             known | {name: _name_of_rate(name, signature) for name in names if name not in known}
             for names in (missing, [*missing, *angles])

@@ -38,7 +38,7 @@ def attempt() -> Iterator[None]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FixedRefinement(Refinement):
+class _FixedRefinement(Refinement):
     """Return what was found before, at no cost.
 
     Attributes:
@@ -52,7 +52,7 @@ class FixedRefinement(Refinement):
         return self.found
 
 
-def take_alternative(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
+def _take_alternative(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
     """Return the model that a fit has set aside, and the report of it.
 
     What it is fitted to later, as parts of the log are, it is fitted to as a whole, too: by one simulation.
@@ -63,7 +63,7 @@ def take_alternative(model: SindyModel, found: Refined, data: Transitions) -> tu
         data: the recording that it was fitted to.
     """
     other, settings = copy.deepcopy(model), model.refinement or Refinement()
-    other.refinement = FixedRefinement(**vars(settings), found=found)
+    other.refinement = _FixedRefinement(**vars(settings), found=found)
     report = other.fit(data)
     other.refinement = replace(settings, error="simulation")
     return other, report
@@ -189,7 +189,7 @@ def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastError
     if kept is None:
         return found, before
     with attempt(), reporting_as("fit by one simulation"):
-        model, report = take_alternative(found.model, kept, found.source.training)
+        model, report = _take_alternative(found.model, kept, found.source.training)
         whole = _renamed(replace(found, model=model, report=report))
         after = _forecast(whole) if bool(whole.follower) == bool(found.follower) else None
         if after is not None:

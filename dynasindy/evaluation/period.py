@@ -130,7 +130,7 @@ def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Trackin
     if log is None:
         return task
     data = log.with_states_of(model).training
-    return task.as_logged(typical(data, model), logged_input_ranges(model, data.u))
+    return task.as_logged(_typical(data, model), logged_input_ranges(model, data.u))
 
 
 def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tensor, Tensor]:
@@ -142,7 +142,7 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
     if log is None:
         return task.start.double().mean(0, keepdim=True), torch.zeros(1, model.signature.n_u, dtype=torch.float64)
     data = log.with_states_of(model).training
-    middle, usual = typical(data, model).mean(0), data.u.double().median(0).values
+    middle, usual = _typical(data, model).mean(0), data.u.double().median(0).values
     seen = reconstruct(data, rate_states(model.library, model.constraints)).x
     rows = torch.linspace(0, len(data) - 1, PLACES + 2).round().long()[1:-1].unique()
     hidden = data.x.isnan().all(0) & (seen == 0).all(0)  # and no rate of what is seen
@@ -253,7 +253,7 @@ def closest_period(log: Source | None, wanted: float | None = None) -> float:
     return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period
 
 
-def typical(data: Transitions, model: SindyModel) -> Tensor:
+def _typical(data: Transitions, model: SindyModel) -> Tensor:
     """Return where a log mostly was, `(2, n_x)`: zero of states that pass through it, of others the median.
 
     A state that follows an input may be wherever the log had it, and zero, where inputs are before a flight; one that

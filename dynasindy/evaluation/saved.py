@@ -81,13 +81,13 @@ def check_copy(source: Path, target: Path, any_commit: bool = False) -> None:
     here, there = source.resolve(), target.resolve()
     if here == there or here in there.parents or there in here.parents:
         raise ValueError(f"{source} and its copy {target} would lie in each other; give a run outside the saved ones")
-    if is_copy(source):
+    if _is_copy(source):
         raise ValueError(f"{source} is a saved copy already, from which nothing is left out; give the run itself")
     if links := [path for path in sorted(source.rglob("*")) if path.is_symlink()]:
         raise ValueError(f"{links[0]} is a link, and may lead anywhere; put the file itself there, or remove it")
-    if (target.exists() or target.is_symlink()) and not is_copy(target):
+    if (target.exists() or target.is_symlink()) and not _is_copy(target):
         raise ValueError(f"{target} is there and is no saved copy of a run; move it away, or give another name=NAME")
-    origin = origin_without_machine(source)
+    origin = _origin_without_machine(source)
     made_at = [str(origin[key]) for key in ("commit", "resumed_at_commit") if key in origin]
     commit = next((c for c in made_at if c in ("", "unknown") or c.endswith("-dirty")), None)
     if not any_commit and commit is not None:
@@ -98,7 +98,7 @@ def check_copy(source: Path, target: Path, any_commit: bool = False) -> None:
         raise ValueError(f"{source} was made {why}, so that nobody can make it again exactly; {instead}")
 
 
-def is_copy(folder: Path) -> bool:
+def _is_copy(folder: Path) -> bool:
     """Return whether a folder holds a saved copy of a run and nothing else, so that nothing is lost with it."""
     if folder.is_symlink() or not all((folder / name).is_file() for name in ("config.yaml", "origin.json")):
         return False
@@ -106,7 +106,7 @@ def is_copy(folder: Path) -> bool:
     if any(path.is_symlink() or not COPIED.fullmatch(path.relative_to(folder).as_posix()) for path in found):
         return False
     settings = read_text(folder / "config.yaml")  # that of a run holds its folder, which a copy leaves out
-    return settings == without_machine(settings)
+    return settings == _without_machine(settings)
 
 
 def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = False) -> list[Path]:
@@ -147,8 +147,8 @@ def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = 
 def _copy(source: Path, target: Path, model: bool) -> None:
     """Write the copy of a run into a new folder."""
     target.mkdir()
-    write_text(target / "config.yaml", without_machine(read_text(source / "config.yaml")))
-    write_json(target / "origin.json", origin_without_machine(source), indent=1, finite=False)
+    write_text(target / "config.yaml", _without_machine(read_text(source / "config.yaml")))
+    write_json(target / "origin.json", _origin_without_machine(source), indent=1, finite=False)
     for name in RECORDS:
         if (source / name).is_file():
             write_json(target / name, read_json(source / name), indent=1, finite=False)
@@ -168,7 +168,7 @@ def _copy(source: Path, target: Path, model: bool) -> None:
         write_json(target / file.relative_to(source), read_json(file), indent=1, finite=False)
 
 
-def origin_without_machine(folder: Path) -> dict[str, str]:
+def _origin_without_machine(folder: Path) -> dict[str, str]:
     """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say.
 
     Raises:
@@ -185,7 +185,7 @@ def origin_without_machine(folder: Path) -> dict[str, str]:
         return {**origin, "command": " ".join(words)}
 
 
-def without_machine(settings: str) -> str:
+def _without_machine(settings: str) -> str:
     """Return a configuration without the lines that hold a path of the machine or the run's own folder."""
     lines = settings.splitlines(keepends=True)
     return "".join(line for line in lines if not re.match(r"(folder|results):|\s*[\w.]+: ['\"]?(/|~|\w:\\)", line))

@@ -21,14 +21,14 @@ DOUBLES = 10
 """Control periods in which an excitation that begins small doubles."""
 
 
-class Careful(TypedDict, total=False):
+class _Careful(TypedDict, total=False):
     """Settings for a plant that does not stay by itself; see `Excitation`."""
 
     first: float
     gain: Sequence[Sequence[float]] | None
 
 
-class Common(Careful, total=False):
+class Common(_Careful, total=False):
     """Settings that subclasses pass on, by name; see `Excitation`."""
 
     amplitude: Levels
@@ -71,7 +71,7 @@ class Excitation(TensorDictModuleBase, ABC):
         amplitude: Levels = 0.3,
         offset: Levels = 0.0,
         seed: int = 0,
-        **careful: Unpack[Careful],
+        **careful: Unpack[_Careful],
     ) -> None:
         super().__init__()
         self.seed, duration = seed, PERIODS * dt if duration is None else duration

@@ -14,7 +14,7 @@ HELD = 10
 """Control periods for which a level is held where no time is given."""
 
 
-class Switching(Excitation):
+class _Switching(Excitation):
     """Hold random levels; each input jumps at its own times.
 
     Args:
@@ -58,14 +58,14 @@ class Switching(Excitation):
         return self.levels.gather(0, place.reshape(-1, self.n_u)).reshape(*t.shape, self.n_u)
 
 
-class Aprbs(Switching):
+class Aprbs(_Switching):
     """Hold uniformly random levels (amplitude-modulated pseudo-random binary sequence)."""
 
     def _levels(self, n: int, generator: torch.Generator) -> Tensor:
         return 2 * torch.rand(n, self.n_u, generator=generator, dtype=torch.float64) - 1
 
 
-class Prbs(Switching):
+class Prbs(_Switching):
     """Switch at random between the two ends of the range (pseudo-random binary sequence)."""
 
     def _levels(self, n: int, generator: torch.Generator) -> Tensor:

@@ -84,7 +84,7 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
     each = "" if model.step is None else f"A step takes {model.step!r} s, in which the inputs are held."
     late = f"Inputs act {model.delay!r} s after they are given: u is what acts." if model.delay else ""
-    told = block([*signature_words(signature), *filter(None, [each, late])])
+    told = block([*_signature_words(signature), *filter(None, [each, late])])
     n_x, n_u = signature.n_x, max(1, signature.n_u)
     arguments = f"const double x[{n_x}], const double u[{n_u}], double {result}[{n_x}]"
     header = (
@@ -118,7 +118,7 @@ def places(signature: Signature, name: str) -> str:
     return "\n".join(lines).rstrip(",")
 
 
-def signature_words(signature: Signature, limits: Sequence[Sequence[float]] = ()) -> list[str]:
+def _signature_words(signature: Signature, limits: Sequence[Sequence[float]] = ()) -> list[str]:
     """Return lines that tell states and inputs with their units.
 
     Args:
@@ -201,7 +201,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     """
     name, mlp = module_name(name), network(controller)
     task, signature = controller.setup.task, controller.signature
-    watching = None if controller.observer is None else Filter.of(controller.observer)
+    watching = None if controller.observer is None else _Filter.of(controller.observer)
     if watching is not None and (n := len(watching.model.signature.state_names) + signature.n_u) > MANY:
         raise ValueError(
             f"an observer of {n} states and inputs overflows the stack in C; allowed are {MANY}: identify fewer states"
@@ -227,7 +227,7 @@ def measured(controller: Controller) -> tuple[str, ...]:
     """Return the names of the states that a controller has to be given."""
     if controller.observer is None:
         return controller.signature.state_names
-    return tuple(controller.signature.state_names[i] for i in Filter.of(controller.observer).sensed)
+    return tuple(controller.signature.state_names[i] for i in _Filter.of(controller.observer).sensed)
 
 
 def _watching_words(controller: Controller) -> dict[str, str]:
@@ -274,7 +274,7 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
     return words
 
 
-def _sizes(watching: Filter | None, name: str) -> str:
+def _sizes(watching: _Filter | None, name: str) -> str:
     """Return the enumerators of sizes."""
     sizes = {"NX": f"{name}_NX", "NU": f"{name}_NU", "NR": f"{name}_NR"}
     if watching is not None:
@@ -334,7 +334,7 @@ def _told(controller: Controller) -> list[str]:
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     targets = controller.targets_in_words()
     return [
-        *signature_words(signature, controller.setup.task.input_limits.mT.tolist()),
+        *_signature_words(signature, controller.setup.task.input_limits.mT.tolist()),
         "r: references" + (f", planned for {', '.join(targets)}" if targets else ""),
         *(f"    {i}  {n} [{units[n]}]" for i, n in enumerate(controller.outputs)),
         "",
@@ -343,7 +343,7 @@ def _told(controller: Controller) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Filter:
+class _Filter:
     """What the observer in C is made of.
 
     Attributes:
@@ -361,7 +361,7 @@ class Filter:
     late: int
 
     @classmethod
-    def of(cls, observer: Observer) -> Filter:
+    def of(cls, observer: Observer) -> _Filter:
         """Return the numbers of an observer.
 
         Raises:

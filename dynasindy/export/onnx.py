@@ -63,7 +63,7 @@ def controller_onnx(controller: Controller, path: Path) -> None:
         ValueError: The policy is of another kind.
     """
     _require_onnx()
-    step, signature = ControlStep(controller), controller.signature
+    step, signature = _ControlStep(controller), controller.signature
     n_r = len(controller.outputs)
     given = [torch.zeros(n, dtype=torch.float64) for n in (step.numbers, signature.n_x, n_r, n_r)]
     told = {"u": signature.input_names, "measurement": signature.state_names, "reference": controller.outputs}
@@ -126,7 +126,7 @@ class Policy(nn.Module):
         return action
 
 
-class ControlStep(nn.Module):
+class _ControlStep(nn.Module):
     """A call of a controller as a function of tensors, without branches on what they hold.
 
     Attributes:

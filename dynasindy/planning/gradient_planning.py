@@ -36,7 +36,7 @@ DIVERGED = 100.0
 """Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 
 
-class Episodes:
+class _Episodes:
     """Imagined episodes side by side, begun at staggered times and begun anew when they end.
 
     Attributes:
@@ -246,7 +246,7 @@ class GradientPlanning(Planner):
         self.pace = pace = dataclasses.replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
-        episodes = Episodes(self)
+        episodes = _Episodes(self)
         rows, late = self.held_out, None if rests is None else self.randomization.ends(len(self.held_out.x))
         rows.reach, rows.strength, rows.late = episodes.rows.reach, None, late
         begun = WarmStart(-math.inf)
@@ -341,7 +341,7 @@ class GradientPlanning(Planner):
         self.rng.set_state(drawn)
         return hold(self.network, self.env, rests, self.test, self.rng)
 
-    def _update(self, episodes: Episodes, optimizer: torch.optim.Adam) -> bool:
+    def _update(self, episodes: _Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         rows, system = episodes.rows, episodes.system
         window = imagine(self.env, system, self.network, rows, self.pace.window)

@@ -47,7 +47,7 @@ ROWS, PERIODS = 96, 150
 """Imagined episodes and their length in a round of imitation."""
 
 
-class Law(Protocol):
+class _Law(Protocol):
     """What can be imitated."""
 
     def __call__(self, observation: Tensor) -> Tensor:
@@ -90,7 +90,7 @@ def hold(
     # model.
     best, before = score(network), copy.deepcopy(network.state_dict())
     regulators = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
-    earned: dict[float, Law] = {score(law): law for law in regulators if law is not None}
+    earned: dict[float, _Law] = {score(law): law for law in regulators if law is not None}
     afar, imagined = False, 0
     if earned and not arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
@@ -99,7 +99,7 @@ def hold(
     if not earned or max(earned) <= best:
         return WarmStart(best, imagined=imagined)
     lessons = FROM_AFAR if afar else REGULATED
-    imitate(network, earned[max(earned)], env, rng, lessons)
+    _imitate(network, earned[max(earned)], env, rng, lessons)
     if (imitated := score(network)) > best:
         return WarmStart(imitated, afar, imagined, math.prod(lessons))
     network.load_state_dict(before)
@@ -130,8 +130,8 @@ def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Gener
     return bool((regulator.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
 
 
-def imitate(
-    network: nn.Module, law: Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
+def _imitate(
+    network: nn.Module, law: _Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
 ) -> None:
     """Train a policy to act as a law does, where the law leads and then where the policy itself leads.
 
@@ -171,7 +171,7 @@ def _lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int
 
 
 @torch.no_grad()
-def _visited(pilot: Network, law: Law, env: ControlEnv, rng: torch.Generator) -> Tensor:
+def _visited(pilot: Network, law: _Law, env: ControlEnv, rng: torch.Generator) -> Tensor:
     """Return observations along imagined episodes, half of them begun around rests, `(n, n_o)`."""
     task, batch = env.task, torch.Size((ROWS,))
     assert isinstance(task, Tracking)
@@ -192,7 +192,7 @@ def _reach(task: Tracking, x: Tensor) -> Tensor:
     return torch.maximum(20.0 * torch.tensor(task.signature.x_scale), 4 * x.abs().amax(0))
 
 
-def _trembling(law: Law, limit: Callable[[Tensor], Tensor], rng: torch.Generator) -> Network:
+def _trembling(law: _Law, limit: Callable[[Tensor], Tensor], rng: torch.Generator) -> Network:
     """Return the law with noise on its inputs, which shows more of the plant."""
 
     def _act(observation: Tensor) -> Tensor:
@@ -254,10 +254,10 @@ def improve(
     for _ in range(rounds):
         if failures >= PATIENCE:
             break
-        begun, floor = starts(network, env, rows, rng, periods), Floor()
+        begun, floor = starts(network, env, rows, rng, periods), _Floor()
         flown = imagine(env, env.system, network, begun, periods)
         imagined_rewards(env, begun, flown, floor)
-        way = better(network, env, begun, rng, periods, floor)
+        way = _better(network, env, begun, rng, periods, floor)
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
         imagined += STARTS * periods * (POPULATION * DRAWS + 3)
         more = imagined_rewards(env, begun, way, floor).sum(0) - imagined_rewards(env, begun, flown, floor).sum(0)
@@ -279,7 +279,7 @@ def improve(
     return Improvement(best, imagined, updates)
 
 
-class Floor:
+class _Floor:
     """The least that any period has earned in what was imagined so far; what has diverged earns no more than that."""
 
     def __init__(self) -> None:
@@ -308,8 +308,8 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
 
 
 @torch.no_grad()
-def better(
-    network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, floor: Floor | None = None
+def _better(
+    network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, floor: _Floor | None = None
 ) -> Window:
     """Return the best way from each start that was found; it earns no less than that of the policy.
 
@@ -322,7 +322,7 @@ def better(
         floor: What has earned least so far, so that a crash is worth the same in every draw.
     """
     n, n_u = begun.held.shape
-    floor = floor or Floor()
+    floor = floor or _Floor()
     acting = max(1, round(ACTING * periods))
     many = replace(
         begun,
@@ -330,15 +330,15 @@ def better(
     )
 
     def _earned(drawn: Tensor) -> Tensor:
-        flown = imagine(env, env.system, OnTop(network, drawn, acting, env.task.limit), many, periods)
+        flown = imagine(env, env.system, _OnTop(network, drawn, acting, env.task.limit), many, periods)
         return imagined_rewards(env, many, flown, floor).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
-    return imagine(env, env.system, OnTop(network, best, acting, env.task.limit), begun, periods)
+    return imagine(env, env.system, _OnTop(network, best, acting, env.task.limit), begun, periods)
 
 
-class OnTop:
+class _OnTop:
     """A policy with a signal on top of it, one for each row, for a single flight.
 
     Args:
@@ -359,7 +359,7 @@ class OnTop:
         return self.limit(u + self.signal[k]) if k < len(self.signal) else u
 
 
-def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, floor: Floor | None = None) -> Tensor:
+def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, floor: _Floor | None = None) -> Tensor:
     """Return what each period of a window earns, `(T, rows)`; those after divergence earn as little as the worst.
 
     Args:
@@ -372,4 +372,4 @@ def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, floor: Floor |
     params = rows.params.expand(len(free), *rows.params.shape)
     x, x_next, alive = window.states[:-1], window.states[1:], window.alive[1:]
     reward = env.task.earned(x, window.actions, x_next, params, window.times[1:], free)
-    return (floor or Floor()).under(reward, alive)
+    return (floor or _Floor()).under(reward, alive)

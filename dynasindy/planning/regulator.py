@@ -70,7 +70,7 @@ class Regulator:
         solved: Solution of the Riccati equation in those states.
     """
 
-    def __init__(self, task: Tracking, rests: Equilibria, weights: Weights, squares: Tensor, solved: Solved) -> None:
+    def __init__(self, task: Tracking, rests: Equilibria, weights: Weights, squares: Tensor, solved: _Solved) -> None:
         self.task, self.weights, self.slowest, self.moved = task, weights, solved.slowest, rests.moved
         n_x, moved = len(rests.moved), rests.moved
         self.squares = torch.diag(squares.where(moved, 0.0)).float()
@@ -129,7 +129,7 @@ class Regulator:
 
 
 @dataclass(frozen=True)
-class Solved:
+class _Solved:
     """A solution of the discrete Riccati equation.
 
     Attributes:
@@ -173,7 +173,7 @@ def squares_of(task: Tracking, weights: Weights) -> Tensor:
     return q
 
 
-def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float | None = None) -> Solved | None:
+def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float | None = None) -> _Solved | None:
     """Return the law of the least quadratic cost for inputs that are held for a control period, or None without one.
 
     Args:
@@ -184,10 +184,10 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         r: Weight of each squared input.
         step: Of the difference equation that the model is [s]; None of a differential equation.
     """
-    return riccati(*discretize(a, b, dt, step), q, r)
+    return _riccati(*_discretize(a, b, dt, step), q, r)
 
 
-def discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
+def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
     """Sample a linear system exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
 
     Args:
@@ -210,7 +210,7 @@ def discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tu
     return sampled[:, : len(a)], sampled[:, len(a) :]
 
 
-def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:
+def _riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> _Solved | None:
     """Return the law of the least quadratic cost, or None where there is none.
 
     Args:
@@ -230,7 +230,7 @@ def riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> Solved | None:
         radius = float(np.abs(np.linalg.eigvals(closed)).max())
         if radius < 1 - 1e-6:
             slowest = -1.0 / float(np.log(max(radius, 1e-3)))
-            return Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest, torch.as_tensor(closed))
+            return _Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest, torch.as_tensor(closed))
     return None
 
 

@@ -71,7 +71,7 @@ class TrajectoryLibrary:
         batch = torch.Size((STARTS,))
         x, params = env.task.initial_state(batch, rng).float(), env.task.sample(batch, rng)
         reference = env.task.reference(params, torch.zeros(STARTS, 1)).float()
-        caught, imagined = find_caught_trajectories(env, regulator, x, params, reference, rng)
+        caught, imagined = _find_caught_trajectories(env, regulator, x, params, reference, rng)
         ways = [(way, reference[i]) for i, way in caught.items()]
         if not ways:
             return None, imagined
@@ -102,7 +102,7 @@ class TrajectoryLibrary:
         return x + AROUND * self.scale * torch.randn(x.shape, generator=rng)
 
 
-def find_caught_trajectories(
+def _find_caught_trajectories(
     env: ControlEnv, regulator: Regulator, x: Tensor, params: Tensor, reference: Tensor, rng: torch.Generator
 ) -> tuple[dict[int, Trajectory], int]:
     """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined.

@@ -63,7 +63,7 @@ def search(env: ControlEnv, x: Tensor, params: Tensor, periods: int, rng: torch.
     starts, repeated = x.repeat_interleave(POPULATION, 0), params.repeat_interleave(POPULATION, 0)
 
     def _earned(drawn: Tensor) -> Tensor:
-        return objective(env, roll(env, starts, signal(drawn, periods, env.task.limit)), repeated)
+        return _objective(env, roll(env, starts, signal(drawn, periods, env.task.limit)), repeated)
 
     rounds = track("search for ways from afar", range(ROUNDS), ROUNDS, "rounds")
     found = cross_entropy(_earned, torch.zeros(n, knots, n_u), POPULATION, rounds, LARGEST, rng)
@@ -125,7 +125,7 @@ def roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
     return torch.stack(states)
 
 
-def objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:
+def _objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:
     """Return what ways earn, their ends above all, `(n,)`; outside of the plant's limits they pay.
 
     Args:

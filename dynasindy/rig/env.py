@@ -70,7 +70,7 @@ class RigEnv(ControlEnv):
 
     def as_used(self, env: EnvBase) -> EnvBase:
         """Return the environment with a rehearsal before each episode."""
-        return TransformedEnv(env, Rehearsal(env, self.flights), auto_unwrap=False)
+        return TransformedEnv(env, _Rehearsal(env, self.flights), auto_unwrap=False)
 
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin an episode where the rig is; the states are not used, only their batch, which has one row.
@@ -112,7 +112,7 @@ class RigEnv(ControlEnv):
         """Find nothing wrong, as the equations of a rig are not known."""
 
 
-class Rehearsal(Transform):
+class _Rehearsal(Transform):
     """Take a few steps before each episode that move nothing: first calls take longer than a period has.
 
     The observer and the prediction of the model, which changes between episodes, have then computed before; the policy

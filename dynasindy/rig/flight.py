@@ -213,7 +213,7 @@ class FlightLoop:
         self.jitter: list[float] = []
         self.flown = self.missed = self.lost = 0
         self.heard = False  # whether any sample has come
-        self.watchdog = Watchdog(rig.rest, clock)
+        self.watchdog = _Watchdog(rig.rest, clock)
 
     def run(self, act: Act, periods: int, log: Log) -> None:
         """Fly so many periods.
@@ -368,7 +368,7 @@ class FlightLoop:
         return f"end what else this computer does, or give more than guard.late={self.guard.late:g} of a period"
 
 
-class Watchdog:
+class _Watchdog:
     """Call a function whenever a deadline has passed that was not renewed.
 
     The loop that it watches may hang in a computation or in a call to the system: the thread does not.

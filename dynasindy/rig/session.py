@@ -230,7 +230,7 @@ class Session:
         """
         self._require(controller)
         if self.model is not None and controller is self.learnt:  # nobody knows the model of one that was given
-            self.tell(f"  {forecast_flight(controller, self.model, targets, seconds)}")
+            self.tell(f"  {_forecast_flight(controller, self.model, targets, seconds)}")
         self._tell_inputs(controller.signature)
         names, theirs = self.wiring.signature.state_names, set(controller.signature.state_names)
 
@@ -392,7 +392,7 @@ def _grown(signal: Excitation, dt: float) -> Array:
     return grown
 
 
-def forecast_flight(
+def _forecast_flight(
     controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float
 ) -> str:
     """Say how near a model comes to each target; where it cannot be simulated, say why, as the flight goes on.

@@ -36,7 +36,7 @@ FAULTS = ("silent", "old", "garbage", "nan", "range", "gone")
 
 
 @dataclass
-class Record:
+class _Record:
     """What a simulated rig saw and did.
 
     Attributes:
@@ -93,11 +93,11 @@ class SimulatedRig:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
-        self.record = Record()
+        self.record = _Record()
         # The first period makes machine code of the plant, which would take longer than a control period.
         self._moved(self.start, self.safe)
 
-    def serve(self, periods: int, lockstep: float = 0.0) -> Record:
+    def serve(self, periods: int, lockstep: float = 0.0) -> _Record:
         """Wait for a caller, then run so many periods.
 
         Args:
@@ -173,7 +173,7 @@ class SimulatedRig:
                     return found
 
 
-class FarEnd:
+class _FarEnd:
     """Another process, which serves one simulated rig after the other; leaving it ends it."""
 
     def __init__(self) -> None:
@@ -182,7 +182,7 @@ class FarEnd:
         self._process = context.Process(target=_serve, args=(there,), daemon=True)
         self._process.start()
 
-    def __enter__(self) -> FarEnd:
+    def __enter__(self) -> _FarEnd:
         """Return it."""
         return self
 
@@ -215,9 +215,9 @@ class FarEnd:
             ) from answer
         return answer
 
-    def end(self) -> Record:
+    def end(self) -> _Record:
         """Return what the rig saw, once it has run all its periods."""
-        record: Record = self._here.recv()
+        record: _Record = self._here.recv()
         return record
 
 
@@ -257,7 +257,7 @@ def rehearsal(
         return sample_states(ends, batch, torch.Generator().manual_seed(seed))
 
     require_plant(system, _begins, state_limits(system.signature, bounds or {}))
-    with FarEnd() as end:
+    with _FarEnd() as end:
         begin = _begins(torch.Size()).numpy()
         port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed, start=begin)
         with connect(system, dt, port=port) as rig:

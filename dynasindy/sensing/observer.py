@@ -52,7 +52,7 @@ a thousand millions is six standard deviations. What is believed costs more than
 is doubted then, and the next one is believed up to a hundred ranges."""
 
 
-class Timing(Protocol):
+class _Timing(Protocol):
     """What an observer has to know of time and travel; a `ControlEnv` is one, and so is a controller out of a file.
 
     Attributes:
@@ -92,7 +92,7 @@ class Observer:
         env: Control period, sub-steps and stops.
     """
 
-    def __init__(self, model: System, sensors: Sensors, env: Timing) -> None:
+    def __init__(self, model: System, sensors: Sensors, env: _Timing) -> None:
         self.model, self.sensors = model, sensors
         self.dt, self.substeps, self.stops = env.dt, env.substeps, env.stops
         self.n_x = model.signature.n_x
@@ -103,7 +103,7 @@ class Observer:
             self.pushed = []
         scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
         self.scale = torch.cat([scale, scale[self.pushed]])
-        self.first: System = Kinematic(model.signature, rates)
+        self.first: System = _Kinematic(model.signature, rates)
         variance = torch.cat([measured, torch.full((len(self.pushed),), torch.inf)])
         self.variance = variance.clamp_min((FINEST * self.scale).square())
         self.q = torch.full_like(self.scale, STRAYING)
@@ -404,7 +404,7 @@ class Observer:
         return padded.masked_fill(self.variance.isinf() | padded.isinf(), torch.nan)
 
 
-class Kinematic(System):
+class _Kinematic(System):
     """A system whose states move at the rates that are states themselves, and otherwise stay.
 
     An observer on it is a local polynomial with a fading memory: a line through the latest angles, whose slope is the

@@ -58,7 +58,7 @@ def correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequ
     return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))
 
 
-class OffsetFree:
+class _OffsetFree:
     """A policy that is shown the state without the push, and whose action counteracts it.
 
     Args:
@@ -79,7 +79,7 @@ class OffsetFree:
         return tensordict.set("action", self.env.task.limit(action + du.to(action)))
 
 
-class Limited:
+class _Limited:
     """A policy whose action stays within the limits of the task's inputs.
 
     Args:
@@ -104,5 +104,5 @@ def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
         pushed: Whether an observer estimates a push, under `observer`, which is counteracted.
     """
     if pushed:
-        return OffsetFree(policy, env)
-    return Limited(policy, env) if env.task.limited else policy
+        return _OffsetFree(policy, env)
+    return _Limited(policy, env) if env.task.limited else policy

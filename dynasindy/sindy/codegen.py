@@ -34,7 +34,7 @@ def generate(library: Library, coefficients: Tensor) -> Field:
     """
     refuse_not_finite(library, coefficients)
     try:
-        writer = FieldWriter(library, coefficients)
+        writer = _FieldWriter(library, coefficients)
     except RecursionError as error:
         raise ValueError(f"the model has too many terms of {len(library)}; remove some: raise the threshold") from error
     scope: dict[str, object] = {"torch": torch, "constants": Constants(writer.constants), **writer.functions}
@@ -146,7 +146,7 @@ class Writer:
         return [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
 
 
-class FieldWriter(Writer):
+class _FieldWriter(Writer):
     """Write the sums of a sparse model.
 
     Another language overrides how numbers, functions and sums of two are written, see `dynasindy.export.expressions`.
@@ -233,7 +233,7 @@ def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Fact
     return {f: n for f, n in left.items() if n}
 
 
-class InfixWriter(FieldWriter):
+class InfixWriter(_FieldWriter):
     """Write sums with infix operators; what is called are `functions.FORMULA_FUNCTIONS` alone.
 
     Args:

@@ -108,7 +108,7 @@ def coefficient_lines(library: Library, coefficients: Tensor, errors: Tensor) ->
     spread[[place[feature.key] for feature in library.features]] = (library.step or 1.0) * errors.to(table)
     left = [_left_side(library, state) for state in library.signature.state_names]
     found = [
-        (left[i], plus_minus(float(xi), float(error)), whole.names[k])
+        (left[i], _plus_minus(float(xi), float(error)), whole.names[k])
         for i in range(len(left))
         for k, (xi, error) in enumerate(zip(table[:, i], spread[:, i], strict=True))
         if error
@@ -117,7 +117,7 @@ def coefficient_lines(library: Library, coefficients: Tensor, errors: Tensor) ->
     return [f"{name:<{wide}}  {number:<{long}}  {feature}" for name, number, feature in found]
 
 
-def plus_minus(value: float, error: float) -> str:
+def _plus_minus(value: float, error: float) -> str:
     """Write a number and its standard error, the error to two digits: `1.2340 ± 0.0050`, `(3.10 ± 0.20)e-07`."""
     exponent = math.floor(math.log10(max(abs(value), error)))
     scale = exponent if not -4 < exponent < 6 else 0

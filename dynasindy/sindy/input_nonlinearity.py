@@ -49,7 +49,7 @@ class InputNonlinearity:
     high: float
 
 
-def classify_nonlinearity(
+def _classify_nonlinearity(
     name: str, edges: Sequence[float], slopes: Sequence[float], flat: float = FLAT
 ) -> InputNonlinearity | None:
     """Return what a piecewise linear function of an input is, None where it is neither.
@@ -96,7 +96,7 @@ def read_nonlinearity(model: SindyModel, state: int, name: str) -> InputNonlinea
     slopes, rising = [slope], sorted(edges)
     for edge in rising:
         slopes.append(slopes[-1] + edges[edge])
-    return classify_nonlinearity(name, rising, slopes) if any(slopes) else None
+    return _classify_nonlinearity(name, rising, slopes) if any(slopes) else None
 
 
 def find_missing_nonlinearity(model: SindyModel, data: Transitions) -> InputNonlinearity | None:
@@ -121,7 +121,7 @@ def find_missing_nonlinearity(model: SindyModel, data: Transitions) -> InputNonl
         if len(u.unique()) < LEVELS or len(edges) < 2 or name in model.followed.values():
             continue
         for part, ends, slopes in _bent(model, seen, name, edges):
-            bend = classify_nonlinearity(name, ends, slopes, ROUGHLY)
+            bend = _classify_nonlinearity(name, ends, slopes, ROUGHLY)
             if part < least and bend is not None and ends[-1] - ends[0] >= NARROW * float(u.max() - u.min()):
                 found, least = bend, part
     return found

@@ -63,7 +63,7 @@ class LagStateCandidate:
             return f"{self.signal} acts through a lag of {1 / rate:.3g} s, a state that no sensor sees"
         return (
             f"a part of the plant that no sensor sees follows {self.signal} with a time constant of {1 / rate:.3g} s: "
-            f"it is the state {lag_state_name(self.signal)}"
+            f"it is the state {_lag_state_name(self.signal)}"
         )
 
 
@@ -197,7 +197,7 @@ class _Search:
         Where a state that follows a measured one began is not known: behind the functions stands what decays from
         there, a column for each stretch.
         """
-        starts, ends = lag_dynamics(self.follows, self.data, time)
+        starts, ends = _lag_dynamics(self.follows, self.data, time)
         own, n_x = [starts.unsqueeze(-1)], wide.signature.n_x
         own_next = [ends.unsqueeze(-1)]
         if not self.input:
@@ -238,7 +238,7 @@ class _Search:
 
     def _wide(self, time: float) -> SindyModel:
         """Return the model with one state more, without coefficients but those that are known."""
-        old, model, name = self.model.signature, self.model, lag_state_name(self.signal)
+        old, model, name = self.model.signature, self.model, _lag_state_name(self.signal)
         own = of("ahead", self.signal, name)
         read = list(model.library.features)
         if self.input:
@@ -265,7 +265,7 @@ class _Search:
         )
 
 
-def lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
+def _lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
     """Return a state that follows a signal, at the begin and at the end of each interval, `(N,)` both.
 
     It begins each segment at rest, equal to the signal.
@@ -284,7 +284,7 @@ def lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor
     return torch.tensor(starts, dtype=signal.dtype), torch.tensor(ends, dtype=signal.dtype)
 
 
-def lag_state_name(name: str) -> str:
+def _lag_state_name(name: str) -> str:
     """Return the name of the state that follows a signal."""
     return f"{name}_lagging"
 
@@ -305,7 +305,7 @@ def lag_state_ranges(model: SindyModel, data: Transitions) -> dict[int, tuple[fl
             found[place] = min(float(ends.min()), 0.0), max(float(ends.max()), 0.0)
             continue
         level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
-        behind = lag_dynamics(level, data, 1 / float(model.coefficients[:, place].sum()))[1] - level
+        behind = _lag_dynamics(level, data, 1 / float(model.coefficients[:, place].sum()))[1] - level
         found[place] = float(behind.min()), float(behind.max())
     return found
 

@@ -17,7 +17,7 @@ LINKS = -0.3
 """Where the fit of p begins for links in a row; nearer to zero a force and its quotient can hardly be told apart."""
 
 
-def angles_of(signature: Signature) -> tuple[str, ...]:
+def _angles_of(signature: Signature) -> tuple[str, ...]:
     """Return the states in rad, if there is a state in rad/s; none without one."""
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     return tuple(name for name, unit in units.items() if unit == "rad" and "rad/s" in units.values())
@@ -42,7 +42,7 @@ def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: I
     spun = [one * other for one, other in combinations_with_replacement(turning, 2)]
     inputs = [variable(name) for name in signature.input_names]
     functions: list[Feature] = [CONSTANT, *(variable(n) for n in (*signature.state_names, *signature.input_names))]
-    single: list[tuple[str, ...]] = [(name,) for name in (angles_of(signature) if angles is None else angles)]
+    single: list[tuple[str, ...]] = [(name,) for name in (_angles_of(signature) if angles is None else angles)]
     pairs = [(*pair, word) for pair in combinations([angle[0] for angle in single], 2) for word in ("sum", "gap")]
     pulls = [_turned(name, *angle) for angle in (*single, *pairs) for name in ("sin", "cos")] if pairs else []
     functions += pulls
@@ -294,7 +294,7 @@ def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
         dry: dry friction of rates, for a machine with several angles.
     """
     units = list(zip(signature.state_names, signature.state_units, strict=True))
-    if not angles_of(signature):
+    if not _angles_of(signature):
         tilts = [name for name, unit in units if unit == "rad"]
         pulls = [of(word, name) for name in tilts for word in ("sin", "cos")]
         return Library(signature, [*polynomial(signature).features, *pulls])
@@ -315,7 +315,7 @@ def auto_rig(signature: Signature) -> Library:
     """
     units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
     dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit in SPEEDS]
-    turned = [f * of("cos", angle) for f in dry for angle in angles_of(signature)] if len(dry) > 1 else []
+    turned = [f * of("cos", angle) for f in dry for angle in _angles_of(signature)] if len(dry) > 1 else []
     return Library(signature, [*auto(signature, dry).features, *dry, *turned])
 
 

@@ -121,7 +121,7 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     if library.step is not None:
         share = sensor_noise(library, coefficients, data)[1]
         return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
-    if bool(coefficients.any()) and bool(stands_on_steps(data).any()):
+    if bool(coefficients.any()) and bool(_stands_on_steps(data).any()):
         return True
     error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt)
     # A constant, too, as a library need not have one.
@@ -137,7 +137,7 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
 
 
-def stands_on_steps(data: Transitions) -> Tensor:
+def _stands_on_steps(data: Transitions) -> Tensor:
     """Return which states are read in steps that they take several samples to pass, bool `(n_x,)`.
 
     A plant that rests for long and moves in between does so by other amounts than one and the same.

@@ -23,7 +23,7 @@ than `MOST_STEPS` such steps, as a slow plant is sampled, need not have more of 
 asks for: a step times that rate is as small, and there are `MOST` of them at most."""
 
 
-def steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
+def _steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
     """Return into how many Runge-Kutta steps an interval of a recording is divided.
 
     Args:
@@ -141,7 +141,7 @@ def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str
         data: transitions.
     """
     data = data.to(torch.float64)
-    predicted = moved(generate(library, xi), data.x, data.u, data.dt, steps_in(data, library, xi))
+    predicted = moved(generate(library, xi), data.x, data.u, data.dt, _steps_in(data, library, xi))
     parts = (data.x_next - predicted).norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
     return dict(zip(library.signature.state_names, parts.tolist(), strict=True))
 
@@ -164,7 +164,7 @@ def _linear_model(
     """
     propagator = Propagator(library, xi, parameters, library.shapes)
     start = propagator.start(len(data))
-    predicted, s = propagator.advance(data.x, start, data.u, data.dt, steps_in(data, library, xi))
+    predicted, s = propagator.advance(data.x, start, data.u, data.dt, _steps_in(data, library, xi))
     error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
     rows = (jacobian * weight.unsqueeze(-1)).flatten(0, 1)

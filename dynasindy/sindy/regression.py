@@ -23,7 +23,7 @@ IDLE = 1e-12
 """Norm of a column, of those that have norm one, below which a parameter has no effect."""
 
 
-def least_missed(
+def _least_missed(
     triangle: Tensor, n: int, removable: Tensor | None = None, dependent: float = DEPENDENT
 ) -> tuple[int, float]:
     """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
@@ -72,7 +72,7 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: floa
         triangle = torch.linalg.qr(torch.cat([triangle, unit]), mode="r")[1]
     while True:
         n = len(active)
-        j, growth = least_missed(triangle, n, removable[active], dependent)
+        j, growth = _least_missed(triangle, n, removable[active], dependent)
         if j < 0 or growth >= limit:
             break
         keep = [k for k in range(n) if k != j]
@@ -120,7 +120,7 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
             stay = kept[(kept >= n_fixed) & (kept < n)] - n_fixed
             return torch.cat([stay, torch.tensor([len(active) + k])])
         removable[n_fixed:n] = active.states == state
-        out, missed = least_missed(small, n + 1, removable)
+        out, missed = _least_missed(small, n + 1, removable)
         if float(growth[k]) > missed + BETTER:
             stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)
             swaps[float(growth[k]) - missed] = torch.cat([stay, torch.tensor([len(active) + k])])
@@ -311,7 +311,7 @@ class Regression:
         theta = sums.theta() / columns
         targets = sums.targets() - sums.theta() @ offset
         if self.method == "bic":
-            free = eliminate(
+            free = _eliminate(
                 theta,
                 targets / rates,
                 support & (norms[: sums.n_features] > 0).unsqueeze(-1),
@@ -364,7 +364,7 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_i
     return coefficients
 
 
-def eliminate(
+def _eliminate(
     theta: Tensor,
     targets: Tensor,
     support: Tensor,
@@ -429,7 +429,7 @@ def _best_subset(
             best, best_score = active, score
         if not n:
             return best
-        j, _ = least_missed(triangle, n, dependent=dependent)
+        j, _ = _least_missed(triangle, n, dependent=dependent)
         keep = [k for k in range(n) if k != j]
         triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
         active = active[keep]

@@ -174,7 +174,7 @@ class Flow:
     @classmethod
     def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
         """Integrate all windows."""
-        return cls(estimate, parameters, windows, states_of(estimate, windows))
+        return cls(estimate, parameters, windows, _states_of(estimate, windows))
 
     @cached_property
     def steps(self) -> Tensor:
@@ -216,7 +216,7 @@ class Flow:
         return (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
 
 
-def states_of(estimate: Estimate, windows: Windows) -> Tensor:
+def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
     """Return the states at the ends of the intervals of all windows, `(W, L, n_x)`."""
     if not bool(estimate.xi.isfinite().all()):
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
@@ -289,7 +289,7 @@ SMALL = 1e-9
 """What counts as zero among singular values and exponents."""
 
 
-def free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> tuple[Tensor, Tensor]:
+def _free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> tuple[Tensor, Tensor]:
     """Return which units of hidden states are free, and how coefficients change with them.
 
     A unit is held by a coefficient that is given, as a known equation has, and by a function that is no power, as a
@@ -330,7 +330,7 @@ def states_without_scale(library: Library, xi: Tensor, free: Tensor, data: Trans
     unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
     if not bool(unseen.any()):
         return ()
-    takes_part = free_scales(library, xi, free, unseen)[0].abs().sum(0) > SMALL
+    takes_part = _free_scales(library, xi, free, unseen)[0].abs().sum(0) > SMALL
     return tuple(n for n, part in zip(library.signature.state_names, takes_part.tolist(), strict=True) if part)
 
 
@@ -448,7 +448,7 @@ def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
         may = parameters.support(estimate.xi.shape)
-        exponents = free_scales(estimate.library, estimate.xi, may, unseen)[1]
+        exponents = _free_scales(estimate.library, estimate.xi, may, unseen)[1]
         held = _scale_constraints(exponents, estimate.xi, rows, (parameters.features, parameters.states))
         rows = torch.cat([rows, held])
     return rows, moves, errors, cost

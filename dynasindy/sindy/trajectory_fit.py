@@ -40,7 +40,7 @@ from dynasindy.sindy.shooting import (
 from dynasindy.systems.transitions import Transitions
 
 
-def drop_quotient(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
+def _drop_quotient(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
     """Return coefficients in which a quotient is left out, its terms standing without it; None where that cannot be.
 
     It cannot be where the number is one of another function, where it is not in use, or where a term has no free
@@ -76,7 +76,7 @@ TRIES = 10
 
 
 @dataclass(frozen=True)
-class Limits:
+class _Limits:
     """Say what a coefficient must be worth, and how many steps are made.
 
     Attributes:
@@ -107,7 +107,7 @@ def price(n: int, free: Tensor) -> float:
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
-def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits: _Limits) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
     What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
@@ -153,13 +153,13 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits
         flow, came = changed, changed.parameters.support(free.shape)
     found = flow.estimate if best is None else best[0].estimate
     for place in range(len(found.library.shapes)):
-        simple = drop_quotient(found.library, found.xi, free, place)
+        simple = _drop_quotient(found.library, found.xi, free, place)
         if simple is not None:
             found = _cheaper(found, replace(found, xi=simple), free, windows, limits)
     return found
 
 
-def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, limits: Limits) -> Estimate:
+def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, limits: _Limits) -> Estimate:
     """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
     with suppress(RunsAway):
         simple, support = descend(simple, (simple.xi != 0) & free, windows, limits)
@@ -170,13 +170,13 @@ def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Window
     return estimate
 
 
-def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Tensor]:
+def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: _Limits) -> tuple[Estimate, Tensor]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
     flow = _descended(Flow.of(estimate, Parameters.where(support), windows), limits)[0]
     return flow.estimate, flow.parameters.support(support.shape)
 
 
-def _descended(flow: Flow, limits: Limits) -> tuple[Flow, Linearised | None]:
+def _descended(flow: Flow, limits: _Limits) -> tuple[Flow, Linearised | None]:
     """Return the trajectories after that, and the linear model there; none where no coefficient is left."""
     before: tuple[Flow, Linearised] | None = None
     model: Linearised | None = None
@@ -319,7 +319,7 @@ def refine_trajectory(
     guess = data.x if start is None else start.to(torch.float64)
     joined = descent.joined
     some = choose_stretches(len(data), ENOUGH)
-    part, limits = data.select(some), Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
+    part, limits = data.select(some), _Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
     first = Estimate(library, xi, guess[some])
     found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
     if descent.coloured:
@@ -349,7 +349,7 @@ def refine_trajectory(
     return TrajectoryFit.of(found, free, windows)
 
 
-def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> tuple[Estimate, Windows]:
+def _finely(found: Estimate, free: Tensor, windows: Windows, limits: _Limits) -> tuple[Estimate, Windows]:
     """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
     support = (found.xi != 0) & free
     if not bool(support.any()):
@@ -362,7 +362,12 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: Limits) -> 
 
 
 def _refine_coloured(
-    found: Estimate, free: Tensor, windows: Windows, whole: tuple[Transitions, Tensor], limits: Limits, descent: Descent
+    found: Estimate,
+    free: Tensor,
+    windows: Windows,
+    whole: tuple[Transitions, Tensor],
+    limits: _Limits,
+    descent: Descent,
 ) -> TrajectoryFit:
     """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
     data, guess = whole

@@ -48,7 +48,7 @@ def compile_library(sources: Sequence[Path], library: Path, options: Sequence[st
     return _run([*options, "-fPIC", "-shared", *map(str, sources), "-o", str(library), "-lm"], sources[0], library)
 
 
-def build_fast(source: Path, library: Path) -> Path:
+def _build_fast(source: Path, library: Path) -> Path:
     """Compile a C source for this computer's processor.
 
     It is linked in a step of its own: linked with fast arithmetic, a library would have the whole process take small
@@ -93,7 +93,7 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool) -> ctyp
         stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
         text, library = stem.with_suffix(".c"), stem.with_suffix(SUFFIX)
         text.write_text(source, encoding="utf-8")
-        code = ctypes.CDLL(str(build_fast(text, library) if fast else compile_library([text], library, FAITHFUL)))
+        code = ctypes.CDLL(str(_build_fast(text, library) if fast else compile_library([text], library, FAITHFUL)))
     if not all(hasattr(code, name) for name in functions):
         raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code

@@ -37,7 +37,7 @@ def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float) -> Tensor:
     return torch.add(x, torch.add(k1 + k4, k2 + k3, alpha=2.0), alpha=dt / 6)
 
 
-def stepped(f: VectorField, x: Tensor, u: Tensor, h: float, difference: bool) -> Tensor:
+def _stepped(f: VectorField, x: Tensor, u: Tensor, h: float, difference: bool) -> Tensor:
     """Return states, `(*batch, n_x)`, one step of h [s] later: of a difference equation, or a Runge-Kutta step."""
     return torch.add(x, f(x, u), alpha=h) if difference else rk4(f, x, u, h)
 
@@ -60,7 +60,7 @@ def moved(f: VectorField, x: Tensor, u: Tensor, seconds: float, substeps: int = 
     """
     h, count, difference = steps_of(time_step_of(f), seconds, substeps)
     for _ in range(count):
-        x = stepped(f, x, u, h, difference)
+        x = _stepped(f, x, u, h, difference)
     return x
 
 
@@ -94,7 +94,7 @@ def integrate(
     ends = []
     h, count, difference = steps_of(time_step_of(f), dt, substeps)
     for _ in range(count):
-        x = stepped(f, x, u, h, difference)
+        x = _stepped(f, x, u, h, difference)
         if stops is not None:
             x, stopped = stops.apply(x)
             touched = touched | stopped

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from dynasindy.agents import machine as module
 from dynasindy.agents.loss import GradientSteps
-from dynasindy.agents.machine import MachineSteps, readable
+from dynasindy.agents.machine import _MachineSteps, _readable
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems import compiler as compiling
@@ -51,7 +51,7 @@ def test_losses_gradients_and_steps_are_those_of_automatic_differentiation(rows,
         found, wanted = ours.update(batch), torchs.update(batch)
         for name, value in wanted.items():
             assert found[name].item() == pytest.approx(value.item(), rel=2e-5, abs=1e-6)
-    assert isinstance(ours._steps, MachineSteps) and not isinstance(torchs._steps, MachineSteps)
+    assert isinstance(ours._steps, _MachineSteps) and not isinstance(torchs._steps, _MachineSteps)
     for kind in ("critic_optimizer", "actor_optimizer"):
         states = (getattr(agent, kind).state_dict()["state"] for agent in (ours, torchs))
         for found, wanted in zip(*(state.values() for state in states), strict=True):
@@ -198,10 +198,10 @@ def test_a_target_that_is_no_number_is_not_taken_for_the_larger_one(net):
 
 
 def test_networks_that_it_does_not_know_are_left_to_torch():
-    assert readable(pair()[0].loss)
+    assert _readable(pair()[0].loss)
     double = pair()[0]
     double.loss.double()
-    assert not readable(double.loss)
+    assert not _readable(double.loss)
 
 
 def test_without_a_compiler_torch_learns_without_a_word(monkeypatch):

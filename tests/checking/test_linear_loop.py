@@ -14,7 +14,7 @@ from dynasindy.checking import Thresholds, check_verdict
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear_loop import (
     Linear,
-    covariance_at,
+    _covariance_at,
     find_rest,
     guess_rest,
     loop_margins,
@@ -62,7 +62,7 @@ def test_a_loop_with_an_observer_has_the_eigenvalues_of_law_and_filter(loops):
     values = found.linear.eigenvalues[0]
     np.testing.assert_allclose(np.sort_complex(values[np.abs(values) > 1e-3]), expected, atol=1e-6)
     posterior = prior - gain * prior[:1]
-    np.testing.assert_allclose(covariance_at(loop, found.z)[0], posterior, rtol=1e-5)
+    np.testing.assert_allclose(_covariance_at(loop, found.z)[0], posterior, rtol=1e-5)
 
 
 @pytest.mark.parametrize("k_v", [2.5, 9.0, 20.15, 20.25])

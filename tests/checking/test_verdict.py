@@ -18,6 +18,7 @@ from dynasindy.checking.simulation import LargeSignalMargins, LoopSimulation
 from dynasindy.checking.verdict import (
     CheckFinding,
     Thresholds,
+    _plain_number,
     check_record,
     check_verdict,
     error,
@@ -26,7 +27,6 @@ from dynasindy.checking.verdict import (
     in_short,
     least,
     most,
-    plain_number,
     unstable_targets,
 )
 
@@ -286,7 +286,7 @@ def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):
     settling = found.spread.settling
     assert settling is not None
     assert [change["settling"] for change in held["changes"]] == settling[:, :-1].amax(0).tolist()
-    assert plain_number(math.inf) is None and plain_number(math.nan) is None and plain_number(2.0) == 2.0
+    assert _plain_number(math.inf) is None and _plain_number(math.nan) is None and _plain_number(2.0) == 2.0
 
 
 def test_what_may_mend_several_findings_stands_behind_the_first_weak_one():

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from dynasindy.data.rates import (
+    _exchanged,
+    _misfit,
     contradicted,
-    exchanged,
-    misfit,
     mismatched,
     require_consistent_rates,
     turning,
@@ -243,10 +243,10 @@ def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minu
     t = 0.01 * torch.arange(2001, dtype=torch.float64)
     x = torch.stack([torch.sin(2 * t), 2 * torch.cos(2 * t)], -1)
     data = Transitions.from_trajectory(x, torch.zeros(2000, 1), 0.01)
-    assert misfit(data, SIGNATURE, {"rate": "angle"}) == []
-    (found,) = misfit(swing(1.0, 30 / math.pi, 0.1), SIGNATURE, {"angle": "rate"})
+    assert _misfit(data, SIGNATURE, {"rate": "angle"}) == []
+    (found,) = _misfit(swing(1.0, 30 / math.pi, 0.1), SIGNATURE, {"angle": "rate"})
     assert found.likely == 2 * math.pi / 60 and turning(swing(1.0, 30 / math.pi), [0], [1]) == {0: 1}
-    assert misfit(swing(-17.0), SIGNATURE, {"angle": "rate"})[0].likely == -17.0
+    assert _misfit(swing(-17.0), SIGNATURE, {"angle": "rate"})[0].likely == -17.0
     assert turning(swing(1.0, 1.0), [0], [1]) == {}
 
 
@@ -256,7 +256,7 @@ def test_a_known_rate_that_is_wrong_by_two_is_told_and_one_that_is_right_is_not(
     """It is exact in the model, so twice the slope is twice the gain; filters and noise make less of a difference."""
     (found,) = mismatched(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"})
     assert found.factor == pytest.approx(1 / factor, rel=0.05)
-    assert misfit(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"}) == []
+    assert _misfit(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"}) == []
     assert mismatched(swing(1.0, factor, noise), SIGNATURE) == []
     for level in (noise, 0.2, 1.0):
         assert mismatched(swing(noise=level), SIGNATURE, {"angle": "rate"}) == []
@@ -269,7 +269,7 @@ def test_what_cannot_be_a_known_rate_is_refused_with_what_mends_it():
     require_consistent_rates(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, mend)
     with pytest.raises(ValueError, match="rad/s"):
         require_consistent_rates(swing(180 / math.pi), SIGNATURE, {"angle": "rate"}, mend)
-    assert list(exchanged(swing(), SIGNATURE, {"rate": "angle"})) == ["rate"]
-    assert exchanged(swing(), SIGNATURE, {"angle": "rate"}) == {}
+    assert list(_exchanged(swing(), SIGNATURE, {"rate": "angle"})) == ["rate"]
+    assert _exchanged(swing(), SIGNATURE, {"angle": "rate"}) == {}
     with pytest.raises(ValueError, match="round"):
         require_consistent_rates(swing(), SIGNATURE, {"rate": "angle"}, mend)

@@ -10,8 +10,8 @@ from tensordict import TensorDict
 from dynasindy.data.rollout_data import transitions
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
+    _excitation_limits,
     coarse,
-    excitation_limits,
     excite,
     interact,
     left_out,
@@ -121,10 +121,10 @@ def test_a_plant_that_falls_leaves_more_slowly_and_is_moved_less_again_after_eac
 
 @pytest.mark.parametrize(("first", "far"), [(1.0, (10.0, 30.0)), (0.5, (3.0, 9.0))])
 def test_a_plant_that_may_not_stay_is_followed_three_ranges_from_its_start_without_bounds(first, far):
-    low, high = excitation_limits(parts(Inverted(), careful={"first": first}))
+    low, high = _excitation_limits(parts(Inverted(), careful={"first": first}))
     assert low.tolist() == [-far[0], -far[1]] and high.tolist() == [*far]
     begun = parts(Inverted(), careful={"first": first}, start={"theta": [0.5, 0.7]}, bounds={"Omega": 5.0})
-    low, high = excitation_limits(begun)
+    low, high = _excitation_limits(begun)
     shift = (0.5, 0.7) if first < 1 else (0.0, 0.0)
     assert low.tolist() == pytest.approx([shift[0] - far[0], -5.0])
     assert high.tolist() == pytest.approx([shift[1] + far[0], 5.0])

@@ -14,7 +14,7 @@ from dynasindy.data.rollout_data import transitions
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.refit import _acting, first_fit, fit, held_out_windows, refit
+from dynasindy.dyna.refit import _acting, _held_out_windows, first_fit, fit, refit
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
@@ -102,7 +102,7 @@ def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it
     fit(parts, LoopSettings(1))
     result = refit(parts, LoopSettings(1), rollout)
     assert (result.kept, parts.plant.task.learnt, parts.world_model.factor) == (kept, learnt, 1.0)
-    starts = held_out_windows(rollout.numel(), 20, 4)
+    starts = _held_out_windows(rollout.numel(), 20, 4)
     assert result.error.reward_error == replay_error(parts.model_env, rollout, starts, 20).reward_error
 
 
@@ -142,9 +142,9 @@ def test_recent_steps_and_held_out_windows_go_together():
 
 
 def test_every_fourth_window_is_held_out():
-    assert held_out_windows(400, 20, 4).tolist() == [60, 140, 220, 300, 380]
-    assert held_out_windows(79, 20, 4).tolist() == []
-    assert held_out_windows(400, 20, 0).tolist() == []
+    assert _held_out_windows(400, 20, 4).tolist() == [60, 140, 220, 300, 380]
+    assert _held_out_windows(79, 20, 4).tolist() == []
+    assert _held_out_windows(400, 20, 0).tolist() == []
 
 
 @pytest.mark.parametrize("factor", [math.nan, math.inf])
@@ -222,9 +222,9 @@ def test_a_refit_may_be_a_tenth_worse_or_off_by_what_no_plan_feels(monkeypatch, 
 
 
 def test_a_window_needs_its_whole_second():
-    assert held_out_windows(80, 20, 4).tolist() == [60]
-    assert held_out_windows(100, 20, 2).tolist() == [20, 60]
-    assert held_out_windows(120, 20, 3).tolist() == [40, 100] and held_out_windows(119, 20, 3).tolist() == [40]
+    assert _held_out_windows(80, 20, 4).tolist() == [60]
+    assert _held_out_windows(100, 20, 2).tolist() == [20, 60]
+    assert _held_out_windows(120, 20, 3).tolist() == [40, 100] and _held_out_windows(119, 20, 3).tolist() == [40]
 
 
 @pytest.mark.parametrize(
@@ -272,7 +272,7 @@ def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
         parts.replay.extend_real(rollout)
         found = refit(parts, LoopSettings(3), rollout)
         held_out = torch.zeros(160, dtype=torch.bool)
-        for start in held_out_windows(160, 20, 4).tolist():
+        for start in _held_out_windows(160, 20, 4).tolist():
             held_out[start : start + 20] = True
         whole = _model().world_model
         whole.fit(transitions(torch.cat([*rows, rollout[~held_out]]), parts.model_env.log_dt))

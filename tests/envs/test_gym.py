@@ -8,7 +8,7 @@ import torch
 import dynasindy  # noqa: F401 (registers the environments)
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.envs.drawing import draw
-from dynasindy.envs.gym import GymControl, pendulum, twin_rotor
+from dynasindy.envs.gym import _GymControl, pendulum, twin_rotor
 from dynasindy.systems import Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave
 
@@ -21,7 +21,7 @@ def test_the_adapter_plays_what_the_control_env_plays() -> None:
     actions = torch.rand(5, 2, generator=torch.Generator().manual_seed(0)) - 0.5
     expected = ControlEnv(system, task).rollout(5, actions=actions)
 
-    env = GymControl(ControlEnv(system, task))
+    env = _GymControl(ControlEnv(system, task))
     observation, _ = env.reset(seed=0)
     for k in range(5):
         np.testing.assert_array_equal(observation, expected["observation"][k].numpy())
@@ -41,7 +41,7 @@ def test_the_adapter_plays_moving_references_in_double_precision_and_pays_for_st
     actions = torch.full((40, 2), 0.6)
     expected = plain.rollout(40, actions=actions)["next"]
     assert 0 < int(expected["at_stop"].sum()) < 40
-    env = GymControl(ControlEnv(system, task, dtype=torch.float64))
+    env = _GymControl(ControlEnv(system, task, dtype=torch.float64))
     env.reset(seed=0)
     for k in range(40):
         observation, reward, _, _, info = env.step(actions[k].numpy())
@@ -79,7 +79,7 @@ def test_mistakes_get_one_line() -> None:
         twin_rotor().step(np.zeros(2, dtype=np.float32))
     system = Tras()
     with pytest.raises(ValueError, match="one row"):
-        GymControl(ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), batch_size=(3,)))
+        _GymControl(ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), batch_size=(3,)))
 
 
 def test_spaces_and_the_papers_references_are_those_documented() -> None:
@@ -123,14 +123,14 @@ def test_a_task_that_tracks_nothing_is_refused() -> None:
     env = ControlEnv(Tras(), Tracking(Tras().signature, Step([[0.0, 0.0]])))
     env.task = object()
     with pytest.raises(TypeError, match="object"):
-        GymControl(env)
+        _GymControl(env)
 
 
 def test_an_environment_that_steps_in_its_own_way_is_played_as_it_is() -> None:
     """Pendulum-v1 itself, put to where the episode begins, moves alike; cosine and sine tell the error."""
     system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"])
     task = Tracking(system.signature, Step([[1.0, 0.0]]), ("c", "s"), (), TrackingReward((4.0,)), max_steps=3)
-    env, bare = GymControl(GymnasiumEnv(system, task)), gymnasium.make("Pendulum-v1")
+    env, bare = _GymControl(GymnasiumEnv(system, task)), gymnasium.make("Pendulum-v1")
     bare.reset()
     c, s, w = env.reset(seed=5)[1]["state"]
     bare.unwrapped.state = np.array([np.arctan2(s, c), w])

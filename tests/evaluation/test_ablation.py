@@ -8,10 +8,10 @@ import pytest
 from dynasindy.evaluation.ablation import (
     SUMMARY,
     Level,
+    _summarise_run,
     errors_in_words,
     gather,
     read_ablation,
-    summarise_run,
     to_markdown,
 )
 from dynasindy.safe_io import DamagedFileError
@@ -134,7 +134,7 @@ def test_the_table_has_interquartile_means_and_says_never(tmp_path):
 
 def test_a_run_without_any_axis_never_reaches_the_level():
     line = dict.fromkeys(HEADER.split(",")[:8], 1.0)
-    assert summarise_run([line] * 3, LEVEL)["episodes_to_level"] is None
+    assert _summarise_run([line] * 3, LEVEL)["episodes_to_level"] is None
 
 
 @pytest.mark.parametrize("settings", [{"error": 0.0}, {"consecutive": 0}, {"share": 0.0}])

@@ -10,7 +10,7 @@ import dynasindy
 from dynasindy.control import save
 from dynasindy.data.csv import Recording
 from dynasindy.data.rollout_data import record_plant
-from dynasindy.evaluation.period import as_planned, closest_period, other_period, suited_period, typical
+from dynasindy.evaluation.period import _typical, as_planned, closest_period, other_period, suited_period
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
@@ -111,7 +111,7 @@ def test_a_log_tells_where_it_mostly_was():
     data = logged(0.01, model.signature).training
     x = torch.stack([torch.linspace(2, 4, len(data)), torch.linspace(-1, 3, len(data))], -1)
     middle = float(x[:, 0].nanmedian())
-    assert typical(replace(data, x=x), model).tolist() == [[pytest.approx(middle), 0.0]] * 2
+    assert _typical(replace(data, x=x), model).tolist() == [[pytest.approx(middle), 0.0]] * 2
 
 
 @pytest.mark.parametrize(

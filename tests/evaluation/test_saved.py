@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.evaluation.saved import is_copy, keep_run, origin_without_machine, to_save, without_machine
+from dynasindy.evaluation.saved import _is_copy, _origin_without_machine, _without_machine, keep_run, to_save
 
 
 def write(path: Path, header: str, rows) -> None:
@@ -82,7 +82,7 @@ def test_what_the_model_saw_is_left_out_on_demand_and_an_old_copy_is_replaced(ru
 def test_a_run_that_knows_its_command_is_believed_without_its_paths(run, tmp_path):
     command = "python scripts/train.py system=xi folder=runs/x hydra.run.dir=/tmp/x data.path=/data/log.csv seed=1"
     (run / "origin.json").write_text(json.dumps({"command": command, "commit": "def"}))
-    assert origin_without_machine(run) == {"command": "python scripts/train.py system=xi seed=1", "commit": "def"}
+    assert _origin_without_machine(run) == {"command": "python scripts/train.py system=xi seed=1", "commit": "def"}
     keep_run(run, tmp_path / "kept")
     assert json.loads((tmp_path / "kept" / "origin.json").read_text())["commit"] == "def"
 
@@ -195,7 +195,7 @@ def test_a_run_that_nobody_can_make_again_is_saved_on_demand_only(run, tmp_path,
         keep_run(run, tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
     keep_run(run, tmp_path / "kept", any_commit=True)
-    assert is_copy(tmp_path / "kept")
+    assert _is_copy(tmp_path / "kept")
 
 
 @pytest.mark.parametrize("name", ["metrics.json", "evaluation/sine.csv", "data/secret.csv"])
@@ -233,12 +233,12 @@ def test_a_damaged_run_is_named_by_its_file(run, tmp_path, name, content):
 
 def test_every_saved_run_of_the_repository_is_known_as_a_copy():
     folders = list((Path(__file__).parents[2] / "docs" / "results" / "runs").iterdir())
-    assert folders and all(is_copy(folder) for folder in folders)
+    assert folders and all(_is_copy(folder) for folder in folders)
 
 
 def test_lines_with_paths_of_a_machine_go():
     text = "a: 1\nb:\n  c: '/x/y'\n  d: ~/z\n  e: runs/q\nfolder: runs/a\n"
-    assert without_machine(text) == "a: 1\nb:\n  e: runs/q\n"
+    assert _without_machine(text) == "a: 1\nb:\n  e: runs/q\n"
 
 
 def test_the_saved_runs_of_the_repository_name_no_machine():

@@ -16,7 +16,7 @@ from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
 from dynasindy.export import controller_sources
-from dynasindy.export.c_code import Filter, Native, stop_words
+from dynasindy.export.c_code import Native, _Filter, stop_words
 from dynasindy.export.expressions import fill
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import Oracle, SindyModel
@@ -339,7 +339,7 @@ def numbers(words):
 
 
 def test_variances_are_those_of_sensors_and_noise(pendulum):
-    found = Filter.of(pendulum().observer)
+    found = _Filter.of(pendulum().observer)
     # A state is 1.5 rad wide, its encoder has steps of 0.01 rad and noise of 0.002 rad.
     assert found.sensed == (0,)
     assert numbers(found.words["variance"]) == pytest.approx([0.01**2 / 12 + 0.002**2])
@@ -348,7 +348,7 @@ def test_variances_are_those_of_sensors_and_noise(pendulum):
     )
     assert numbers(found.words["unknown"]) == pytest.approx([0.15**2, 0.3**2, 0.3**2])
     assert found.words["pushed"] == "1" and "of the pushes" in found.words["pushes_word"]
-    assert Filter.of(pendulum(disturbance=False).observer).words["pushes_word"] == ""
+    assert _Filter.of(pendulum(disturbance=False).observer).words["pushes_word"] == ""
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_variances_are_those_of_sensors_and_noise(pendulum):
     [(0.0, 1, 0.0, (3, 3)), (0.04, 2, 0.0, (3, 6)), (0.07, 2, 0.03, (1 + 2, 2 + 6)), (0.01, 1, 0.01, (2 + 1, 1 + 3))],
 )
 def test_a_delay_is_whole_periods_and_a_rest(pendulum, delay, late, part, steps):
-    found = Filter.of(pendulum(delay=delay).observer)
+    found = _Filter.of(pendulum(delay=delay).observer)
     assert found.words["n"] == 3 and found.words["memory"] == late + 2 == found.late + 2
     of_part, rest, whole = (found.words[f"{name}steps"] for name in ("part_", "rest_", "sub"))
     period, ahead = rest + bool(part) * of_part, bool(part) * of_part + late * whole
@@ -369,7 +369,7 @@ def test_a_model_of_another_kind_is_refused(pendulum):
     observer = pendulum().observer
     observer.model = Oracle(observer.model.signature, system=observer.model)
     with pytest.raises(ValueError, match="works on a Oracle, which is not written in C"):
-        Filter.of(observer)
+        _Filter.of(observer)
 
 
 def test_a_stop_may_be_at_one_side_alone():

@@ -7,7 +7,7 @@ import torch
 
 from dynasindy.agents import TD3
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.gradient_planning import Episodes, references
+from dynasindy.planning.gradient_planning import _Episodes, references
 from dynasindy.planning.randomization import GainMargin
 
 
@@ -24,7 +24,7 @@ def planner_of(env):
 def test_an_episode_keeps_its_strength_until_it_begins_anew(inverted):
     env, rests = inverted()
     planner = planner_of(env)
-    episodes = Episodes(planner)
+    episodes = _Episodes(planner)
     assert episodes.rows.strength is None
     episodes.vary(GainMargin.of(planner.env, rests, 0.1))
     before = episodes.rows.strength
@@ -49,7 +49,7 @@ def test_references_begin_as_the_task_does(inverted):
 
 def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge(planned):
     planner = planned(real_starts=0.0, jumps=0.0, rollouts=500)
-    episodes = Episodes(planner)
+    episodes = _Episodes(planner)
     length = 60 * 0.05
     # The first ends lie evenly over an episode.
     assert episodes.end.min() < 0.05 * length and 0.95 * length < episodes.end.max() <= length
@@ -75,7 +75,7 @@ def test_shares_of_the_starts_are_those_asked_for(setting, small):
     real["state"] = torch.arange(20.0).unsqueeze(-1).expand(20, 6) + 1
     replay.extend_real(real)
     planner = GradientPlanning(env, agent, replay, real_starts=0.3, jumps=0.2, **(small | {"rollouts": 4000}))
-    episodes = Episodes(planner)
+    episodes = _Episodes(planner)
     x = torch.full((4000, 6), -5.0)
     lost = torch.arange(4000) < 2000
     starts = episodes._starts(x, lost)[:, 0]
@@ -93,12 +93,12 @@ def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_
     real = flown(env, agent)
     real["state"] = torch.tensor([1.0, -2.0, 0.0, 4.0, 50.0, 0.5]) * torch.linspace(0, 1, 20).unsqueeze(-1)
     replay.extend_real(real)
-    reach = Episodes(GradientPlanning(env, agent, replay, **small)).rows.reach
+    reach = _Episodes(GradientPlanning(env, agent, replay, **small)).rows.reach
     assert reach.tolist() == pytest.approx([100.0, 200.0, math.inf, 400.0, 5000.0, 50.0])
 
 
 def test_without_real_states_divergence_is_a_hundred_ranges_however_near_zero_episodes_begin(setting, small):
     env, agent, _ = setting()
     env.task.start = torch.tensor([[1e-3, 2.0, 0.0, 0.0, 0.0, 0.0]]).expand(2, -1)
-    reach = Episodes(GradientPlanning(env, agent, **small)).rows.reach
+    reach = _Episodes(GradientPlanning(env, agent, **small)).rows.reach
     assert reach.tolist() == [100.0, 200.0, *[math.inf] * 4]

@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning, Planned, Randomization, gradient_planning
-from dynasindy.planning.gradient_planning import Episodes, _schedule
+from dynasindy.planning.gradient_planning import _Episodes, _schedule
 from dynasindy.planning.rollout import imagine
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.systems.xi import Xi
@@ -97,7 +97,7 @@ def test_episodes_begin_at_real_states_when_asked(setting, small):
     real["state"] = torch.full_like(real["state"], 0.123)
     replay.extend_real(real)
     planner = GradientPlanning(env, agent, replay, updates=1, real_starts=1.0, jumps=0.0, **small)
-    episodes = Episodes(planner)
+    episodes = _Episodes(planner)
     episodes.carry_on(torch.zeros(16, 6), torch.zeros(16, 2), alive=torch.zeros(16, dtype=torch.bool))
     torch.testing.assert_close(episodes.rows.x, torch.full((16, 6), 0.123))
 
@@ -116,7 +116,7 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
     replay.extend_real(flown(env, agent))
     before = total(env, agent)
     planner = GradientPlanning(env.with_system(Runaway()), agent, replay, updates=40, lr=1e-2, **small)
-    whole = imagine(planner.env, planner.env.system, planner.network, Episodes(planner).rows, 60)
+    whole = imagine(planner.env, planner.env.system, planner.network, _Episodes(planner).rows, 60)
     assert not whole.alive[-1].all()  # the untrained policy does run it backwards
     planner.plan()
     assert total(env, agent) > 0.5 * before
@@ -353,7 +353,7 @@ def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned
                 parameter.grad = torch.full_like(parameter, slope)
 
         monkeypatch.setattr("dynasindy.planning.gradient_planning.backward", backward)
-        stepped.append(planner._update(Episodes(planner), Optimizer()))
+        stepped.append(planner._update(_Episodes(planner), Optimizer()))
     assert norms == [pytest.approx(0.125, rel=1e-3)] and stepped == [True, False]
 
 
@@ -368,7 +368,7 @@ def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(
 
 def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(planned, monkeypatch):
     planner = planned()
-    episodes, carried = Episodes(planner), []
+    episodes, carried = _Episodes(planner), []
     episodes.carry_on = lambda x, held, alive: carried.append(alive.tolist())
 
     def lost_at_the_end(*of):

@@ -8,7 +8,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.imitation import arrives, hold, imitate
+from dynasindy.planning.imitation import _imitate, arrives, hold
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.systems import Signature, System
@@ -19,7 +19,7 @@ def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it(inverted
     env, rests = inverted()
     torch.manual_seed(0)
     network, law = MLP(3, 1, (32, 32), squash=True), Regulator.of(env, rests, Weights())
-    imitate(network, law, env, torch.Generator().manual_seed(0))
+    _imitate(network, law, env, torch.Generator().manual_seed(0))
     x = torch.tensor([[0.3, 0.0], [-0.3, 0.1]])
     params = torch.zeros(2, 1, 5)
     params[:, 0, 0] = torch.tensor([-0.2, 0.4])

@@ -10,7 +10,7 @@ from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning import imitation as module
-from dynasindy.planning.imitation import Floor, OnTop, better, imagined_rewards, improve, starts
+from dynasindy.planning.imitation import _better, _Floor, _OnTop, imagined_rewards, improve, starts
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import LearnedReward
 from dynasindy.systems import Signature, System
@@ -65,7 +65,7 @@ def test_the_oracle_is_worth_the_trip():
 
 
 def test_a_signal_is_added_as_long_as_it_acts_and_no_input_leaves_its_ends():
-    policy = OnTop(lambda o: 0.5 * o, torch.tensor([[[0.0], [1.0]], [[-2.0], [0.0]]]), 3, lambda u: u.clamp(-1.0, 1.0))
+    policy = _OnTop(lambda o: 0.5 * o, torch.tensor([[[0.0], [1.0]], [[-2.0], [0.0]]]), 3, lambda u: u.clamp(-1.0, 1.0))
     seen = torch.tensor([[0.4], [-0.4]])
     # Straight lines over three periods: 0, 0.5, 1 and -2, -1, 0; the policy itself says 0.2 and -0.2.
     for wanted in ([0.2, -1.0], [0.7, -1.0], [1.0, -0.2], [0.2, -0.2]):
@@ -76,7 +76,7 @@ def test_the_best_way_is_that_over_the_border():
     env, rows = setting()
     rng, network = torch.Generator().manual_seed(0), lazy()
     begun = starts(network, env, rows, rng, PERIODS)
-    way = better(network, env, begun, rng, PERIODS)
+    way = _better(network, env, begun, rng, PERIODS)
     found = imagined_rewards(env, begun, way).sum(0)
     assert earned(env, network) == pytest.approx(STAYED)
     assert float(found.min()) >= STAYED - 1e-4  # no less than the policy
@@ -127,7 +127,7 @@ def test_ways_are_those_of_inputs_in_time_whatever_episodes_are_tested_with():
     env, rows = setting()
     rows.late = torch.ones(1, 1)
     begun = starts(lazy(), env, rows, torch.Generator().manual_seed(0), PERIODS)
-    assert begun.late is None and len(better(lazy(), env, begun, torch.Generator().manual_seed(0), 2).times) == 3
+    assert begun.late is None and len(_better(lazy(), env, begun, torch.Generator().manual_seed(0), 2).times) == 3
 
 
 def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
@@ -180,12 +180,12 @@ def test_what_is_imagined_is_counted(monkeypatch):
 
 
 def test_a_crash_is_worth_the_same_in_every_draw():
-    floor = Floor()
+    floor = _Floor()
     lived, crashed = torch.tensor([[True, True]]), torch.tensor([[True, False]])
     assert floor.under(torch.tensor([[-3.0, 1.0]]), lived).tolist() == [[-3.0, 1.0]]
     # The others of its own draw are all better than the worst so far.
     assert floor.under(torch.tensor([[2.0, 9.0]]), crashed).tolist() == [[2.0, -3.0]]
-    assert Floor().under(torch.tensor([[2.0]]), torch.tensor([[False]])).isneginf().all()
+    assert _Floor().under(torch.tensor([[2.0]]), torch.tensor([[False]])).isneginf().all()
 
 
 def test_planning_searches_where_there_are_no_references(monkeypatch):

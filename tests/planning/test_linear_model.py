@@ -6,7 +6,7 @@ import torch
 from scipy.signal import cont2discrete
 
 from dynasindy.planning.equilibria import Equilibria, find_equilibria, modes
-from dynasindy.planning.regulator import discretize
+from dynasindy.planning.regulator import _discretize
 from dynasindy.systems import Signature, System, Tras, Xi
 
 OUTPUTS = (0, 1)
@@ -31,7 +31,7 @@ def test_eigenvalues_of_xi_at_pitch_zero_are_those_known():
 def test_zero_order_hold_is_that_of_scipy(dt):
     a, b = linear_xi()
     wanted = np.hstack(cont2discrete((a.numpy(), b.numpy(), np.eye(6), np.zeros((6, 2))), dt)[:2])
-    given = np.hstack([m.numpy() for m in discretize(a, b, dt)])
+    given = np.hstack([m.numpy() for m in _discretize(a, b, dt)])
     np.testing.assert_allclose(given, wanted, rtol=1e-9, atol=1e-9)
 
 
@@ -51,7 +51,7 @@ def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its
 
 def test_an_integrator_with_two_inputs_is_held_exactly():
     """x' = -x + u_1 + 2 u_2 over dt: x exp(-dt) + (1 - exp(-dt)) (u_1 + 2 u_2). There are more inputs than states."""
-    a, b = discretize(torch.tensor([[-1.0]]).double(), torch.tensor([[1.0, 2.0]]).double(), 0.5)
+    a, b = _discretize(torch.tensor([[-1.0]]).double(), torch.tensor([[1.0, 2.0]]).double(), 0.5)
     np.testing.assert_allclose(a.numpy(), [[np.exp(-0.5)]], rtol=1e-12)
     np.testing.assert_allclose(b.numpy(), [[1 - np.exp(-0.5), 2 * (1 - np.exp(-0.5))]], rtol=1e-12)
 
@@ -82,14 +82,14 @@ def test_a_difference_equation_is_sampled_by_its_own_steps(steps):
     rng = np.random.default_rng(2)
     f, g = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
     a, b = torch.from_numpy((f - np.eye(3)) / 0.2), torch.from_numpy(g / 0.2)
-    found_f, found_g = discretize(a, b, 0.2 * steps, 0.2)
+    found_f, found_g = _discretize(a, b, 0.2 * steps, 0.2)
     x, u = rng.standard_normal(3), rng.standard_normal(2)
     wanted = x
     for _ in range(steps):
         wanted = f @ wanted + g @ u
     np.testing.assert_allclose(found_f.numpy() @ x + found_g.numpy() @ u, wanted, rtol=1e-12)
     with pytest.raises(ValueError, match=r"0\.3"):
-        discretize(a, b, 0.3, 0.2)
+        _discretize(a, b, 0.3, 0.2)
 
 
 def test_modes_of_a_difference_equation_are_logarithms_of_what_it_multiplies_by():

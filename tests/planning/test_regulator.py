@@ -9,7 +9,7 @@ import torch
 from scipy.linalg import expm, solve_discrete_are
 
 from dynasindy.planning.plan_settings import find_task_equilibria
-from dynasindy.planning.regulator import Regulator, Weights, regulated, riccati
+from dynasindy.planning.regulator import Regulator, Weights, _riccati, regulated
 
 
 def test_the_gain_and_the_slowest_mode_are_those_of_the_riccati_equation(inverted):
@@ -78,7 +78,7 @@ def test_home_is_within_a_share_of_the_ranges(inverted):
 def test_a_state_that_stays_for_ever_leaves_a_law_for_the_others():
     """x1 is held still by nothing and moved by nothing, as cos^2 + sin^2; x2 is an integrator that the input moves."""
     a, b = torch.eye(2, dtype=torch.float64), torch.tensor([[0.0], [1.0]], dtype=torch.float64)
-    found = riccati(a, b, torch.tensor([1.0, 1.0], dtype=torch.float64), 1.0)
+    found = _riccati(a, b, torch.tensor([1.0, 1.0], dtype=torch.float64), 1.0)
     # Alone, x2 has p = 1 + p - p^2 / (1 + p), so p = (1 + sqrt 5) / 2, and the gain p / (1 + p).
     golden = (1 + math.sqrt(5)) / 2
     assert found is not None and abs(float(found.gain[0, 0])) < 1e-9

@@ -11,7 +11,13 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning import trajectory_library, trajectory_search
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
-from dynasindy.planning.trajectory_library import NEARNESS, WEIGHTS, TrajectoryLibrary, _along, find_caught_trajectories
+from dynasindy.planning.trajectory_library import (
+    NEARNESS,
+    WEIGHTS,
+    TrajectoryLibrary,
+    _along,
+    _find_caught_trajectories,
+)
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -95,7 +101,7 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
     regulator = Regulator.of(env, rests, WEIGHTS)
     x, reference = torch.tensor([[0.9, 0.0]]), torch.zeros(1, 1)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
-    way = find_caught_trajectories(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0][0]
+    way = _find_caught_trajectories(env, regulator, x, params, reference, torch.Generator().manual_seed(0))[0][0]
     assert len(way.inputs) > 3
     _, _, gains, values = _along(env, regulator, way, reference[0])
     assert len(gains) == len(way.inputs) + 1
@@ -127,7 +133,7 @@ def test_a_start_that_the_regulator_catches_needs_no_way():
     regulator = Regulator.of(env, rests, WEIGHTS)
     x, reference = torch.tensor([[0.02, 0.0]]), torch.zeros(1, 1)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
-    ways, imagined = find_caught_trajectories(env, regulator, x, params, reference, torch.Generator())
+    ways, imagined = _find_caught_trajectories(env, regulator, x, params, reference, torch.Generator())
     assert list(ways) == [0] and len(ways[0].inputs) == 0 and imagined == 0
 
 

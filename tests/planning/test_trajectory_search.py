@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.trajectory_search import FAR, OUTSIDE, cross_entropy, objective, roll, search, signal
+from dynasindy.planning.trajectory_search import FAR, OUTSIDE, _objective, cross_entropy, roll, search, signal
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -72,18 +72,18 @@ def test_the_end_of_a_way_counts_by_the_square_of_its_time():
     states = torch.tensor([[[9.0, 0.0]], [[1.0, 0.0]], [[0.0, 0.0]], [[0.5, 0.0]]])
     _, params = rows(env, [[9.0, 0.0]])
     wanted = -(1 * 4 * 1.0 / 1.02 + 9 * 4 * 0.25 / 0.52) / 14
-    assert objective(env, states, params).item() == pytest.approx(wanted, rel=1e-5)
+    assert _objective(env, states, params).item() == pytest.approx(wanted, rel=1e-5)
 
 
 def test_a_way_pays_for_leaving_the_limits_of_the_plant_and_for_running_away():
     env = setting(bounds={"p": 2.0})
     _, params = rows(env, [[0.0, 0.0]])
     inside = torch.tensor([[[0.0, 0.0]], [[1.9, 0.0]], [[0.0, 0.0]]])
-    paid = objective(env, inside, params)
+    paid = _objective(env, inside, params)
     for beyond, cost in ((2.1, OUTSIDE / 5), (-2.1, OUTSIDE / 5), (math.nan, FAR * OUTSIDE), (math.inf, FAR * OUTSIDE)):
         outside = inside.clone()
         outside[1, 0, 0] = beyond  # weight 1 of 1 + 4; what ran away has not come back
-        assert (paid - objective(env, outside, params)).item() == pytest.approx(cost, rel=0.01)
+        assert (paid - _objective(env, outside, params)).item() == pytest.approx(cost, rel=0.01)
 
 
 def test_no_error_within_the_limits_is_as_dear_as_an_explosion():
@@ -92,7 +92,7 @@ def test_no_error_within_the_limits_is_as_dear_as_an_explosion():
     _, params = rows(env, [[0.0, 0.0], [0.0, 0.0]])
     states = torch.zeros(3, 2, 2)
     states[:, 0, 0], states[1:, 1, 0] = 1.0, math.nan
-    far, exploded = objective(env, states, params).tolist()
+    far, exploded = _objective(env, states, params).tolist()
     assert exploded < far < -1000
 
 

@@ -17,7 +17,7 @@ from dynasindy.control.controller import ControlSetup
 from dynasindy.evaluation.identification import LoggedData
 from dynasindy.excitation import Multisine
 from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
-from dynasindy.rig.session import Knowledge, Session, forecast_flight, targets_within
+from dynasindy.rig.session import Knowledge, Session, _forecast_flight, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors
 from dynasindy.sindy import SindyModel
@@ -306,7 +306,7 @@ def test_only_the_controller_that_was_planned_on_the_model_is_forecast(session, 
     task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     mine, given = (Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)) for _ in range(2))
     asked = []
-    monkeypatch.setattr("dynasindy.rig.session.forecast_flight", lambda *given: asked.append(given) or "ahead")
+    monkeypatch.setattr("dynasindy.rig.session._forecast_flight", lambda *given: asked.append(given) or "ahead")
     session.model, session.learnt = SindyModel(signature, "polynomial"), mine
     session.run_flight(given, [[0.1]], 0.1)
     assert not asked and not any("ahead" in line for line in told)
@@ -377,7 +377,7 @@ def flown(decay, targets):
     model.set_coefficients(torch.tensor([[decay], [2.0]]))
     task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
     policy = TensorDictModule(lambda params: params[..., 0, :1].float(), ["task_params"], ["action"])
-    return forecast_flight(Controller(policy, ControlSetup(task, DT)), model, [[target] for target in targets], 2.0)
+    return _forecast_flight(Controller(policy, ControlSetup(task, DT)), model, [[target] for target in targets], 2.0)
 
 
 def test_the_error_is_that_of_the_last_half_of_each_step():

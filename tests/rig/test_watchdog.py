@@ -3,12 +3,12 @@
 import threading
 import time
 
-from dynasindy.rig.flight import Watchdog
+from dynasindy.rig.flight import _Watchdog
 
 
 def test_it_barks_when_nobody_comes():
     barked = threading.Event()
-    watchdog = Watchdog(barked.set)
+    watchdog = _Watchdog(barked.set)
     watchdog.within(0.05)
     assert barked.wait(10.0)
     assert watchdog.barked
@@ -17,7 +17,7 @@ def test_it_barks_when_nobody_comes():
 
 def test_it_is_quiet_before_the_first_deadline_and_after_a_renewal():
     calls = []
-    watchdog = Watchdog(lambda: calls.append(1))
+    watchdog = _Watchdog(lambda: calls.append(1))
     time.sleep(0.05)
     for _ in range(5):
         watchdog.within(30.0)
@@ -27,7 +27,7 @@ def test_it_is_quiet_before_the_first_deadline_and_after_a_renewal():
 
 def test_an_earlier_deadline_counts_at_once():
     barked = threading.Event()
-    watchdog = Watchdog(barked.set)
+    watchdog = _Watchdog(barked.set)
     watchdog.within(60.0)
     watchdog.within(0.01)
     assert barked.wait(10.0)
@@ -41,7 +41,7 @@ def test_it_may_be_closed_by_what_it_calls():
         watchdog.close()
         done.set()
 
-    watchdog = Watchdog(bark)
+    watchdog = _Watchdog(bark)
     watchdog.within(0.0)
     assert done.wait(10.0)
 
@@ -53,7 +53,7 @@ def test_it_goes_on_watching_after_it_has_barked_and_after_an_error():
         barks.release()
         raise OSError("cut")
 
-    watchdog = Watchdog(bark)
+    watchdog = _Watchdog(bark)
     for _ in range(3):
         watchdog.within(0.01)
         assert barks.acquire(timeout=10.0)

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from dynasindy.sindy.equations import (
+    _plus_minus,
     coefficient_lines,
     equations,
     equations_to_latex,
-    plus_minus,
     to_csv,
     to_latex,
     to_table,
@@ -153,7 +153,7 @@ def test_a_difference_equation_is_written_as_what_a_state_is_next():
     ],
 )
 def test_an_error_has_two_digits_and_its_number_as_many_places(value, error, written):
-    assert plus_minus(value, error) == written
+    assert _plus_minus(value, error) == written
 
 
 def test_each_coefficient_that_was_fitted_has_a_line_with_its_error():

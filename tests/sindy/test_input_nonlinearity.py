@@ -9,7 +9,7 @@ import torch
 from dynasindy.sindy import Regression, SindyModel
 from dynasindy.sindy.input_nonlinearity import (
     InputNonlinearity,
-    classify_nonlinearity,
+    _classify_nonlinearity,
     find_missing_nonlinearity,
     read_nonlinearity,
 )
@@ -31,7 +31,7 @@ SIGNATURE = Signature(("v",), ("m/s",), ("u",), (1.0,))
     ],
 )
 def test_what_is_flat_between_its_edges_is_a_dead_zone_and_what_is_flat_outside_a_saturation(edges, slopes, expected):
-    assert classify_nonlinearity("u", edges, slopes) == expected
+    assert _classify_nonlinearity("u", edges, slopes) == expected
 
 
 @pytest.mark.parametrize("product", [False, True])

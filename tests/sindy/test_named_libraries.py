@@ -13,7 +13,7 @@ from dynasindy.sindy.library import Library, of, variable
 from dynasindy.sindy.named_libraries import (
     COUPLING,
     NAMED,
-    angles_of,
+    _angles_of,
     auto,
     auto_rig,
     build_library,
@@ -286,8 +286,8 @@ def test_a_pendulum_alone_needs_no_quotient():
 def test_what_has_no_angle_gets_polynomials():
     tank = Signature(("level", "rate"), ("m", "m/s"), ("u",), (1.0, 1.0))
     assert auto(tank).names == polynomial(tank).names
-    assert angles_of(Signature(("angle",), ("rad",), ("u",), (1.0,))) == ()
-    assert angles_of(Signature(("angle", "rate"), ("deg", "deg/s"), ("u",), (1.0, 1.0))) == ()
+    assert _angles_of(Signature(("angle",), ("rad",), ("u",), (1.0,))) == ()
+    assert _angles_of(Signature(("angle", "rate"), ("deg", "deg/s"), ("u",), (1.0, 1.0))) == ()
 
 
 def test_the_quotient_never_divides_by_zero():

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.noise import looks_noisy, news, remaining, repetition, sensor_noise, stands_on_steps
+from dynasindy.sindy.noise import _stands_on_steps, looks_noisy, news, remaining, repetition, sensor_noise
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature
@@ -125,7 +125,7 @@ def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part
 def test_a_reading_stands_on_steps_where_most_of_its_many_moves_are_one_of_them(moves, told):
     x = torch.tensor([0.0, *moves], dtype=torch.float64).cumsum(0).unsqueeze(-1)
     data = Transitions.from_trajectory(x, torch.zeros(len(x) - 1, 1, dtype=torch.float64), 0.1)
-    assert stands_on_steps(data).tolist() == [told]
+    assert _stands_on_steps(data).tolist() == [told]
 
 
 @pytest.mark.parametrize("seed", range(3))

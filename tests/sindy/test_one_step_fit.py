@@ -9,7 +9,7 @@ import torch
 from scipy.optimize import least_squares
 
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step, steps_in
+from dynasindy.sindy.one_step_fit import _steps_in, one_step_covariance, one_step_errors, refine_one_step
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -109,7 +109,7 @@ def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
 
 def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_ones_by_the_fastest_rate():
     def steps(dt: float, rate: float) -> int:
-        return steps_in(replace(recording(), dt=dt), LIBRARY, column(-rate, 1.0, 0.0, 0.0))
+        return _steps_in(replace(recording(), dt=dt), LIBRARY, column(-rate, 1.0, 0.0, 0.0))
 
     assert [steps(dt, 1.0) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
     assert steps(60.0, 0.001) == 10, "a column that is sampled every minute and takes a quarter of an hour"

@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import mechanical
-from dynasindy.sindy.regression import SHARE, Regression, RunningSums, eliminate, likely, shares
+from dynasindy.sindy.regression import SHARE, Regression, RunningSums, _eliminate, likely, shares
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -79,7 +79,7 @@ def test_elimination_with_a_prior_solves_for_the_most_likely_coefficients():
     expected = np.linalg.solve(normal, theta[:, chosen].T @ target[:, 0] / variance)
     support = torch.zeros(9, 1, dtype=torch.bool)
     support[chosen] = True
-    found = eliminate(
+    found = _eliminate(
         torch.from_numpy(theta), torch.from_numpy(target), support, 2000, 1e-9, share=torch.full((9,), share).double()
     )
     assert found[chosen, 0].tolist() == pytest.approx(expected.tolist(), rel=1e-6)

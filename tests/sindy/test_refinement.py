@@ -9,7 +9,7 @@ from benchmarks.textbook_systems import CASES
 from scipy.linalg import expm
 
 from dynasindy.data.rollout_data import disturb
-from dynasindy.evaluation.log_fit import take_alternative
+from dynasindy.evaluation.log_fit import _take_alternative
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.sindy.refinement import METHODS
@@ -201,7 +201,7 @@ def test_what_was_set_aside_is_what_one_simulation_finds():
     before = pieces.coefficients.clone()
     expected = whole.fit(data)
     assert report.in_pieces and report.aside is not None
-    other, told = take_alternative(pieces, report.aside, data)
+    other, told = _take_alternative(pieces, report.aside, data)
     assert torch.equal(other.coefficients, whole.coefficients) and not torch.equal(other.coefficients, before)
     assert torch.equal(pieces.coefficients, before), "the model itself stays"
     assert torch.equal(other.covariance.matrix, whole.covariance.matrix)

@@ -11,9 +11,9 @@ import torch
 from dynasindy.sindy.regression import (
     Regression,
     RunningSums,
-    eliminate,
+    _eliminate,
+    _least_missed,
     integral_form,
-    least_missed,
     least_squares,
     reconsider,
     simpson_form,
@@ -98,7 +98,7 @@ def criterion(theta, target, chosen, tolerance) -> float:
 def test_elimination_finds_the_best_of_all_256_subsets(noise):
     theta, dx, xi = problem(noise=noise)
     theta, dx = theta / theta.norm(dim=0), dx / dx.norm(dim=0)
-    found = eliminate(theta, dx, torch.ones(8, 2, dtype=torch.bool), 300, 1e-5)
+    found = _eliminate(theta, dx, torch.ones(8, 2, dtype=torch.bool), 300, 1e-5)
     subsets = [list(s) for n in range(9) for s in itertools.combinations(range(8), n)]
     for i in range(2):
         best = min(subsets, key=lambda s: criterion(theta.numpy(), dx[:, i].numpy(), s, 1e-5))
@@ -160,7 +160,7 @@ def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
         g = share * just
         theta = torch.eye(3, dtype=torch.float64)[:, :2]
         target = torch.tensor([[1.0], [g**0.5], [rest**0.5]], dtype=torch.float64)
-        found = eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), count, 1e-9)
+        found = _eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), count, 1e-9)
         assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(1.0)
 
 
@@ -168,7 +168,7 @@ def test_below_the_tolerance_more_terms_gain_nothing():
     theta = torch.eye(3, dtype=torch.float64)[:, :2]
     target = torch.tensor([[1.0], [1e-7], [0.0]], dtype=torch.float64)
     for tolerance, kept in ((1e-9, 2), (1e-5, 1)):
-        assert int((eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), 100, tolerance) != 0).sum()) == kept
+        assert int((_eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), 100, tolerance) != 0).sum()) == kept
 
 
 def unit_problem(count):
@@ -259,10 +259,10 @@ def test_a_column_stays_if_it_costs_as_much_as_the_limit():
 def test_a_dependent_column_goes_for_nothing_unless_it_must_stay():
     triangle = diagonal(5.0, 3.0)
     triangle[1, 1] = 1e-14
-    assert least_missed(triangle, 2) == (1, 0.0)
-    assert least_missed(triangle, 2, torch.tensor([True, False]))[0] == 0
-    assert least_missed(triangle, 0) == (-1, float("inf"))
-    assert least_missed(triangle, 2, torch.zeros(2, dtype=torch.bool)) == (-1, float("inf"))
+    assert _least_missed(triangle, 2) == (1, 0.0)
+    assert _least_missed(triangle, 2, torch.tensor([True, False]))[0] == 0
+    assert _least_missed(triangle, 0) == (-1, float("inf"))
+    assert _least_missed(triangle, 2, torch.zeros(2, dtype=torch.bool)) == (-1, float("inf"))
 
 
 def test_a_function_comes_in_if_it_is_worth_twice_the_limit_the_best_of_each_equation():

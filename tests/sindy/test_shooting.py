@@ -22,8 +22,8 @@ from dynasindy.sindy.shooting import (
     Flow,
     RunsAway,
     Windows,
+    _free_scales,
     cost_of,
-    free_scales,
     left_over,
     linearise_windows,
     move,
@@ -293,7 +293,7 @@ def test_in_another_unit_the_lower_level_moves_as_before():
     }
     model = SindyModel(TANKS, words)
     xi, c = table(model.library, given), 2.5
-    scales, exponents = free_scales(model.library, xi, torch.ones_like(xi, dtype=torch.bool), HIDDEN)
+    scales, exponents = _free_scales(model.library, xi, torch.ones_like(xi, dtype=torch.bool), HIDDEN)
     assert scales.shape == (1, 2) and float(scales[0, 0].abs()) == pytest.approx(1.0) and scales[0, 1] == 0
     power = exponents[0] / scales[0, 0]
     assert power[model.library.index("upper^2"), 1] == -2 and power[model.library.index("upper^2"), 0] == -1
@@ -336,7 +336,7 @@ def test_what_holds_the_unit_of_a_hidden_state(words, given, fixed, hidden, free
     may = torch.ones_like(xi, dtype=torch.bool)
     for name, state in fixed:
         may[library.index(name if name in library.names else words[1]), state] = False
-    scales, exponents = free_scales(library, xi, may, torch.tensor(hidden))
+    scales, exponents = _free_scales(library, xi, may, torch.tensor(hidden))
     assert len(scales) == len(exponents) == int(free)
     if all(hidden):
         assert float(scales[0, 0]) == pytest.approx(float(scales[0, 1]))

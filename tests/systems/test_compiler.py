@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.systems import compiler as module
-from dynasindy.systems.compiler import SUFFIX, build_fast, compile_library, compiler
+from dynasindy.systems.compiler import SUFFIX, _build_fast, compile_library, compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
@@ -23,7 +23,7 @@ def test_without_a_compiler_one_line_says_so(tmp_path, monkeypatch):
 def test_what_the_compiler_refuses_costs_one_line(tmp_path):
     (tmp_path / "bad.c").write_text("int f(void) { return ; }}\n")
     bad, made = tmp_path / "bad.c", tmp_path / "bad.so"
-    for attempt in (lambda: compile_library([bad], made), lambda: build_fast(bad, made)):
+    for attempt in (lambda: compile_library([bad], made), lambda: _build_fast(bad, made)):
         with pytest.raises(ValueError, match="refused") as error:
             attempt()
         assert "\n" not in str(error.value)
@@ -32,7 +32,7 @@ def test_what_the_compiler_refuses_costs_one_line(tmp_path):
 @needs_compiler
 def test_fast_code_computes_and_leaves_small_numbers_small(tmp_path):
     (tmp_path / "half.c").write_text("float half(float v) { return v / 2; }\n")
-    code = ctypes.CDLL(str(build_fast(tmp_path / "half.c", tmp_path / f"half{SUFFIX}")))
+    code = ctypes.CDLL(str(_build_fast(tmp_path / "half.c", tmp_path / f"half{SUFFIX}")))
     code.half.argtypes, code.half.restype = [ctypes.c_float], ctypes.c_float
     assert code.half(3.0) == 1.5
     # With the flush of small numbers to zero that some linkers bring along, this product would be zero.
@@ -61,7 +61,7 @@ def test_a_compiler_that_does_not_know_its_own_processor_compiles_for_any(tmp_pa
     plain.chmod(0o755)
     (tmp_path / "twice.c").write_text("float twice(float v) { return 2 * v; }\n")
     monkeypatch.setenv("CC", str(plain))
-    code = ctypes.CDLL(str(build_fast(tmp_path / "twice.c", tmp_path / f"twice{SUFFIX}")))
+    code = ctypes.CDLL(str(_build_fast(tmp_path / "twice.c", tmp_path / f"twice{SUFFIX}")))
     code.twice.argtypes, code.twice.restype = [ctypes.c_float], ctypes.c_float
     assert code.twice(1.5) == 3.0
     calls = asked.read_text().splitlines()
