@@ -1,15 +1,13 @@
 """What `identify.py` makes of the log of a rig, as its documents say, without a hand's turn: a stand-in of `tras`.
 
 Each log is 120 s long, sampled every 0.01 s in closed loop; the model is fitted to its first half and judged on the
-second. See `benchmarks.bench_surrogate` for what the rig has and its manual does not mention.
+second.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,7 +16,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from benchmarks.common import add_written, commit
+from benchmarks.common import add_count, commit, published, run_command
 from dynasindy.safe_io import Row, write_csv, write_rows
 from dynasindy.systems import Tras, integrate
 from dynasindy.systems.tras import TrasConstants
@@ -132,10 +130,9 @@ def write_log(path: Path, measured: Tensor, commands: Tensor) -> None:
     write_csv(path, header, torch.cat([time, measured[:, [0, 1, 4, 5]], commands], -1).tolist())
 
 
-COMMAND = Path(__file__).resolve().parents[2] / "scripts" / "identify.py"
 LOGS = 3
 """Logs at least before the published figures are replaced."""
-RESULTS, SECONDS = Path("docs/results/standin.csv"), 120.0
+SECONDS = 120.0
 CASES = {"still": 0.0, "gusts": 0.01}
 """Standard deviation of accelerations that nothing explains [rad/s^2]."""
 TARGETS = {"alpha_a": 0.017, "alpha_p": 0.011, "omega_a": 45.0, "omega_p": 25.0}
@@ -146,13 +143,12 @@ COLUMNS = ["case", "log", "method", *TARGETS, "delay_ms", "friction", "spring", 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
-    parser.add_argument("--logs", type=int, default=LOGS, help="logs of each case")
-    add_written(parser, RESULTS, LOGS, "logs")
+    add_count(parser, "logs", LOGS)
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Fly, identify, print a table and write it as CSV."""
-    out = RESULTS if arguments.out is None and arguments.logs >= LOGS else arguments.out
+    out = published(arguments.out, "standin", arguments.logs >= LOGS)
     torch.set_num_threads(1)
     rows: list[Row] = []
     for case, gust in CASES.items():
@@ -165,20 +161,13 @@ def main(arguments: argparse.Namespace) -> None:
                     print("  ".join(f"{rows[-1][name]:<10}" for name in COLUMNS[:-1]), flush=True)
             if out is not None:
                 write_rows(out, COLUMNS, rows)
-    print(f"written to {out}" if out else f"written to no file: fewer than {LOGS} logs; name one by --out")
 
 
 def run_identify(folder: Path) -> Iterator[Row]:
-    """Run the command as its documents say, and yield what it wrote.
-
-    Raises:
-        RuntimeError: The command failed.
-    """
+    """Run the command as its documents say, and yield what it wrote."""
     words = ["data=csv", f"data.path={folder / 'log.csv'}", "system=tras", "data.validation_share=0.5"]
-    places = [f"folder={folder}", f"hydra.run.dir={folder}"]
-    done = subprocess.run([sys.executable, str(COMMAND), *words, *places], capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"identify.py ended with {done.returncode}: {done.stderr.strip()}")
+    words += [f"folder={folder}", f"hydra.run.dir={folder}"]
+    run_command("identify", words, folder, folder / "metrics.json")
     metrics = json.loads((folder / "metrics.json").read_text())
     model = json.loads((folder / "model.json").read_text())
     rates, angle = ("Omega_a", "Omega_p"), "alpha_a"

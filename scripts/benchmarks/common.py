@@ -1,37 +1,59 @@
-"""What benchmarks share: options, the commit of a row, commands called as a user does, stopwatches, open loop."""
+"""What benchmarks share: options, rows and their commit, commands called as a user does, costs, plants in words."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import resource
 import subprocess
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.evaluation.scenarios import Policy
-from dynasindy.planning import Planned, Planner
 from dynasindy.safe_io import Row, append_rows, read_rows
-from dynasindy.sindy.delay import delay_inputs
-from dynasindy.systems.base import System
-from dynasindy.systems.integrators import rk4
-from dynasindy.systems.transitions import Transitions
+from dynasindy.systems import Signature, System
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path("docs/results")
+FUNCTIONS = {name: getattr(torch, name) for name in ("sin", "cos", "tanh", "exp", "sqrt", "abs", "sign")}
+NAMES = {**FUNCTIONS, "at_least": torch.clamp_min, "log": math.log, "pi": math.pi}
+"""What equations and numbers of YAML files may name besides states and inputs."""
 
 
-def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[str], default: Any = None) -> None:
+class EquationSystem(System):
+    """A plant out of equations in words.
+
+    Args:
+        signature: Names, units and ranges.
+        let: Formulas by the name that the later ones may use.
+        rates: Formula of the rate of change of each state, under inputs in their own units.
+    """
+
+    def __init__(self, signature: Signature, let: Mapping[str, str], rates: Mapping[str, str]) -> None:
+        super().__init__(signature)
+        self.lines = [(name, compile(formula, name, "eval")) for name, formula in (*let.items(), *rates.items())]
+        self.shared = len(let)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x)`."""
+        given = zip((*self.signature.state_names, *self.signature.input_names), (*x.unbind(-1), *u.unbind(-1)))
+        scope: dict[str, Any] = {**NAMES, **dict(given)}
+        for name, code in self.lines[: self.shared]:
+            scope[name] = eval(code, scope)
+        rates = [eval(code, scope) for _, code in self.lines[self.shared :]]
+        return torch.stack(torch.broadcast_tensors(*rates), -1)
+
+
+def add_choices(parser: argparse.ArgumentParser, name: str, choices: Iterable[str]) -> None:
     """Add an option of several names out of those that there are, by default all."""
-    parser.add_argument(name, nargs="+", choices=list(choices), default=list(default or choices))
+    parser.add_argument(name, nargs="+", choices=list(choices), default=list(choices))
 
 
 def add_seeds(parser: argparse.ArgumentParser, number: int) -> None:
@@ -39,25 +61,75 @@ def add_seeds(parser: argparse.ArgumentParser, number: int) -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(number)), help="seeds to measure")
 
 
-def add_written(parser: argparse.ArgumentParser, path: Path, least: int, what: str) -> None:
-    """Add the option of the file that is written; the published one only where enough was measured."""
-    told = f"CSV file to write; {path} by default, nothing if there are fewer than {least} {what}"
-    parser.add_argument("--out", type=Path, help=told)
-
-
 def add_output(parser: argparse.ArgumentParser, name: str) -> None:
     """Add the option of the file that rows are appended to."""
     parser.add_argument("--out", type=Path, default=RESULTS / f"{name}.csv", help="CSV file to append to")
 
 
-def run_command(command: str, words: Sequence[str], folder: Path, modules: Sequence[Path] = ()) -> tuple[float, str]:
-    """Return the CPU time that a command took [s], and the end of what it wrote to standard error.
+def add_count(parser: argparse.ArgumentParser, what: str, least: int) -> None:
+    """Add the options of a number of repetitions, and of the file, which only `least` of them replace unasked."""
+    parser.add_argument(f"--{what}", type=int, default=least, help=f"{what} of each case")
+    parser.add_argument("--out", type=Path, help=f"CSV file to write; the published one from {least} {what} on")
+
+
+def published(out: Path | None, name: str, enough: bool) -> Path | None:
+    """Return the file to write; a quick look does not replace the published one."""
+    path = out or (RESULTS / f"{name}.csv" if enough else None)
+    print(
+        f"writes {path}"
+        if path
+        else "writes no file, as too little is measured to replace the published one: give --out"
+    )
+    return path
+
+
+def append(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    """Append rows to a CSV file, with the commit that measured them, and print them."""
+    stamped = [{**row, "commit": commit()} for row in rows]
+    append_rows(path, columns, stamped)
+    for row in stamped:
+        print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+
+
+def carry_on(
+    path: Path,
+    columns: Sequence[str],
+    names: Sequence[str],
+    keys: Iterable[tuple[Any, ...]],
+    measure: Callable[..., list[Row]],
+) -> None:
+    """Measure what a CSV file does not hold yet, and append its rows.
+
+    Args:
+        path: The file.
+        columns: Its columns.
+        names: Columns that tell what was measured.
+        keys: Their values, of all that is asked for.
+        measure: Returns the rows of such values.
+    """
+    for key in keys:
+        if not any([row[name] for name in names] == list(map(str, key)) for row in read_rows(path)):
+            append(path, columns, measure(*key))
+
+
+def measure_plants(arguments: Namespace, columns: Sequence[str], measure: Callable[[str, int], list[Row]]) -> None:
+    """Measure `plants` over `seeds` of a command line and append their rows to its file `out`."""
+    keys = [(plant, seed) for seed in arguments.seeds for plant in arguments.plants]
+    carry_on(arguments.out, columns, ("plant", "seed"), keys, measure)
+
+
+def run_command(command: str, words: Sequence[str], folder: Path, result: Path, modules: Sequence[Path] = ()) -> float:
+    """Return the CPU time that a command took [s].
 
     Args:
         command: Its name, such as `train`.
         words: What is given on the command line.
         folder: Where it is called.
+        result: A file that it is to leave.
         modules: Folders besides the package from which it imports.
+
+    Raises:
+        RuntimeError: It left no such file.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
@@ -72,24 +144,12 @@ def run_command(command: str, words: Sequence[str], folder: Path, modules: Seque
         check=False,
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stderr[-500:]
-
-
-def measure_seeds(arguments: Namespace, columns: Sequence[str], measure: Callable[[str, int], list[Row]]) -> None:
-    """Measure plants over seeds and append their rows to a file, but for those that it has already.
-
-    Args:
-        arguments: Names as `plants`, numbers as `seeds`, and the file as `out`.
-        columns: Columns of the file; `plant` and `seed` among them.
-        measure: Returns the rows of a plant and a seed.
-    """
-    done = {(row["plant"], int(row["seed"])) for row in read_rows(arguments.out)}
-    for seed in arguments.seeds:
-        for plant in [name for name in arguments.plants if (name, seed) not in done]:
-            rows = measure(plant, seed)
-            append_rows(arguments.out, columns, rows)
-            for row in rows:
-                print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+    if not result.is_file():
+        given = " ".join(words)
+        raise RuntimeError(
+            f"{command}.py {given} ended with {done.returncode} and no {result.name}: {done.stderr[-500:]}"
+        )
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def cpu_seconds() -> float:
@@ -98,108 +158,19 @@ def cpu_seconds() -> float:
     return time.process_time() + called.children_user + called.children_system
 
 
-class Stopwatch:
-    """Wall and CPU time and updates of a run, evaluation left out."""
-
-    def __init__(self) -> None:
-        self.wall = self.cpu = 0.0
-        self.updates = 0
-        self.start()
-
-    def start(self) -> None:
-        """Go on."""
-        self.since = time.perf_counter(), cpu_seconds()
-
-    def stop(self, updates: int) -> None:
-        """Pause after a phase of so many updates."""
-        self.wall += time.perf_counter() - self.since[0]
-        self.cpu += cpu_seconds() - self.since[1]
-        self.updates += updates
-
-    def costs(self) -> Row:
-        """Return updates and times as columns of a row."""
-        return {"updates": self.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
-
-
-class TimedPlanner(Planner):
-    """A planner that tells of each finished phase.
-
-    Args:
-        planner: The planner.
-        finished: Called with the number of updates of the phase.
-    """
-
-    def __init__(self, planner: Planner, finished: Callable[[int], None]) -> None:
-        super().__init__(planner.every)
-        self.planner, self.finished = planner, finished
-
-    def plan(self) -> Planned:
-        """Plan once."""
-        planned = self.planner.plan()
-        self.finished(planned.updates)
-        return planned
-
-    def distrust(self) -> None:
-        """Pass it on."""
-        self.planner.distrust()
-
-
-class TimedPolicy:
-    """A policy whose computing time is counted, in CPU time of one thread.
-
-    Args:
-        policy: The policy.
-    """
-
-    def __init__(self, policy: Policy) -> None:
-        self.policy, self.seconds, self.calls = policy, 0.0, 0
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Act."""
-        start = time.process_time()
-        acted = self.policy(tensordict)
-        self.seconds, self.calls = self.seconds + time.process_time() - start, self.calls + 1
-        return acted
-
-
 TABLES = ":(top,exclude)docs/results"
 """Tables that a benchmark appends to: its first row does not change the code that measures the second."""
 
 
-def commit(checkout: Path | None = None) -> str:
-    """Return the commit of a checkout, with `-dirty` where its code was changed, "unknown" outside of one.
-
-    Args:
-        checkout: its folder; that of this package if omitted.
-    """
-    git = ["git", "-C", str(checkout or Path(__file__).parent)]
+def commit() -> str:
+    """Return the commit of this checkout, with `-dirty` where its code was changed, "unknown" outside of one."""
+    git = ["git", "-C", str(Path(__file__).parent)]
     try:
         # An installed package may lie in a checkout of something else, which does not track its files.
-        own = __file__ if checkout is None else "pyproject.toml"
-        subprocess.run([*git, "ls-files", "--error-unmatch", own], capture_output=True, check=True)
+        subprocess.run([*git, "ls-files", "--error-unmatch", __file__], capture_output=True, check=True)
         asked = [*git, "describe", "--always", "--exclude", "*"]
         name = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
         changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", ":(top)", TABLES], capture_output=True)
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{name}-dirty" if changed.returncode else name
-
-
-def simulate(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:
-    """Return the states of an open-loop simulation, `(N + 1, n_x)`, under the inputs as they take effect.
-
-    Args:
-        model: What is simulated, with the delay of its inputs if it has one.
-        x0: State at the beginning, `(n_x,)`.
-        data: Recording whose inputs and sampling time are read.
-        substeps: Runge-Kutta steps in a sample.
-    """
-    late = delay_inputs(data, float(getattr(model, "delay", 0.0)))
-    states = [x0]
-    with torch.no_grad():
-        for u in late.u:
-            x = states[-1]
-            for _ in range(substeps):
-                x = rk4(model, x, u, data.dt / substeps)
-            states.append(x)
-    return torch.stack(states)

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from benchmarks.common import Stopwatch, TimedPlanner, add_choices, add_output, add_seeds, commit
+from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_seconds
 from benchmarks.unseen_situations import judge_following, judge_holding
 from dynasindy.agents import TD3
 from dynasindy.control.integral import IntegralAction
 from dynasindy.data import DynaReplay
-from dynasindy.dyna.callback import Callback
+from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
@@ -32,7 +32,7 @@ from dynasindy.evaluation.metrics import STEADY_SECONDS
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning, Randomization
-from dynasindy.safe_io import Row, append_rows, read_rows
+from dynasindy.safe_io import Row, read_rows
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import System, Tras, Trms33, Xi
@@ -126,9 +126,8 @@ class Case:
 
 CASES = {
     "step": Case(episodes=1),
-    "nominal": Case(
-        episodes=1, randomization=Randomization(input_delay=0.0), gain_range=0.0
-    ),  # planned on the model as it is
+    # Planned on the model as it is.
+    "nominal": Case(episodes=1, randomization=Randomization(input_delay=0.0), gain_range=0.0),
     "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
     "moving": Case(moving=True, updates=400),
@@ -154,11 +153,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """Measure cases, plants and seeds, and append a row per policy and scenario."""
     torch.set_num_threads(1)
-    for case in arguments.cases:
-        for seed in arguments.seeds:
-            for plant in [name for name in CASES[case].plants if name in arguments.plants]:
-                if not any(_same(row, case, plant, seed) for row in read_rows(arguments.out)):
-                    append(arguments.out, measure(case, plant, seed))
+    keys = [
+        (case, plant, seed)
+        for case in arguments.cases
+        for seed in arguments.seeds
+        for plant in CASES[case].plants
+        if plant in arguments.plants
+    ]
+    carry_on(arguments.out, COLUMNS, ("case", "plant", "seed"), keys, measure)
     print("\n".join(table(read_rows(arguments.out))))
 
 
@@ -171,24 +173,39 @@ def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
         seed: Seed of the run.
         **planning: Settings of `GradientPlanning` other than its defaults.
     """
-    case, code = CASES[name], commit()
-    rows: list[Row] = []
-    watch = Stopwatch()
+    run = Judging(name, plant, seed, planning)
+    train(run.parts, run.recipe.train, run)
+    return run.rows
 
-    def planned(updates: int) -> None:
-        """Judge the policy of a finished planning phase."""
-        watch.stop(updates)
-        seconds = parts.plant.dt * len(parts.replay.real)
-        for scenario, metric, values in judge(case, plant, parts, seed):
-            head = {"case": name, "plant": plant, "seed": seed, "plant_seconds": seconds}
-            rows.append({**head, "scenario": scenario, "metric": metric, **values, **watch.costs(), "commit": code})
-        watch.start()
 
-    recipe = build_recipe(case, plant, seed, planning)
-    parts = recipe.build()
-    parts.planner = TimedPlanner(parts.planner, planned)
-    train(parts, recipe.train, Callback())
-    return rows
+class Judging(Callback):
+    """A run whose policy is judged after each planning phase; the time that this takes is left out.
+
+    Args:
+        name: Name of the case.
+        plant: Name of the plant.
+        seed: Seed of the run.
+        planning: Settings of `GradientPlanning` other than its defaults.
+    """
+
+    def __init__(self, name: str, plant: str, seed: int, planning: dict[str, Any]) -> None:
+        self.wall, self.cpu = -time.perf_counter(), -cpu_seconds()
+        self.name, self.plant, self.seed = name, plant, seed
+        self.recipe = build_recipe(CASES[name], plant, seed, planning)
+        self.parts = self.recipe.build()
+        self.rows: list[Row] = []
+
+    def reached(self, place: Place) -> None:
+        """Append a row per scenario."""
+        if not place.planned:
+            return
+        self.wall, self.cpu = self.wall + time.perf_counter(), self.cpu + cpu_seconds()
+        costs = {"updates": place.cost.updates, "wall_seconds": round(self.wall, 1), "cpu_seconds": round(self.cpu, 1)}
+        seconds = self.parts.plant.dt * len(self.parts.replay.real)
+        head = {"case": self.name, "plant": self.plant, "seed": self.seed, "plant_seconds": seconds}
+        for scenario, metric, values in judge(CASES[self.name], self.plant, self.parts, self.seed):
+            self.rows.append({**head, "scenario": scenario, "metric": metric, **values, **costs})
+        self.wall, self.cpu = self.wall - time.perf_counter(), self.cpu - cpu_seconds()
 
 
 def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) -> Recipe:
@@ -208,16 +225,15 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         world_model=model,
         agent=partial(TD3, hidden=case.hidden),
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
-        planning=partial(GradientPlanning, **{**_planning(case), **planning}),
+        planning=partial(
+            GradientPlanning,
+            **{"randomization": case.randomization, "gain_range": case.gain_range, "updates": case.updates, **planning},
+        ),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=LoopSettings(episodes=case.episodes, updates_per_step=0),
         sensors=case.sensors,
         seed=seed,
     )
-
-
-def _planning(case: Case) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("randomization", "gain_range", "updates")}
 
 
 def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:
@@ -272,13 +288,6 @@ def detuned(seed: int) -> Tras:
     return Tras(constants=TrasConstants().detuned(0.1, 1000 + seed))
 
 
-def append(path: Path, rows: list[Row]) -> None:
-    """Append rows to a file and print them."""
-    append_rows(path, COLUMNS, rows)
-    for row in rows:
-        print(", ".join(f"{key} {row[key]}" for key in COLUMNS), flush=True)
-
-
 def table(rows: list[Row]) -> list[str]:
     """Return one line per case, plant, plant time and scenario: median and worst seed."""
     groups: dict[tuple[str, ...], list[Row]] = {}
@@ -330,7 +339,3 @@ def _numbers(result: Evaluation, errors: torch.Tensor) -> Row:
     names = ("azimuth", "pitch", "azimuth_worst", "pitch_worst")
     numbers: Row = {name: round(value, 5) for name, value in zip(names, (*mean, *worst))}
     return {**numbers, "return": round(float(result.returns.mean()), 3)}
-
-
-def _same(row: Row, case: str, plant: str, seed: int) -> bool:
-    return (row["case"], row["plant"], int(row["seed"])) == (case, plant, seed)

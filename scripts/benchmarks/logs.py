@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 import dynasindy
-from benchmarks.common import add_choices, add_output, add_seeds, commit, measure_seeds, run_command
+from benchmarks.common import NAMES, EquationSystem, add_choices, add_output, add_seeds, measure_plants, run_command
 from dynasindy import Controller
 from dynasindy.data.units import in_radians
 from dynasindy.safe_io import Row, write_csv
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature, System, integrate
+from dynasindy.systems import Signature, integrate
 
 SUBSTEPS = 5
 """Runge-Kutta steps of a plant between two samples of its log."""
@@ -37,35 +37,6 @@ SMOOTH = 0.8
 """Part of a difference that the loop keeps of the one before."""
 Loop = Mapping[str, tuple[float, float]]
 """Measured states, and what an input is changed by per state and per rate of it."""
-
-
-FUNCTIONS = {name: getattr(torch, name) for name in ("sin", "cos", "tanh", "exp", "sqrt", "abs", "sign")}
-NAMES = {**FUNCTIONS, "at_least": torch.clamp_min, "log": math.log, "pi": math.pi}
-"""What equations and numbers of logged_plants.yaml may name besides states and inputs."""
-
-
-class Plant(System):
-    """A plant out of equations in words.
-
-    Args:
-        signature: Names, units and ranges.
-        let: Formulas by the name that the later ones may use.
-        rates: Formula of the rate of change of each state, under inputs in their own units.
-    """
-
-    def __init__(self, signature: Signature, let: Mapping[str, str], rates: Mapping[str, str]) -> None:
-        super().__init__(signature)
-        self.lines = [(name, compile(formula, name, "eval")) for name, formula in (*let.items(), *rates.items())]
-        self.shared = len(let)
-
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, n_x)`."""
-        given = zip((*self.signature.state_names, *self.signature.input_names), (*x.unbind(-1), *u.unbind(-1)))
-        scope: dict[str, Any] = {**NAMES, **dict(given)}
-        for name, code in self.lines[: self.shared]:
-            scope[name] = eval(code, scope)
-        rates = [eval(code, scope) for _, code in self.lines[self.shared :]]
-        return torch.stack(torch.broadcast_tensors(*rates), -1)
 
 
 @dataclass(frozen=True)
@@ -128,10 +99,10 @@ class Case:
     let: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def plant(self) -> Plant:
+    def plant(self) -> EquationSystem:
         """The plant itself."""
         names, units = tuple(self.states), tuple(self.states.values())
-        return Plant(Signature(names, units, tuple(self.inputs), (1.0,) * len(names)), self.let, self.rates)
+        return EquationSystem(Signature(names, units, tuple(self.inputs), (1.0,) * len(names)), self.let, self.rates)
 
     @property
     def begins(self) -> Tensor:
@@ -205,15 +176,12 @@ def read_cases(path: Path) -> dict[str, Case]:
         return float(eval(value, dict(NAMES))) if isinstance(value, str) else value
 
     def _case(facts: dict[str, Any]) -> Case:
-        names = ("states", "rates", "let", "known", "words")
-        given: dict[str, Any] = {name: facts[name] for name in names if name in facts}
-        log = _number(facts["log"])
-        given |= {name: _number(facts[name]) for name in ("targets", "flight", "start", "loop") if name in facts}
-        if "inputs" in facts:
-            given["inputs"] = {name: Input(**of) for name, of in facts["inputs"].items()}
-        columns = {name: (unit, _number(size)) for name, (unit, size) in facts.get("columns", {}).items()}
-        sensors = {name: Channel(**_number(of)) for name, of in facts["sensors"].items()}
-        return Case(**given, **log, sensors=sensors, columns=columns)
+        given = facts | {name: _number(facts[name]) for name in ("targets", "start", "loop") if name in facts}
+        given |= _number(given.pop("log"))
+        given["sensors"] = {name: Channel(**_number(of)) for name, of in facts["sensors"].items()}
+        given["columns"] = {name: (unit, _number(size)) for name, (unit, size) in facts.get("columns", {}).items()}
+        given["inputs"] = {name: Input(**of) for name, of in facts.get("inputs", {"u": {}}).items()}
+        return Case(**given)
 
     return {name: _case(facts) for name, facts in yaml.safe_load(path.read_text()).items()}
 
@@ -232,7 +200,7 @@ FAR = 1e6
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
-    add_choices(parser, "--plants", tuple(CASES))
+    add_choices(parser, "--plants", CASES)
     add_seeds(parser, 3)
     add_output(parser, "logs")
 
@@ -240,34 +208,36 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """Log, plan and fly, and append a row per output."""
     torch.set_num_threads(1)
-    measure_seeds(arguments, COLUMNS, measure)
+    measure_plants(arguments, COLUMNS, measure)
 
 
 def measure(name: str, seed: int) -> list[Row]:
-    """Return a row per output of one plant and seed.
-
-    Raises:
-        RuntimeError: The command left no model.
-    """
+    """Return a row per output of one plant and seed."""
     case = CASES[name]
     with tempfile.TemporaryDirectory() as folder:
-        log, place = Path(folder) / "log.csv", Path(folder) / "run"
+        log, run = Path(folder) / "log.csv", Path(folder) / "run"
         write_log(case, log, seed)
-        given = [*words(case, log), f"seed={seed}", f"folder={place}"]
-        spent, complaint = run_command("train", given, Path(folder))
-        if not (place / "model.json").is_file():
-            raise RuntimeError(f"train.py left no model for {name}, seed {seed}: {complaint}")
-        terms = count_terms(place / "model.json")
-        found, errors = None, np.full((1, len(case.targets)), math.inf)
-        if (place / "metrics.json").is_file():
-            found = json.loads((place / "metrics.json").read_text())
-            errors = simulate_targets(case, dynasindy.load(place), seed)
-    return rows_of(name, seed, found, errors, terms, spent)
-
-
-def count_terms(path: Path) -> int:
-    """Count the terms of a saved model: signs in its equations are also those inside functions and quotients."""
-    return int(SindyModel.load(path).coefficients.count_nonzero())
+        given = [*words(case, log), f"seed={seed}", f"folder={run}"]
+        spent = run_command("train", given, Path(folder), run / "model.json")
+        # Signs in the equations of a model are also those inside functions and quotients.
+        terms = int(SindyModel.load(run / "model.json").coefficients.count_nonzero())
+        forecast, errors = None, np.full((1, len(case.targets)), math.inf)
+        if (run / "metrics.json").is_file():
+            forecast = json.loads((run / "metrics.json").read_text())["prediction"]
+            errors = simulate_targets(case, dynasindy.load(run), seed)
+    controlled = {None: "no controller", True: "CONTROLLED", False: "NOT promised"}
+    score = forecast and forecast["score"]
+    head = {"plant": name, "seed": seed, "foretold": controlled[forecast and forecast["controlled"]]}
+    head["foretold_percent"] = "inf" if score is None else f"{100 * score:.3g}"
+    worst, mean = errors.max(0), errors.mean(0)
+    return [
+        {
+            **head,
+            **{"output": output, "error_percent": f"{100 * mean[k]:.3g}", "worst_percent": f"{100 * worst[k]:.3g}"},
+            **{"terms": terms, "cpu_seconds": round(spent, 1)},
+        }
+        for k, output in enumerate(case.targets)
+    ]
 
 
 def words(case: Case, log: Path) -> list[str]:
@@ -373,32 +343,3 @@ def _act(pilot: Controller, seen: dict[str, float], target: list[float]) -> tupl
         if error.__cause__ is None:  # then it is no number beyond all limits, but a name that does not fit
             raise
         return 0.0, True
-
-
-def rows_of(
-    name: str, seed: int, metrics: dict[str, Any] | None, errors: NDArray[np.float64], terms: int, seconds: float
-) -> list[Row]:
-    """Return a row per output.
-
-    Args:
-        name: Name of the plant.
-        seed: Seed of log, plan and flights.
-        metrics: What `metrics.json` holds; None if the command ended without a controller.
-        errors: What `flown` returned.
-        terms: How many terms the equations have.
-        seconds: CPU time of the command [s].
-    """
-    prediction: dict[str, Any] = metrics["prediction"] if metrics else {"controlled": False, "score": None}
-    score = prediction["score"]
-    foretold = "CONTROLLED" if prediction["controlled"] else "NOT promised"
-    return [
-        {
-            **{"plant": name, "seed": seed, "foretold": foretold if metrics else "no controller"},
-            "foretold_percent": "inf" if score is None else f"{100 * score:.3g}",
-            **{"output": output, "error_percent": f"{100 * errors[:, k].mean():.3g}"},
-            "worst_percent": f"{100 * errors[:, k].max():.3g}",
-            "terms": terms,
-            **{"cpu_seconds": round(seconds, 1), "commit": commit()},
-        }
-        for k, output in enumerate(CASES[name].targets)
-    ]

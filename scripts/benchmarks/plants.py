@@ -6,9 +6,8 @@ import argparse
 import json
 import tempfile
 from pathlib import Path
-from typing import Any
 
-from benchmarks.common import ROOT, add_choices, add_output, add_seeds, commit, measure_seeds, run_command
+from benchmarks.common import ROOT, add_choices, add_output, add_seeds, measure_plants, run_command
 from dynasindy.safe_io import Row
 
 EXAMPLES = ROOT / "docs" / "examples"
@@ -37,53 +36,31 @@ COLUMNS = (
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
-    add_choices(parser, "--plants", tuple(PLANTS))
+    add_choices(parser, "--plants", PLANTS)
     add_seeds(parser, 5)
     add_output(parser, "plants")
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Train, and append a row per output."""
-    measure_seeds(arguments, COLUMNS, measure)
+    measure_plants(arguments, COLUMNS, measure)
 
 
 def measure(plant: str, seed: int) -> list[Row]:
-    """Run the command of a new user and return what its `metrics.json` holds.
-
-    Raises:
-        RuntimeError: The command left none.
-    """
+    """Run the command of a new user and return a row per output, or one alone where nothing is tracked."""
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "run"
-        words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={place}"]
-        spent, complaint = run_command("train", words, Path(folder), [EXAMPLES])
-        file = place / "metrics.json"
-        if not file.is_file():
-            raise RuntimeError(f"train.py left no metrics.json for {plant}, seed {seed}: {complaint}")
-        return rows_of(plant, seed, json.loads(file.read_text()), spent)
-
-
-def rows_of(plant: str, seed: int, metrics: dict[str, Any], seconds: float) -> list[Row]:
-    """Return a row per output, or one alone where nothing is tracked.
-
-    Args:
-        plant: Name of the plant.
-        seed: Seed of the run.
-        metrics: What `metrics.json` holds.
-        seconds: CPU time of the command [s].
-    """
-    held, cost = metrics["held"], metrics["cost"]
-    verdict = metrics["verdict"]["held"].partition(":")[0]
+        file = Path(folder) / "run" / "metrics.json"
+        words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={file.parent}"]
+        spent = run_command("train", words, Path(folder), file, [EXAMPLES])
+        metrics = json.loads(file.read_text())
+    held, cost, own = metrics["held"], metrics["cost"], metrics["evaluation"].get("own_return")
     return [
         {
-            **{"plant": plant, "seed": seed, "verdict": verdict, "output": name},
+            **{"plant": plant, "seed": seed, "verdict": metrics["verdict"]["held"].partition(":")[0], "output": name},
             "error_percent": _percent(share) if name else "",
             "worst_percent": _percent(held["worst"][name]) if name else "",
-            "plant_seconds": cost["plant_seconds"],
-            "periods": cost["real_steps"],
-            "cpu_seconds": round(seconds, 1),
-            "commit": commit(),
-            "own_return": "" if (own := metrics["evaluation"].get("own_return")) is None else round(own, 2),
+            **{"plant_seconds": cost["plant_seconds"], "periods": cost["real_steps"], "cpu_seconds": round(spent, 1)},
+            "own_return": "" if own is None else round(own, 2),
         }
         for name, share in (held["share"] or {"": None}).items()
     ]

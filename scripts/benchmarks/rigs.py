@@ -1,9 +1,9 @@
 """Logs of real plants: models chosen on the training log alone, the test log scored once.
 
 The logs are not part of the project; `--data` names the folder that holds them. Where they come from, and what was
-measured, stands in docs/results/README.md. Beside our models stand a linear model fitted in the same way, PySINDy with
-the same functions at its best threshold (of the tanks with functions of the reading and its rate, as it takes no hidden
-state), the last value held and, where there is one, the published physics.
+measured, stands in docs/results/README.md. Our models and the published physics are those of rigs.yaml. Beside them
+stand a linear model fitted in the same way, PySINDy with the same functions at its best threshold (of the tanks with
+functions of the reading and its rate, as it takes no hidden state), and the last value held.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from typing import Any, cast
 
 import numpy as np
 import torch
+import yaml
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from benchmarks.common import add_choices, add_output, commit, simulate
+from benchmarks.common import EquationSystem, add_choices, add_output, append, commit
 from benchmarks.pysindy_regression import pysindy_of
-from dynasindy.safe_io import Row, append_rows, read_rows, write_rows
+from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.model import SindyModel
@@ -38,31 +39,224 @@ from dynasindy.systems.integrators import rk4
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
 
-MASS, VISCOUS, DRY, PUSH = 95.1089, 203.5034, 20.3935, -3.1648
-"""Mass [kg], friction [N s/m] and [N], and push against the axis [N]: Janot, Gautier and Brunot, EMPS, 2019."""
-FORCE = 100.0
-"""Force of a full input [N]."""
+Array = NDArray[np.float64]
+Result = tuple[list[Row], list[Row]]
+"""Scores, and errors over the test log."""
+COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
+COURSES = ("rig", "model", "seconds", "error", "unit", "commit")
+POINTS = 250
+"""Errors of each model over the test log that are kept, evenly spread."""
+FACTS = yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text())
 
 
-def published_axis(signature: Signature) -> SindyModel:
-    """Return `M v' = F - 203.5 v - 20.4 sign(v) + 3.2`, the sign as steep as that of a fitted model.
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of this benchmark."""
+    parser.add_argument("--data", type=Path, required=True, help="folder of the logs")
+    add_choices(parser, "--rigs", RIGS)
+    add_output(parser, "rigs")
+
+
+def main(arguments: argparse.Namespace) -> None:
+    """Fit and score rigs, and append a row per rig, model and metric."""
+    torch.set_num_threads(1)
+    for rig in arguments.rigs:
+        rows, courses = RIGS[rig](arguments.data)
+        append(arguments.out, COLUMNS, [{"rig": rig, **row} for row in rows])
+        if courses:
+            path = arguments.out.with_name(f"{arguments.out.stem}_over_time.csv")
+            others = [row for row in read_rows(path) if row["rig"] != rig] if path.exists() else []
+            write_rows(path, COURSES, [*others, *({"rig": rig, **row, "commit": commit()} for row in courses)])
+
+
+def signature_of(facts: Mapping[str, Any]) -> Signature:
+    """Return names, units and ranges that stand in rigs.yaml; the input is `u`."""
+    return Signature(tuple(facts["states"]), tuple(facts["states"].values()), ("u",), tuple(facts["scale"]))
+
+
+def build_model(rig: str, name: str) -> SindyModel:
+    """Return a model of rigs.yaml, which is not fitted yet."""
+    facts = FACTS[rig] | FACTS[rig]["models"][name]
+    more = {name: facts[name] for name in ("known", "allowed", "fixed", "initial") if name in facts}
+    refinement = Refinement("trajectory", **facts["refinement"])
+    return SindyModel(signature_of(facts), facts["functions"], Regression("bic"), refinement, **more)
+
+
+def published(rig: str) -> EquationSystem:
+    """Return the published physics of a rig."""
+    return EquationSystem(signature_of(FACTS[rig]), **FACTS[rig]["published"])
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log as it was measured, at its own rate.
+
+    Attributes:
+        y: Measured states, `(N, n_x)`, NaN where not measured.
+        u: Inputs, `(N, n_u)`.
+        dt: Sampling time [s].
+    """
+
+    y: Array
+    u: Array
+    dt: float
+
+    def thinned(self, by: int) -> Transitions:
+        """Keep every n-th sample; of the inputs in between the mean."""
+        n = (len(self.y) - 1) // by
+        held = self.u[: n * by].reshape(n, by, -1).mean(1)
+        return Transitions.from_trajectory(
+            torch.from_numpy(self.y[: n * by + 1 : by].copy()), torch.from_numpy(held), self.dt * by
+        )
+
+
+def read_columns(path: Path) -> Mapping[str, Array]:
+    """Return the columns of a log by the names in its first line."""
+    with path.open(encoding="utf-8") as file:
+        names = [name.split(" [")[0].strip() for name in file.readline().split(",")]
+    values = np.loadtxt(path, delimiter=",", skiprows=1)
+    return dict(zip(names, values.T, strict=True))
+
+
+def read_log(
+    path: Path, states: Mapping[int, str], n_x: int, u: Callable[[Mapping[str, Array]], Array], dt: float
+) -> Log:
+    """Return a log of `n_x` states, of which those at some places are columns of the file."""
+    columns = read_columns(path)
+    inputs = u(columns)
+    y = np.full((len(inputs), n_x), np.nan)
+    for place, name in states.items():
+        y[:, place] = columns[name]
+    return Log(y, inputs[:, None], dt)
+
+
+def simulate(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:
+    """Return the states of an open-loop simulation, `(N + 1, n_x)`, under the inputs as they take effect.
 
     Args:
-        signature: the place q [m], the speed v [m/s] and the input u [100 N].
+        model: What is simulated, with the delay of its inputs if it has one.
+        x0: State at the beginning, `(n_x,)`.
+        data: Recording whose inputs and sampling time are read.
+        substeps: Runge-Kutta steps in a sample.
     """
-    model = SindyModel(signature, ["1", "u", "v", "tanh(1000 v)"])
-    forces = torch.tensor([-PUSH, FORCE, -VISCOUS, -DRY], dtype=torch.float64)
-    place = torch.tensor([0.0, 0.0, 1.0, 0.0], dtype=torch.float64)
-    model.set_coefficients(torch.stack([place, forces / MASS], 1))
-    return model
+    late = delay_inputs(data, float(getattr(model, "delay", 0.0)))
+    states = [x0]
+    with torch.no_grad():
+        for u in late.u:
+            x = states[-1]
+            for _ in range(substeps):
+                x = rk4(model, x, u, data.dt / substeps)
+            states.append(x)
+    return torch.stack(states)
+
+
+def rms(errors: Array) -> float:
+    """Return the root-mean-square of errors; infinite where one is not finite."""
+    found = float(np.sqrt(np.mean(errors**2)))
+    return found if np.isfinite(found) else float("inf")
+
+
+def fitted(model: SindyModel, data: Transitions) -> tuple[SindyModel, Row]:
+    """Fit a model, and return it with what it cost."""
+    start = time.process_time()
+    model.fit(data)
+    return model, _facts(model, start)
+
+
+def _facts(model: SindyModel, start: float) -> Row:
+    print(*model.equations(), sep="\n", flush=True)
+    return {
+        "coefficients": int((model.coefficients[model.constraints.free] != 0).sum()),
+        "delay_seconds": round(model.delay, 6),
+        "cpu_seconds": round(time.process_time() - start, 1),
+    }
+
+
+def _row(model: str, metric: str, value: float, unit: str) -> Row:
+    return {"model": model, "metric": metric, "value": _round(value), "unit": unit}
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def course(model: str, errors: Array, dt: float, unit: str) -> list[Row]:
+    """Return rows of errors over a log, evenly spread; one that is not finite, and those behind it, are left out.
+
+    Args:
+        model: What made them.
+        errors: `(N,)`, in `unit`.
+        dt: Time between two of them [s].
+        unit: Of the errors.
+    """
+    kept = np.linspace(0, len(errors) - 1, min(len(errors), POINTS)).round().astype(int)
+    kept = kept[np.isfinite(errors).cumprod().astype(bool)[kept]]
+    return [
+        {"model": model, "seconds": _round(dt * int(k)), "error": _round(float(errors[k])), "unit": unit} for k in kept
+    ]
+
+
+FIRST = 20
+"""Samples at the beginning of a log from which its start state is read."""
+FORCE = 100.0
+"""Force of a full input of the EMPS axis [N]."""
+
+
+def emps(folder: Path) -> Result:
+    """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
+    logs = {
+        name: read_log(folder / f"emps_{name}.csv", {0: "q"}, 2, lambda columns: columns["u_force"] / FORCE, 1e-3)
+        for name in ("train", "test")
+    }
+    data, q, metric = logs["train"].thinned(5), logs["test"].y[:, 0], "{} simulated, RMSE"
+    models: dict[str, System] = {}
+    rows: list[Row] = []
+
+    def _score(name: str, among: Sequence[str], facts: Row) -> None:
+        for log in among:
+            error = rms(axis_errors(models[name], logs[log]))
+            rows.append(_row(name, metric.format(log), error, "mm") | facts)
+
+    for name in FACTS["emps"]["models"]:
+        models[name], facts = fitted(build_model("emps", name), data)
+        _score(name, ("train", "test"), facts)
+    models["pysindy"] = pysindy_of(
+        build_model("emps", "ours"), data, lambda model: rms(axis_errors(model, logs["train"]))
+    )
+    models["published physics"] = published("emps")
+    for name in ("pysindy", "published physics"):
+        _score(name, ("train", "test"), {})
+    drawn = [name for name in models if name != "ours, held by a spring"]
+    # With everything scored: what the same functions make of the test log tells whether the axis rubs as before.
+    again = "ours, fitted to the test log"
+    models[again], _ = fitted(build_model("emps", "ours"), logs["test"].thinned(5))
+    _score(again, ("test",), {})
+    for name, speed in itertools.product(("ours", again), (0.125, -0.125)):
+        rows.append(_row(name, f"force at {speed} m/s", steady_force(models[name], speed), "N"))
+    held = 1e3 * (q[0] - q)
+    rows.append(
+        _row("training log replayed", metric.format("test"), replay_error(logs["train"].y[:, 0], q), "mm"),
+    )
+    rows.append(_row("last value held", metric.format("test"), rms(held), "mm"))
+    courses = [course(name, axis_errors(models[name], logs["test"]), 2 * logs["test"].dt, "mm") for name in drawn]
+    return rows, [*itertools.chain(*courses), *course("last value held", held, logs["test"].dt, "mm")]
+
+
+def axis_errors(model: System, log: Log) -> Array:
+    """Return the errors of a simulation of the axis from its start [mm], at every second sample."""
+    q = log.y[:, 0]
+    # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
+    slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
+    path = simulate(model, torch.tensor([place, slope]), log.thinned(2), 2)[:, 0].numpy()
+    errors: Array = 1e3 * (path - q[::2][: len(path)])
+    return errors
 
 
 def steady_force(model: System, speed: float) -> float:
     """Return the force [N] at which a model keeps a speed [m/s] in the middle of the axis, at 0.125 m.
 
     Args:
-        model: states are the place [m] and the speed [m/s], the input is the force in 100 N.
-        speed: what is kept.
+        model: States are the place [m] and the speed [m/s], the input is the force in 100 N.
+        speed: What is kept.
     """
     x = torch.tensor([0.125, speed], dtype=torch.float64)
     with torch.no_grad():
@@ -70,41 +264,55 @@ def steady_force(model: System, speed: float) -> float:
     return FORCE * none / (none - full)
 
 
+def replay_error(before: Array, q: Array) -> float:
+    """Return the RMSE [mm] if another log, in which the axis moves alike, is taken as the prediction of a log.
+
+    Args:
+        before: Places of the axis in the other log [m], `(M,)`.
+        q: Places that are forecast [m], `(N,)`; they are compared as far as both logs go.
+    """
+    both = min(len(before), len(q))
+    return 1e3 * float(np.sqrt(np.mean((before[:both] - q[:both]) ** 2)))
+
+
 STEP = 2 * math.pi / 2048
-"""Resolution of both encoders [rad]."""
-ARM, ROD, ARM_LENGTH, ROD_LENGTH = 0.095, 0.024, 0.085, 0.129
-"""Masses [kg] and lengths [m] of the rotor arm and the pendulum; companion data of arXiv 2303.15318."""
-MOTOR, OHMS, VOLTS, GRAVITY = 0.042, 8.4, 10.0, 9.81
-"""Constant of the motor [V s/rad, N m/A], its resistance [ohm], full input [V], and gravity [m/s^2]."""
+"""Resolution of both encoders of the QUBE [rad]."""
 HORIZONS = (20, 50)
 """Samples of 10 ms ahead: 0.2 and 0.5 s; over 1 s an error of the start state grows a million times."""
 LAST = 100
 """Samples at the end of a log from which nothing is predicted."""
 
 
-class PublishedQube(System):
-    """Rotary inverted pendulum by Lagrange's equations, without friction, `alpha = 0` upright.
+def qube(folder: Path) -> Result:
+    """Measure the QUBE pendulum: both angles 0.2 and 0.5 s ahead, from every 0.1 s of the test log [mrad]."""
+    files = {name: folder / f"qube_{name}.csv" for name in ("train_1", "train_2", "test")}
+    logs = {
+        name: read_log(
+            file, {0: "theta", 1: "alpha"}, 4, lambda columns: np.clip(columns["u_voltage"], -10, 10) / 10, 2e-3
+        ).thinned(5)
+        for name, file in files.items()
+    }
+    train = Transitions.cat([logs["train_1"], logs["train_2"]])
 
-    Args:
-        signature: theta, alpha, dtheta, dalpha and u.
-    """
+    def _score(model: System) -> float:
+        return _both(ahead(model, logs["train_1"], logs["train_2"])[0][0])
 
-    def __init__(self, signature: Signature) -> None:
-        super().__init__(signature)
-
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, 4)`, of states `(*batch, 4)` under inputs `(*batch, 1)` in [-1, 1]."""
-        _, alpha, dtheta, dalpha = x.unbind(-1)
-        s, c = alpha.sin(), alpha.cos()
-        torque = MOTOR * (VOLTS * u[..., 0] - MOTOR * dtheta) / OHMS
-        rod = ROD * ROD_LENGTH**2
-        across = 0.5 * ROD * ROD_LENGTH * ARM_LENGTH
-        m11 = ARM * ARM_LENGTH**2 / 3 + ROD * ARM_LENGTH**2 + rod / 3 * s.square()
-        m12, m22 = across * c, rod / 3
-        b1 = torque - 2 / 3 * rod * s * c * dtheta * dalpha + across * s * dalpha.square()
-        b2 = rod / 3 * s * c * dtheta.square() + 0.5 * ROD * ROD_LENGTH * GRAVITY * s
-        det = m11 * m22 - m12.square()
-        return torch.stack((dtheta, dalpha, (m22 * b1 - m12 * b2) / det, (m11 * b2 - m12 * b1) / det), -1)
+    models: dict[str, tuple[System, Row]] = {
+        name: fitted(build_model("qube", name), train) for name in FACTS["qube"]["models"]
+    }
+    # What a user gets who knows nothing of the plant; the order of its states is that of the logs, rates last.
+    start = time.process_time()
+    default = identify(read([str(files[name]) for name in ("train_1", "train_2")]), tell=print)
+    models["ours by default"] = (default, _facts(default, start))
+    models["published physics"] = (published("qube"), {})
+    models["pysindy"] = (pysindy_of(build_model("qube", "ours"), train, _score), {})
+    rows: list[Row] = []
+    for name, (model, facts) in models.items():
+        errors, held = ahead(model, logs["train_1"], logs["test"])
+        rows += [row | facts for row in ahead_rows(name, errors)]
+        if name == "ours":
+            rows += ahead_rows("last value held", held)
+    return rows, []
 
 
 def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor, Tensor]:
@@ -114,9 +322,9 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor,
     to that moment; its process noise is the one that suits the training log.
 
     Args:
-        model: what predicts; its states are both angles and their rates, in this order.
-        train: log on which the filter is set.
-        test: log to predict, from every 0.1 s after the first half second.
+        model: What predicts; its states are both angles and their rates, in this order.
+        train: Log on which the filter is set.
+        test: Log to predict, from every 0.1 s after the first half second.
     """
     names = model.signature.state_names
     channels: Any = {name: {"resolution": STEP} for name in names[:2]}
@@ -144,37 +352,55 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor,
     return torch.stack(errors), torch.stack(held)
 
 
-Array = NDArray[np.float64]
-FIRST = 20
-"""Samples at the beginning of a log from which its start state is read."""
+def ahead_rows(model: str, errors: Tensor) -> list[Row]:
+    """Return a row per horizon, of both angles together and of each."""
+    rows = []
+    for seconds, error in zip((0.2, 0.5), errors, strict=True):
+        each = {"both angles": _both(error), "theta": float(error[0]), "alpha": float(error[1])}
+        rows += [_row(model, f"{of} {seconds:g} s ahead, RMSE", 1e3 * value, "mrad") for of, value in each.items()]
+    return rows
+
+
+def _both(error: Tensor) -> float:
+    return float(error.square().mean().sqrt())
+
+
 FINE = 8
 """Runge-Kutta steps in a sample of the tanks, whose sensor follows within a second."""
 RIM = 10.0
 """Reading at which the sensor of the tanks ends [V]."""
 FAR = 1e3
 """Reading at which a model that runs away is stopped [V]."""
-LINEAR = ("1", "u", "reading", "rate")
-ROOTS = ("sqrt(reading)", "rate sqrt(reading)", "u sqrt(reading)")
-QUADRATIC = (*LINEAR, "u^2", "u reading", "u rate", "reading^2", "reading rate", "rate^2")
-SETS = (LINEAR, (*LINEAR, ROOTS[0]), (*LINEAR, *ROOTS), QUADRATIC, (*QUADRATIC, *ROOTS, "reading^3"))
-"""Sets of functions of the reading and its rate that PySINDy is tried with."""
 
 
-def linear_tanks() -> SindyModel:
-    """Return a linear model of the tanks, of the order of theirs; the upper level's unit is held by its flow."""
-    signature = Signature(("level_1", "reading"), ("V", "V"), ("u",), (10.0, 10.0))
-    return SindyModel(
-        signature,
-        ["1", "u", "level_1", "reading"],
-        Regression("bic"),
-        Refinement("trajectory", window=20, error="simulation"),
-        allowed={"level_1": ["1", "u", "level_1"], "reading": ["1", "reading"]},
-        fixed={"reading": {"level_1": 0.04}},
-        initial={"level_1": {"u": 0.04, "level_1": -0.02}, "reading": {"reading": -0.02}},
+def tanks(folder: Path) -> Result:
+    """Measure the cascaded tanks: reading of the lower level over the whole test log, simulated from its start [V]."""
+    logs = {
+        name: read_log(folder / f"tanks_{name}.csv", {3: "level_2"}, 4, lambda columns: columns["u"], 4.0)
+        for name in ("train", "test")
+    }
+    data, level = (
+        {name: log.thinned(1) for name, log in logs.items()},
+        {name: log.y[:, 3] for name, log in logs.items()},
     )
+    models = {
+        "ours": fitted(build_model("tanks", "ours"), data["train"]),
+        "linear": fitted(build_model("tanks", "linear"), states_of(data["train"], [0, -1])),
+        "pysindy": (pysindy_tanks(data["train"], level["train"], FACTS["tanks"]["pysindy"]), {}),
+    }
+    rows: list[Row] = []
+    courses: list[Row] = []
+    for name, (model, facts) in models.items():
+        for log in logs:
+            errors = reading_errors(model, data[log], level[log])
+            rows.append(_row(name, f"{log} simulated, RMSE", rms(errors), "V") | facts)
+        courses += course(name, errors, 4.0, "V")
+    held = level["test"][0] - level["test"]
+    rows.append(_row("last value held", "test simulated, RMSE", rms(held), "V"))
+    return rows, [*courses, *course("last value held", held, 4.0, "V")]
 
 
-def pysindy_tanks(data: Transitions, level: Array, sets: Sequence[Sequence[str]] = SETS) -> SindyModel:
+def pysindy_tanks(data: Transitions, level: Array, sets: Sequence[Sequence[str]]) -> SindyModel:
     """Return PySINDy's model of the tanks: it takes no hidden state, so the rate of the reading is the second one.
 
     Of several sets of functions that one is taken whose error on the training log is the least.
@@ -238,334 +464,5 @@ def reading_errors(model: SindyModel, data: Transitions, level: Array) -> Array:
     return errors
 
 
-def rms(errors: Array) -> float:
-    """Return the root-mean-square of errors; infinite where one is not finite."""
-    found = float(np.sqrt(np.mean(errors**2)))
-    return found if np.isfinite(found) else float("inf")
-
-
-COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
-COURSES = ("rig", "model", "seconds", "error", "unit", "commit")
-POINTS = 250
-"""Errors of each model over the test log that are kept, evenly spread."""
-Found = tuple[list[Row], list[Row]]
-"""Scores, and errors over the test log."""
-SPRING = 0.5
-"""Spring that holds the EMPS axis in a simulation [1/s^2]: pieces of the training log that were held out chose it."""
-
-
-@dataclass(frozen=True)
-class Log:
-    """A log as it was measured, at its own rate.
-
-    Attributes:
-        y: measured states, `(N, n_x)`, NaN where not measured.
-        u: inputs, `(N, n_u)`.
-        dt: sampling time [s].
-    """
-
-    y: Array
-    u: Array
-    dt: float
-
-    def thinned(self, by: int) -> Transitions:
-        """Keep every n-th sample; of the inputs in between the mean."""
-        n = (len(self.y) - 1) // by
-        held = self.u[: n * by].reshape(n, by, -1).mean(1)
-        return Transitions.from_trajectory(
-            torch.from_numpy(self.y[: n * by + 1 : by].copy()), torch.from_numpy(held), self.dt * by
-        )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this benchmark."""
-    parser.add_argument("--data", type=Path, required=True, help="folder of the logs")
-    add_choices(parser, "--rigs", tuple(RIGS))
-    add_output(parser, "rigs")
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Fit and score rigs, and append a row per rig, model and metric."""
-    torch.set_num_threads(1)
-    for rig in arguments.rigs:
-        rows, courses = RIGS[rig](arguments.data)
-        append_rows(arguments.out, COLUMNS, [{"rig": rig, **row, "commit": commit()} for row in rows])
-        for row in rows:
-            print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
-        if courses:
-            path = arguments.out.with_name(f"{arguments.out.stem}_over_time.csv")
-            others = [row for row in read_rows(path) if row["rig"] != rig] if path.exists() else []
-            write_rows(path, COURSES, [*others, *({"rig": rig, **row, "commit": commit()} for row in courses)])
-
-
-def _columns(path: Path) -> Mapping[str, Array]:
-    with path.open(encoding="utf-8") as file:
-        names = [name.split(" [")[0].strip() for name in file.readline().split(",")]
-    values = np.loadtxt(path, delimiter=",", skiprows=1)
-    return dict(zip(names, values.T, strict=True))
-
-
-def _fitted(model: SindyModel, data: Transitions) -> tuple[SindyModel, Row]:
-    start = time.process_time()
-    model.fit(data)
-    return model, _facts(model, start)
-
-
-def _facts(model: SindyModel, start: float) -> Row:
-    print(*model.equations(), sep="\n", flush=True)
-    return {
-        "coefficients": int((model.coefficients[model.constraints.free] != 0).sum()),
-        "delay_seconds": round(model.delay, 6),
-        "cpu_seconds": round(time.process_time() - start, 1),
-    }
-
-
-def _by_default(paths: Sequence[Path]) -> tuple[SindyModel, Row]:
-    """Return what a user gets who knows nothing of a plant, its order of states that of the logs, rates last."""
-    start = time.process_time()
-    model = identify(read([str(path) for path in paths]), tell=print)
-    return model, _facts(model, start)
-
-
-def emps(folder: Path) -> Found:
-    """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
-    signature = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
-    # Friction grows with the speed otherwise forth than back. Powers of the speed are left out: beyond the speeds of
-    # the training log they turn.
-    # What rubs rubs more at one end of the screw than at the other: of parts of the training log that were simulated
-    # by models of other parts, the error fell with this from 3.5 to 3.2 mm in the mean.
-    words = ["1", "u", "v", "|v|", "tanh(1000 v)", "q", "q tanh(1000 v)"]
-    # Ripple of the screw and friction push the axis at random: of a trajectory through the whole log they leave a
-    # drift, which gain and friction would be bent to. Predictions are over 1 s.
-    refinement = Refinement("trajectory", window=200, error="prediction")
-    logs = {name: _axis_log(folder / f"emps_{name}.csv") for name in ("train", "test")}
-
-    def _error(model: System, name: str) -> float:
-        return rms(_axis_errors(model, logs[name]))
-
-    def _model(functions: Sequence[str]) -> SindyModel:
-        return SindyModel(signature, functions, Regression("bic"), refinement, known={"q": "v"})
-
-    rows: list[Row] = []
-    data = logs["train"].thinned(5)
-    fits: dict[str, SindyModel] = {}
-    tried = {"ours": _model(words), "linear": _model(["1", "u", "v", "q"]), "ours, held by a spring": _held(signature)}
-    for name, model in tried.items():
-        fits[name], facts = _fitted(model, data)
-        rows += [
-            {"model": name, "metric": f"{log} simulated, RMSE", "value": _round(_error(fits[name], log)), "unit": "mm"}
-            | facts
-            for log in ("train", "test")
-        ]
-    others = {"pysindy": pysindy_of(_model(words), data, lambda model: _error(model, "train"))}
-    others["published physics"] = published_axis(signature)
-    for name, other in others.items():
-        rows += [_row(name, f"{log} simulated, RMSE", _error(other, log), "mm") for log in ("train", "test")]
-    rivals = dict(others)
-    # With everything scored: what the same functions make of the test log tells whether the axis rubs as before.
-    again = "ours, fitted to the test log"
-    others[again], _ = _fitted(_model(words), logs["test"].thinned(5))
-    rows.append(_row(again, "test simulated, RMSE", _error(others[again], "test"), "mm"))
-    for name, speed in itertools.product(("ours", again), (0.125, -0.125)):
-        force = steady_force(fits["ours"] if name == "ours" else others[again], speed)
-        rows.append(_row(name, f"force at {speed} m/s", force, "N"))
-    q = logs["test"].y[:, 0]
-    held = 1e3 * (q[0] - q)
-    drawn = {"ours": fits["ours"], "linear": fits["linear"], **rivals}
-    courses = [
-        row
-        for name, model in drawn.items()
-        for row in course(name, _axis_errors(model, logs["test"]), 2 * logs["test"].dt, "mm")
-    ]
-    return [
-        *rows,
-        _row("training log replayed", "test simulated, RMSE", replay_error(logs["train"].y[:, 0], q), "mm"),
-        _row("last value held", "test simulated, RMSE", rms(held), "mm"),
-    ], [*courses, *course("last value held", held, logs["test"].dt, "mm")]
-
-
-def _axis_log(path: Path) -> Log:
-    """Return a log of the EMPS axis: its place [m], and the force in 100 N."""
-    columns = _columns(path)
-    y = np.full((len(columns["q"]), 2), np.nan)
-    y[:, 0] = columns["q"]
-    return Log(y, columns["u_force"][:, None] / 100, 1e-3)
-
-
-def _axis_errors(model: System, log: Log) -> Array:
-    """Return the errors of a simulation of the axis from its start [mm], at every second sample."""
-    q = log.y[:, 0]
-    # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
-    slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
-    data = log.thinned(2)
-    path = simulate(model, torch.tensor([place, slope]), data, 2)[:, 0].numpy()
-    errors: Array = 1e3 * (path - q[::2][: len(path)])
-    return errors
-
-
-def _held(signature: Signature) -> SindyModel:
-    """Return a model whose axis a spring holds in the middle, for a simulation through the whole log.
-
-    No such spring is in the axis. The loop in which the log was taken keeps the axis where it should be; a simulation
-    has no loop, and what rubs on another day moves it ever further away, unless something holds it.
-    """
-    words = ["1", "u", "v", "|v|", "tanh(1000 v)", "q"]
-    refinement = Refinement("trajectory", window=200, error="simulation")
-    fixed = {"v": {"q": -SPRING}}
-    return SindyModel(signature, words, Regression("bic"), refinement, known={"q": "v"}, fixed=fixed)
-
-
-def replay_error(before: Array, q: Array) -> float:
-    """Return the RMSE [mm] if another log, in which the axis moves alike, is taken as the prediction of a log.
-
-    Args:
-        before: Places of the axis in the other log [m], `(M,)`.
-        q: Places that are forecast [m], `(N,)`; they are compared as far as both logs go.
-    """
-    both = min(len(before), len(q))
-    return 1e3 * float(np.sqrt(np.mean((before[:both] - q[:both]) ** 2)))
-
-
-def qube(folder: Path) -> Found:
-    """Measure the QUBE pendulum: both angles 0.2 and 0.5 s ahead, from every 0.1 s of the test log [mrad]."""
-    signature = Signature(
-        ("theta", "alpha", "dtheta", "dalpha"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1, 0.2, 3, 3)
-    )
-    # What turns the arm: motor, friction, and the cable, which pulls unevenly. It moves the pendulum by cos(alpha).
-    arm = ["1", "u", "theta", "theta^2", "dtheta", "tanh(20 dtheta)"]
-    rod = ["cos(alpha)", *(f"{word} cos(alpha)" for word in arm[1:]), "sin(alpha)"]
-    own = {"dtheta": [*arm, "sin(alpha) cos(alpha)"], "dalpha": rod}
-    linear = ["1", "u", "theta", "alpha", "dtheta", "dalpha"]
-    logs = {}
-    for name in ("train_1", "train_2", "test"):
-        columns = _columns(folder / f"qube_{name}.csv")
-        y = np.full((len(columns["theta"]), 4), np.nan)
-        y[:, 0], y[:, 1] = columns["theta"], columns["alpha"]
-        logs[name] = Log(y, np.clip(columns["u_voltage"], -10, 10)[:, None] / 10, 2e-3).thinned(5)
-    train = Transitions.cat([logs["train_1"], logs["train_2"]])
-
-    def _model(allowed: Mapping[str, Sequence[str]]) -> SindyModel:
-        # Windows of 0.1 s predict the last third of the training logs best, of both models, out of 0.08 to 0.12 s.
-        refinement = Refinement("trajectory", window=10, longest_delay=0.02, error="prediction")
-        words = list(dict.fromkeys(["dtheta", "dalpha", *(word for of in allowed.values() for word in of)]))
-        known = {"theta": "dtheta", "alpha": "dalpha"}
-        return SindyModel(signature, words, Regression("bic"), refinement, known=known, allowed=allowed)
-
-    models: dict[str, tuple[System, Row]] = {}
-    for name, allowed in (("ours", own), ("linear", {"dtheta": linear, "dalpha": linear})):
-        models[name] = _fitted(_model(allowed), train)
-    models["ours by default"] = _by_default([folder / f"qube_{name}.csv" for name in ("train_1", "train_2")])
-    models["published physics"] = (PublishedQube(signature), {})
-    models["pysindy"] = (
-        pysindy_of(_model(own), train, lambda model: _together(ahead(model, logs["train_1"], logs["train_2"])[0][0])),
-        {},
-    )
-    rows: list[Row] = []
-    for name, (model, facts) in models.items():
-        errors, held = ahead(model, logs["train_1"], logs["test"])
-        for found, who in ((errors, name), (held, "last value held")):
-            if who == name or name == "ours":
-                rows += [row | (facts if who == name else {}) for row in _ahead_rows(who, found)]
-    return rows, []
-
-
-def _ahead_rows(model: str, errors: Tensor) -> list[Row]:
-    """Return a row per horizon, of both angles together and of each."""
-    rows = []
-    for seconds, error in zip((0.2, 0.5), errors, strict=True):
-        each = {"both angles": _together(error), "theta": float(error[0]), "alpha": float(error[1])}
-        rows += [_row(model, f"{of} {seconds:g} s ahead, RMSE", 1e3 * value, "mrad") for of, value in each.items()]
-    return rows
-
-
-def _together(error: Tensor) -> float:
-    return float(error.square().mean().sqrt())
-
-
-def tanks(folder: Path) -> Found:
-    """Measure the cascaded tanks: reading of the lower level over the whole test log, simulated from its start [V]."""
-    # Level 2 from 5 V, the middle of what its sensor shows; `float` is what the sensor makes of it.
-    signature = Signature(("level_1", "level_2", "float", "reading"), ("V",) * 4, ("u",), (10.0, 5.0, 10.0, 10.0))
-    # Below some voltage the pump gives nothing; what leaves a tank goes as the root of its level; both tanks have a
-    # rim, the lower one where its sensor ends, at 10 V; the sensor is curved and has two bends, as if it took a step,
-    # and its reading stands still wherever the level turns, until that is beyond its play.
-    pump, over, brim = "max(0, u - 0.9)", "max(0, level_1 - 7.5)", "max(0, float - 10)"
-    bends = ["max(0, level_2 - -0.2)", "max(0, level_2 - 1.2)"]
-    out, root, play = "sqrt(level_1)", "sqrt(level_2 - -5)", "slack(float, reading; 0.08)"
-    words = ["1", "hinge(~0.9 u)", "hinge(~7.5 level_1)", out, "root(-5 level_2)", "level_2", "hinge(10 float)"]
-    words += ["level_2^2", "level_2^3", "hinge(~-0.2 level_2)", "hinge(~1.2 level_2)", "float"]
-    words += ["slack(float, reading; ~0.08)", "hinge(10 reading)"]
-    logs = {}
-    for name in ("train", "test"):
-        columns = _columns(folder / f"tanks_{name}.csv")
-        y = np.full((len(columns["u"]), 4), np.nan)
-        y[:, 3] = columns["level_2"]
-        logs[name] = (Log(y, columns["u"][:, None], 4.0).thinned(1), columns["level_2"])
-    model, facts = _fitted(
-        SindyModel(
-            signature,
-            words,
-            Regression("bic"),
-            Refinement("trajectory", window=20, rounds=0, error="coloured", correlated=True),
-            allowed={
-                "level_1": [pump, out],
-                "level_2": [over, root],
-                "float": ["level_2^2", "level_2^3", *bends],
-                "reading": [],
-            },
-            # Level 1 has no unit of its own: what leaves it fills level 2, and this number sets its scale. What stands
-            # above a rim is gone within a sample, and so is what the sensor is behind.
-            fixed={
-                "level_1": {over: -2.0},
-                "level_2": {out: 0.04, brim: -1.0},
-                "float": {"1": 5.0, "level_2": 1.0, "float": -1.0},
-                "reading": {play: 1.0, "max(0, reading - 10)": -1.0},
-            },
-            initial={
-                "level_1": {pump: 0.04, out: -0.036},
-                "level_2": {root: -0.037, over: 1.7},
-                "float": {"level_2^2": 0.12, "level_2^3": 0.01, bends[0]: 0.26, bends[1]: -0.8},
-            },
-        ),
-        logs["train"][0],
-    )
-    others = {"ours": (model, facts), "linear": _fitted(linear_tanks(), states_of(logs["train"][0], [0, -1]))}
-    others["pysindy"] = (pysindy_tanks(*logs["train"]), {})
-    rows: list[Row] = []
-    courses: list[Row] = []
-    for who, (found, told) in others.items():
-        for name, (data, level) in logs.items():
-            errors = reading_errors(found, data, level)
-            rows.append(_row(who, f"{name} simulated, RMSE", rms(errors), "V") | told)
-        courses += course(who, errors, data.dt, "V")
-    held = level[0] - level
-    rows.append(_row("last value held", "test simulated, RMSE", rms(held), "V"))
-    return rows, [*courses, *course("last value held", held, data.dt, "V")]
-
-
-def course(model: str, errors: Array, dt: float, unit: str) -> list[Row]:
-    """Return rows of errors over a log, evenly spread; one that is not finite, and those behind it, are left out.
-
-    Args:
-        model: What made them.
-        errors: `(N,)`, in `unit`.
-        dt: Time between two of them [s].
-        unit: Of the errors.
-    """
-    kept = np.linspace(0, len(errors) - 1, min(len(errors), POINTS)).round().astype(int)
-    kept = kept[np.isfinite(errors).cumprod().astype(bool)[kept]]
-    return [
-        {"model": model, "seconds": _round(dt * int(k)), "error": _round(float(errors[k])), "unit": unit} for k in kept
-    ]
-
-
-def _row(model: str, metric: str, value: float, unit: str) -> Row:
-    return {"model": model, "metric": metric, "value": _round(value), "unit": unit}
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.4g}")
-
-
-RIGS: dict[str, Callable[[Path], Found]] = {"emps": emps, "qube": qube, "tanks": tanks}
+RIGS: dict[str, Callable[[Path], Result]] = {"emps": emps, "qube": qube, "tanks": tanks}
 """The rigs by name."""

@@ -13,7 +13,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.sensing import Sensing
-from dynasindy.tasks import Reference, Step, Tracking
+from dynasindy.tasks import Reference, Step, Task, Tracking
 
 Course = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Reference and its rate, `(*batch, n_r)` each, at times `(*batch, 1)` [s]."""
@@ -23,12 +23,13 @@ class Flight(Tracking):
     """A tracking task whose reference is any function of time, or that begins anywhere.
 
     Args:
-        task: The task; its reward and observation stay.
+        task: A tracking task; its reward and observation stay.
         course: The reference; that of the task if omitted.
         spread: Start states are drawn uniformly within this part of the states' ranges, to both sides of zero.
     """
 
-    def __init__(self, task: Tracking, course: Course | None = None, spread: float = 0.0) -> None:
+    def __init__(self, task: Task, course: Course | None = None, spread: float = 0.0) -> None:
+        assert isinstance(task, Tracking)
         super().__init__(
             task.signature,
             task.references,
@@ -176,7 +177,7 @@ def judge_holding(
         "step": (env, Scenario("step", steps, 64)),
         "edges": (env, Scenario("edges", Step(rim(low, high)), 16)),
         "beyond": (env, Scenario("beyond", Step(rim(low, high, BEYOND)), 16)),
-        "away": (env.with_task(Flight(_task(env), spread=SPREAD)), Scenario("away", steps, 64)),
+        "away": (env.with_task(Flight(env.task, spread=SPREAD)), Scenario("away", steps, 64)),
         "noise_in_flight": (env, Scenario("noise_in_flight", steps, 64, wrappers=noisy)),
     }
     for name, (plant, scenario) in flights.items():
@@ -188,14 +189,14 @@ def judge_holding(
 def judge_following(env: ControlEnv, policy: Policy, sensing: Sensing | None = None) -> Iterable[Judged]:
     """Yield the same of a policy that was trained to follow steps, sines and squares."""
     for name, course, seconds in (("ramp", ramps(TIMES, TARGETS), TIMES[-1]), ("chirp", chirp(*SWEEP), SWEEP[2])):
-        result = evaluate(env.with_task(Flight(_task(env), course)), policy, Scenario(name, seconds=seconds), sensing)
+        result = evaluate(env.with_task(Flight(env.task, course)), policy, Scenario(name, seconds=seconds), sensing)
         yield name, "rmse", result, result.metrics["rmse"]
     yield _stairs(env, policy, sensing)
 
 
 def _stairs(env: ControlEnv, policy: Policy, sensing: Sensing | None) -> Judged:
     """Return the errors at the ends of the stairs, one row per stair."""
-    flight = Flight(_task(env), stairs(LEVELS, STAIR))
+    flight = Flight(env.task, stairs(LEVELS, STAIR))
     result = evaluate(env.with_task(flight), policy, Scenario("staircase", seconds=STAIR * len(LEVELS)), sensing)
     error = (result.references - result.outputs).abs()[0]
     ends = torch.chunk(error, len(LEVELS))
@@ -205,14 +206,3 @@ def _stairs(env: ControlEnv, policy: Policy, sensing: Sensing | None) -> Judged:
         result,
         torch.stack([end[-round(HELD / env.dt) :].mean(0) for end in ends]),
     )
-
-
-def _task(env: ControlEnv) -> Tracking:
-    """Return the task of an environment.
-
-    Raises:
-        TypeError: It tracks no reference.
-    """
-    if not isinstance(env.task, Tracking):
-        raise TypeError(f"task {type(env.task).__name__} tracks no reference; give an environment with a Tracking task")
-    return env.task

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from benchmarks.textbook_systems import CASES
+from benchmarks.identify import TEXTBOOK
 from scipy.linalg import expm
 
 from dynasindy.data.rollout_data import disturb
@@ -164,7 +164,7 @@ def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
 @pytest.mark.parametrize("method", ["auto", "trajectory"])
 def test_functions_that_noise_hides_from_single_steps_are_found(method):
     """A fifth of each state is noise, beside which no function explains a single step of 20 ms."""
-    case = CASES["van_der_pol"]
+    case = TEXTBOOK["van_der_pol"]
     data, library = disturb(case.clean(1)[0], 0.2, 1000), case.library()
     alone = Refinement("one_step").run(library, case.truth(), Constraints.build(library, {}, {}, {}), data)
     assert not alone.coefficients.any()

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from benchmarks.textbook_systems import CASES, cramer_rao
+from benchmarks.identify import TEXTBOOK, cramer_rao
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.data.rollout_data import disturb
@@ -141,7 +141,7 @@ def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
 
 def test_standard_errors_are_those_of_cramer_and_rao_and_of_the_scatter_over_seeds():
     """Van der Pol's oscillator with 10 % of white noise: the bound says how small errors can be at all."""
-    case, fits, stated, bounds = CASES["van_der_pol"], [], [], []
+    case, fits, stated, bounds = TEXTBOOK["van_der_pol"], [], [], []
     library, truth = case.library(), case.truth()
     for seed, clean in enumerate(case.clean(20)):
         found = refine_trajectory(library, truth, truth != 0, disturb(clean, 0.1, 1000 + seed), Descent(20))

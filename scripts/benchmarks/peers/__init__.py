@@ -26,18 +26,18 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from benchmarks.common import TimedPolicy, commit, cpu_seconds
+from benchmarks.common import add_choices, add_output, append, cpu_seconds
 from benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
 from benchmarks.peers import serve
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.loop import train
-from dynasindy.evaluation.scenarios import Policy, Scenario, evaluate, step_references
+from dynasindy.evaluation.scenarios import Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
 from dynasindy.planning.equilibria import find_equilibria
-from dynasindy.safe_io import Row, append_rows
+from dynasindy.safe_io import Row
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Tras
 
@@ -74,14 +74,14 @@ NETWORKS: dict[str, dict[str, Any]] = {
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
     peers = (*CONTROLLERS, *ENVIRONMENTS)
-    parser.add_argument("--peers", nargs="+", choices=peers, default=list(peers))
+    add_choices(parser, "--peers", peers)
     parser.add_argument("--environments", type=Path, required=True, help="folder of the virtual environments")
     parser.add_argument("--logs", nargs="+", choices=tuple(NETWORKS), default=["tras"], help="data of the models")
     parser.add_argument("--data", type=Path, help="folder of the logs of `tanks` and `emps`")
     parser.add_argument("--seeds", type=int, nargs="+", default=[400])
     parser.add_argument("--targets", type=int, default=64, help="steps of 20 s that are flown")
     parser.add_argument("--tries", type=int, default=3, help="seeds among which jax-sysid chooses")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/peers.csv"), help="CSV file to append to")
+    add_output(parser, "peers")
 
 
 def main(arguments: argparse.Namespace) -> None:
@@ -89,22 +89,15 @@ def main(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(1)
 
     def keep(rows: list[Row], case: str, plant: str, seed: int) -> None:
-        head = {"case": case, "plant": plant, "commit": commit(), "seed": seed}
-        append_rows(arguments.out, COLUMNS, [row | head for row in rows])
-        for row in rows:
-            print(", ".join(f"{key} {value}" for key, value in row.items()), flush=True)
+        append(arguments.out, COLUMNS, [row | {"case": case, "plant": plant, "seed": seed} for row in rows])
 
     for seed in arguments.seeds:
         if flying := [name for name in arguments.peers if name in CONTROLLERS]:
             case = f"controller from 10 s, {arguments.targets} targets"
             start = cpu_seconds()
             parts = plan_ours(seed)
-            keep(
-                judge_controller("ours", ours(), parts, parts.agent.deployed, arguments.targets, cpu_seconds() - start),
-                case,
-                PLANT,
-                seed,
-            )
+            spent = cpu_seconds() - start
+            keep(judge_controller("ours", ours(), parts, None, arguments.targets, spent), case, PLANT, seed)
             for name in flying:
                 keep(run_controller(name, parts, seed, arguments), case, PLANT, seed)
         for log in arguments.logs if set(arguments.peers) & set(ENVIRONMENTS) else ():
@@ -191,17 +184,27 @@ def plan_ours(seed: int) -> Components:
     return parts
 
 
-def judge_controller(name: str, release: str, parts: Components, policy: Policy, targets: int, cpu: float) -> list[Row]:
+def judge_controller(
+    name: str, release: str, parts: Components, policy: Peer | None, targets: int, cpu: float
+) -> list[Row]:
     """Return rows of errors at the end of steps on the plant; ours is timed on one target, as a peer is on each."""
-    facts = PLANTS[PLANT]
-    result = evaluate(parts.plant, policy, Scenario("step", step_references(facts.low, facts.high, targets), targets))
+    facts, deployed = PLANTS[PLANT], parts.agent.deployed
+    flown = policy or deployed
+    result = evaluate(parts.plant, flown, Scenario("step", step_references(facts.low, facts.high, targets), targets))
     errors = result.metrics["steady_state_error"]
-    if isinstance(policy, Peer):
-        milliseconds = 1e3 * policy.seconds / policy.calls
+    times: list[float] = []
+
+    def _timed(tensordict: TensorDictBase) -> TensorDictBase:
+        start = time.process_time()
+        acted = deployed(tensordict)
+        times.append(time.process_time() - start)
+        return acted
+
+    if policy is None:
+        evaluate(parts.plant, _timed, Scenario("step", step_references(facts.low, facts.high, 1), 1))
+        milliseconds = 1e3 * sum(times) / len(times)
     else:
-        alone = TimedPolicy(policy)
-        evaluate(parts.plant, alone, Scenario("step", step_references(facts.low, facts.high, 1), 1))
-        milliseconds = 1e3 * alone.seconds / alone.calls
+        milliseconds = 1e3 * policy.seconds / policy.calls
     figures = {
         f"{kind} abs error of the last 5 s, {axis} [rad]": value
         for kind, values in (("mean", errors.mean(0)), ("worst", errors.amax(0)))
@@ -305,7 +308,7 @@ def rig_log(rig: str, column: str, force: str, thin: int) -> Any:
             raise SystemExit(f"benchmark.py peers: the logs of {rig} need --data FOLDER")
         data: dict[str, Any] = {"states_measured": False}
         for name, suffix in (("train", ""), ("test", "_test")):
-            columns = rigs._columns(folder / f"{rig}_{name}.csv")
+            columns = rigs.read_columns(folder / f"{rig}_{name}.csv")
             n = len(columns[column]) // thin
             data["u" + suffix] = columns[force][: n * thin].reshape(n, thin).mean(1)[:, None]
             data["y" + suffix] = columns[column][: n * thin : thin][:, None]
