@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -281,58 +280,6 @@ def textbook_logs() -> str:
     return grid("plant, what is measured | at first | error at first | since | error since", lines)
 
 
-def margins() -> str:
-    """Return the robustness margins of controllers: the least margin and the largest error over the seeds."""
-    lines = []
-    for plant in ("tras", "xi", "four_tanks", "ship", "springs", "tanks"):
-        for planning in ("nominal", "gradient"):
-            found = rows("margins.csv", plant=plant, planning=planning)
-            gain, phase, disk = (f"{min(numbers(found, name)):g}" for name in ("gain", "phase_deg", "disk"))
-            late = f"{1e3 * min(numbers(found, 'delay_s')):.0f} ms"
-            draws, lost = (round(sum(numbers(found, name))) for name in ("draws", "unstable_draws"))
-            earned = f"{statistics.fmean(numbers(found, 'return')):.1f}"
-            error = f"{max(numbers(found, 'error_percent')):g} %"
-            who = (plant, planning, len(found), earned, error)
-            lines.append((*who, gain, phase, late, disk, f"{lost} of {draws}"))
-    header = "plant | planning | seeds | return | error | gain margin | phase margin [deg] | delay margin | disk margin"
-    return grid(f"{header} | not stable", lines)
-
-
-def td3() -> str:
-    """Return the time of a TD3 update of others as multiples of ours, in both runs."""
-    names = {
-        "Stable-Baselines3 TD3": "Stable-Baselines3 as it comes",
-        "Stable-Baselines3 TD3, fused Adam, 10 updates a call": "fused Adam, ten updates a call",
-        "Stable-Baselines3 TD3, fused Adam, 10 updates a call, torch.compile": "that, compiled",
-        "TorchRL TD3Loss loop": "TorchRL's loop",
-        "TorchRL TD3Loss loop, torch.compile": "that, compiled",
-        "dynasindy TD3.update, without machine code": "ours without machine code",
-        "matrix products alone": "matrix products alone",
-    }
-    lines = []
-    for hidden, batch in (("400-300", 512), ("128-128", 256)):
-        files = ("td3.csv", "td3_again.csv")
-        found = ([rows(file, what=what, hidden=hidden, batch=batch)[0] for file in files] for what in names)
-        lines.append((f"{hidden}, {batch}", *(_two([float(row["ratio_to_ours"]) for row in both]) for both in found)))
-    return grid(f"networks, batch | {' | '.join(names.values())}", lines)
-
-
-def speed() -> str:
-    """Return the time of whole jobs with machine code and with torch code."""
-    jobs = {
-        "environment": ("a step of `dynasindy/TwinRotor-v0` [ms]", 1e3),
-        "controller xi": ("nothing to controller, `xi` [s]", 1.0),
-        "controller tras": ("nothing to controller, `tras` [s]", 1.0),
-        "imagined replay xi": ("`train.py experiment=dyna` on `xi`, five episodes, 800 rollouts a phase [s]", 1.0),
-    }
-    lines = []
-    for job, (words, per) in jobs.items():
-        (row,) = rows("speed.csv", job=job)
-        times = (f"{per * float(row[kind]):.2g}" for kind in ("cpu_seconds", "beside_cpu_seconds"))
-        lines.append((words, *times, f"{float(row['ratio']):.2g}"))
-    return grid("job | machine code | torch code | ratio", lines)
-
-
 def peers() -> str:
     """Return ours beside the strongest peers: errors of controllers, the worst target in brackets, and of models."""
     groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
@@ -349,29 +296,6 @@ def peers() -> str:
         name = "ours" if peer == "ours" else f"{peer} {version}"
         lines.append((case, f"`{plant}`", name, words, seconds, milliseconds))
     return grid("case | plant | by | error | CPU [s] | ms per action", lines)
-
-
-def standard_errors() -> str:
-    """Return standard errors over the scatter that they should have."""
-    cases = (
-        ("`xi`, white noise of 1e-3", "whole", "xi, white noise of 1e-3, simulation"),
-        ("Van der Pol's oscillator, white noise of 10 %", "whole", "van der Pol, white noise of 10 %, simulation"),
-        ("oscillator under random pushes that last 0.3 s", "whole", "oscillator, random pushes, simulation"),
-        ("the same", "windows on their own", "oscillator, random pushes, prediction"),
-        (
-            "oscillator with friction and a spring that its library lacks",
-            "whole",
-            "oscillator, friction and spring not in the library, simulation",
-        ),
-        ("the same", "windows on their own", "oscillator, friction and spring not in the library, prediction"),
-    )
-    return grid(
-        "plant | trajectories | as here | textbook",
-        [
-            (*words, *(_identified("standard_errors", case, method) for method in ("ours", "textbook")))
-            for *words, case in cases
-        ],
-    )
 
 
 def identification() -> str:
@@ -423,21 +347,6 @@ def rollouts() -> str:
     return grid(" | `rollouts_800` | `rollouts_400` | `rollouts_0` (as many updates, no model)", lines)
 
 
-def model_free() -> str:
-    """Return the episode in which each seed of the agents without a model reached the level."""
-    agents = {"sac_5": "SAC, five updates per step", "sac": "SAC, its defaults"}
-    agents |= {"td3_5": "TD3, five updates per step", "td3": "TD3, its defaults"}
-    lines = []
-    for plant in ("xi", "tras"):
-        for name, words in agents.items():
-            found = [row["episodes_to_level"] for row in runs(plant, f"sb3_{name}")]
-            lost = found.count("")
-            cells = [episode for episode in found if episode]
-            cells += [f"not within 20 on {lost} of {len(found)}"] * bool(lost)
-            lines.append((words, f"`{plant}`", ", ".join(cells)))
-    return grid("agent | plant | episode in which each seed reached the level", lines)
-
-
 def controls() -> str:
     """Return the controls of the ablation."""
     names = ["rollouts_800", "oracle", "pysindy", "pysindy_gate_off", "direct", "rollouts_0_tuned"]
@@ -476,48 +385,8 @@ def paper_errors() -> str:
             found = rows("ablation_curves.csv", system="xi", experiment="paper", setting=name, episode=episode)
             worse = [max(float(row[f"evaluated_{column}"]) for column in ERRORS) for row in found]
             cells.append(", ".join(short(error, 3) for error in worse))
-        lines.append((_rollouts(name), *cells))
+        lines.append(("none" if name == "rollouts_0" else name.removeprefix("rollouts_"), *cells))
     return grid("rollouts | after 60 episodes | after 180 | after 300 | after 600", lines)
-
-
-def paper_in_full() -> str:
-    """Return the paper's experiment on `xi` over all 1200 episodes, by setting."""
-    lines = []
-    for name in ROLLOUTS:
-        found = [rows("paper_in_full.csv", system="xi", setting=name, seed=seed) for seed in range(3)]
-        means = [statistics.fmean(numbers(own, "evaluated_return")) for own in found]
-        ends = [float(own[-1]["evaluated_return"]) for own in found]
-        errors = [max(float(own[-1][axis]) for axis in AXES) for own in found]
-        lines.append((_rollouts(name), seeds(means), seeds(ends), seeds(errors)))
-    header = "rollouts | mean return of the whole curve | return at the end | error at the end, worse axis [rad]"
-    return grid(header, lines)
-
-
-def paper_in_full_errors() -> str:
-    """Return azimuth / pitch of each seed over all 1200 episodes."""
-    after = (60, 180, 220, 600, 1200)
-    lines = []
-    for name in ROLLOUTS:
-        for seed in range(3):
-            own = rows("paper_in_full.csv", system="xi", setting=name, seed=seed)
-            errors = [_of_axes(row) for row in own if int(row["episode"]) in after]
-            lines.append((f"{name.removeprefix('rollouts_')}, {seed}", *errors))
-    return grid("rollouts, seed | after 60 episodes | after 180 | after 220 | after 600 | after 1200", lines)
-
-
-def paper_tras() -> str:
-    """Return the paper's experiment on `tras` with a library that holds the plant."""
-    lines = []
-    for name in ("rollouts_800", "rollouts_0"):
-        own = rows("paper_in_full.csv", system="tras", setting=f"{name},world_model=sindy", seed=0)
-        last = own[-1]
-        errors = [_of_axes(row) for row in (*(row for row in own if int(row["episode"]) in (60, 180, 300, 600)), last)]
-        words = f"`tras`, {name.removeprefix('rollouts_')}, our library"
-        lines.append((words, last["episode"], *errors, f"{float(last['evaluated_return']):.0f}"))
-    header = (
-        "plant, rollouts | episodes | after 60 | after 180 | after 300 | after 600 | at the end | return at the end"
-    )
-    return grid(header, lines)
 
 
 def _gradient(case: str, plant: str, seconds: float = 10.0, scenario: str = "step") -> list[dict[str, str]]:
@@ -552,20 +421,8 @@ def _identified(case: str, words: str, method: str = "ours", exactly: bool = Fal
     )
 
 
-def _two(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.2f}" for value in values)
-
-
 def _reached(found: Sequence[Row]) -> str:
     return f"{sum(bool(row['episodes_to_level']) for row in found)}/{len(found)}"
-
-
-def _of_axes(row: Row) -> str:
-    return pair(lambda axis: float(row[axis]), 3)
-
-
-def _rollouts(setting: str) -> str:
-    return {"rollouts_0": "none"}.get(setting, setting.removeprefix("rollouts_"))
 
 
 def _middle(values: Sequence[float]) -> float:
@@ -575,9 +432,8 @@ def _middle(values: Sequence[float]) -> float:
 TABLES: dict[str, Callable[[], str]] = {
     one.__name__: one
     for one in (
-        *(main_job, policies, scenarios, gradient, unseen, rigs, plants, bench_plants, logs, textbook_logs, margins),
-        *(td3, speed, standard_errors, identification, rollouts, model_free, controls, paper, paper_errors),
-        *(paper_in_full, paper_in_full_errors, paper_tras, peers),
+        *(main_job, policies, scenarios, gradient, unseen, rigs, plants, bench_plants, logs, textbook_logs),
+        *(identification, rollouts, controls, paper, paper_errors, peers),
     )
 }
 """The tables by name."""
