@@ -10,7 +10,7 @@ import argparse
 import json
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -35,62 +35,43 @@ OLD = 8
 """Samples over which the controller differences the angles."""
 
 
-@dataclass(frozen=True)
-class Unmodelled:
-    """What the manual does not mention.
-
-    Attributes:
-        stiffness: Torque of the cable [N m/rad].
-        rest: Azimuth at which the cable pulls nowhere [rad].
-        dry_a: Dry friction of the azimuth bearing [N m].
-        dry_p: Dry friction of the pitch bearing [N m].
-        width: Rate at which dry friction is at 76 % of its full size [rad/s].
-    """
-
-    stiffness: float = 0.006
-    rest: float = 0.15
-    dry_a: float = 0.0012
-    dry_p: float = 0.0012
-    width: float = 0.03
+STIFFNESS, REST = 0.006, 0.15
+"""Torque of a cable that no manual mentions [N m/rad], and the azimuth at which it pulls nowhere [rad]."""
+DRY, WIDTH = 0.0012, 0.03
+"""Dry friction of both bearings [N m], and the rate at which it is at 76 % of its full size [rad/s]."""
 
 
 class Rig(Tras):
-    """`tras` with a cable, dry friction and stronger motors.
+    """`tras` with a cable, dry friction and stronger motors."""
 
-    Args:
-        bearings: What the manual does not mention.
-    """
-
-    def __init__(self, bearings: Unmodelled | None = None) -> None:
+    def __init__(self) -> None:
         manual = TrasConstants().detuned(0.1, seed=3)
         # 9660 rpm/s is what a real rig's main rotor had; drag grows with it, so that its speeds stay.
         super().__init__(constants=replace(manual, motor_a=1.3 * manual.motor_a, motor_p=9660.0))
-        self.bearings = bearings or Unmodelled()
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, 6)`, of states `(*batch, 6)` under inputs `(*batch, 2)` in [-1, 1]."""
-        dx, b, k = super().forward(x, u), self.bearings, self.constants
+        dx, k = super().forward(x, u), self.constants
         azimuth, pitch, rate_a, rate_p, *_ = x.unbind(-1)
         inertia_a = k.inertia_a[0] * pitch.cos().square() + k.inertia_a[1]
-        push_a = -b.stiffness * (azimuth - b.rest) - b.dry_a * torch.tanh(rate_a / b.width)
-        push_p = -b.dry_p * torch.tanh(rate_p / b.width)
+        push_a = -STIFFNESS * (azimuth - REST) - DRY * torch.tanh(rate_a / WIDTH)
+        push_p = -DRY * torch.tanh(rate_p / WIDTH)
         zero = torch.zeros_like(azimuth)
         return dx + torch.stack((zero, zero, push_a / inertia_a, push_p / k.inertia_p, zero, zero), -1)
 
 
-def closed_loop(seconds: float, logs: int, gust: float = 0.0, plant: Rig | None = None) -> tuple[Tensor, Tensor]:
+def closed_loop(seconds: float, logs: int, gust: float = 0.0) -> tuple[Tensor, Tensor]:
     """Fly along random references and return what was logged, several logs side by side.
 
     Args:
         seconds: Length of each flight [s].
         logs: Flights, which differ in references and noise.
         gust: Standard deviation of accelerations that nothing explains, on both axes [rad/s^2].
-        plant: What flies; the default rig if omitted.
 
     Returns:
         Measured states `(T, logs, 6)`, their rates NaN, and commands `(T, logs, 2)`.
     """
-    plant, generator = plant or Rig(), torch.Generator().manual_seed(0)
+    plant, generator = Rig(), torch.Generator().manual_seed(0)
     gains = [torch.tensor(gain, dtype=torch.float64) for gain in (BIAS, PROPORTIONAL, INTEGRAL, DERIVATIVE)]
 
     def _normal(*scale: float) -> Tensor:

@@ -22,8 +22,8 @@ from dynasindy.systems import Signature, System
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path("docs/results")
-FUNCTIONS = {name: getattr(torch, name) for name in ("sin", "cos", "tanh", "exp", "sqrt", "abs", "sign")}
-NAMES = {**FUNCTIONS, "at_least": torch.clamp_min, "log": math.log, "pi": math.pi}
+NAMES = {name: getattr(torch, name) for name in ("sin", "cos", "tanh", "exp", "sqrt", "abs", "sign")}
+NAMES |= {"at_least": torch.clamp_min, "log": math.log, "pi": math.pi}
 """What equations and numbers of YAML files may name besides states and inputs."""
 
 

@@ -90,13 +90,8 @@ def true_table() -> Tensor:
     return model.coefficients
 
 
-def xi_recording(seconds: float, dt: float, seed: int) -> Transitions:
-    """Record the plant `xi` under random steps held for 0.5 s, around hover."""
-    return xi_recordings(seconds, dt, [seed])[0]
-
-
 def xi_recordings(seconds: float, dt: float, seeds: Iterable[int]) -> list[Transitions]:
-    """Record it for several seeds side by side."""
+    """Record the plant `xi` under random steps held for 0.5 s, around hover, for several seeds side by side."""
     signals = [Aprbs(2, seconds, amplitude=(0.6, 0.45), offset=HOVER, seed=seed) for seed in seeds]
     return record_plants(Xi(), torch.stack([signal.samples(dt) for signal in signals]), dt, round(dt / 0.001))
 
@@ -105,7 +100,7 @@ def noise_free(seconds: float, dt: float, goal: float, seeds: int) -> list[Row]:
     """Identify `xi` without noise, all rows unknown."""
     truth, scores, seconds_each = true_table(), [], []
     for seed in range(seeds):
-        data = xi_recording(seconds, dt, seed)
+        (data,) = xi_recordings(seconds, dt, [seed])
         model = SindyModel(Xi().signature, "paper_table", Regression("bic"), Refinement("one_step"))
         start = time.process_time()
         model.fit(data)
@@ -201,12 +196,12 @@ def rig(plant: System, library: str, excitation: Excitation, goal: str) -> list[
     ]
 
 
-def tras(seeds: int) -> list[Row]:
+def tras(_: int) -> list[Row]:
     """Identify `tras` from 20 s."""
     return rig(Tras(), "rotor", Chirp(2, 20.0, amplitude=(0.4, 0.2), offset=(-0.11, 0.25)), "<= 2")
 
 
-def trms33(seeds: int) -> list[Row]:
+def trms33(_: int) -> list[Row]:
     """Identify `trms33` from 20 s; its Coulomb friction and the products of its inertias are in no library."""
     excitation = Aprbs(2, 20.0, amplitude=(0.3, 0.15), offset=(0.22, 0.56))
     rows = rig(Trms33(), "rotor_reaction", excitation, "best honest figure")
@@ -223,7 +218,7 @@ def pysindy_rows(seeds: int) -> list[Row]:
 
     truth, library, rows = true_table(), paper_table(Xi().signature), []
     for label, seconds, dt in (("10 s at 0.01 s", 10.0, 0.01), ("20 s at 0.05 s", 20.0, 0.05)):
-        data = [xi_recording(seconds, dt, seed) for seed in range(seeds)]
+        data = [xi_recordings(seconds, dt, [seed])[0] for seed in range(seeds)]
         own = {order: [own_rows(library, d, pysindy.FiniteDifference(order)) for d in data] for order in (2, 4)}
         given = [integral_rows(library, d) for d in data]
         default = [score(stlsq(pair, pysindy.STLSQ()), truth) for pair in own[2]]
@@ -244,14 +239,14 @@ def _pysindy_row(method: str, label: str, scores: list[Score]) -> Row:
     return row(method, f"xi, {label}: true, false terms, worst error, median seed", f"{true:g}, {false:g}, {worst:.2g}")
 
 
-def refit(seeds: int) -> list[Row]:
+def refit(_: int) -> list[Row]:
     """Refit after 20 s of new data on top of 1e6 and 1e7 stored samples."""
     import pysindy
 
     plant, library = Xi(), paper_table(Xi().signature)
     model, rows = SindyModel(plant.signature, library, Regression(normalize="rms")), []
     generator = torch.Generator().manual_seed(0)
-    new = xi_recording(20.0, 0.01, 0)
+    (new,) = xi_recordings(20.0, 0.01, [0])
     for total in (1_000_000, 10_000_000):
         while model.sums.count < total:
             n = min(100_000, total - model.sums.count)
@@ -276,7 +271,7 @@ def refit(seeds: int) -> list[Row]:
     return rows
 
 
-def speed(seeds: int) -> list[Row]:
+def speed(_: int) -> list[Row]:
     """Imagine transitions of 0.05 s by five Runge-Kutta steps, batch 4096, float32."""
     from dynasindy.sindy.pysindy_interchange import to_pysindy
 

@@ -292,7 +292,11 @@ def simulate_targets(case: Case, controller: Controller, seed: int) -> NDArray[n
     low, high = torch.tensor(list(case.targets.values()), dtype=torch.float64).unbind(-1)
     outputs = [list(case.states).index(name) for name in case.targets]
     ranges = torch.tensor([controller.signature.x_scale[controller.signature.state_index(n)] for n in case.targets])
-    ranges, sizes = torch.where(high > low, high - low, ranges.double()), unit_sizes(case, controller)
+    ranges = torch.where(high > low, high - low, ranges.double())
+    # A log in degrees is read in radians.
+    own = dict(zip(controller.signature.state_names, controller.signature.state_units, strict=True))
+    units = {name: case.states[name] for name in case.sensors}
+    sizes = {name: 1.0 if own.get(name, unit) == unit else in_radians(unit)[1] for name, unit in units.items()}
     targets = low + (high - low) * torch.rand(TARGETS, len(low), generator=rng, dtype=torch.float64)
     # Side by side, as a plant in torch moves eight states at the cost of one.
     pilots = [copy.deepcopy(controller) for _ in range(TARGETS)]
@@ -309,7 +313,12 @@ def simulate_targets(case: Case, controller: Controller, seed: int) -> NDArray[n
         acts = np.zeros((TARGETS, len(case.inputs)))
         for i, (pilot, *given) in enumerate(zip(pilots, seen, targets.tolist(), strict=True)):
             if not away[i]:
-                acts[i], away[i] = _act(pilot, *given)
+                try:
+                    acts[i] = pilot.act(*given)
+                except ValueError as error:
+                    if error.__cause__ is None:  # then it is no number beyond all limits, but a name that does not fit
+                        raise
+                    away[i] = True
         u = torch.from_numpy(controller.signature.in_own_units(acts)).clamp(least, most)
         x = integrate(plant, x, u, controller.dt, substeps)[0][..., -1, :]
         away |= ~(x.abs() < FAR).all(-1, keepdim=True)
@@ -317,29 +326,3 @@ def simulate_targets(case: Case, controller: Controller, seed: int) -> NDArray[n
         if k >= last:
             errors += (x[:, outputs] - targets).abs() / (periods - last)
     return torch.where(away, math.inf, errors / ranges).numpy()
-
-
-def unit_sizes(case: Case, controller: Controller) -> dict[str, float]:
-    """Return what 1 of each sensor's unit is in the unit that a controller reads: a log in degrees is read in radians.
-
-    Args:
-        case: The plant.
-        controller: Flies it.
-    """
-    own = dict(zip(controller.signature.state_names, controller.signature.state_units, strict=True))
-    units = {name: case.states[name] for name in case.sensors}
-    return {name: 1.0 if own.get(name, unit) == unit else in_radians(unit)[1] for name, unit in units.items()}
-
-
-def _act(pilot: Controller, seen: dict[str, float], target: list[float]) -> tuple[NDArray[np.float64] | float, bool]:
-    """Return the inputs, and whether none follow as the numbers of the controller have grown beyond all limits.
-
-    Raises:
-        ValueError: A name or a number is missing in what the controller was given, or does not exist.
-    """
-    try:
-        return pilot.act(seen, target), False
-    except ValueError as error:
-        if error.__cause__ is None:  # then it is no number beyond all limits, but a name that does not fit
-            raise
-        return 0.0, True

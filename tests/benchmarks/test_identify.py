@@ -1,16 +1,15 @@
 """The identification benchmark at small size: what it counts is right, and its easy cases hold."""
 
-import csv
-
 import numpy as np
 import pytest
 import torch
 from benchmark import parse
-from benchmarks import identify, pysindy_regression, textbook_systems
-from benchmarks.pysindy_regression import best_threshold, integral_rows, score, smoothed_rows, weak_rows
-from benchmarks.textbook_systems import cramer_rao
+from benchmarks import identify, pysindy_regression
+from benchmarks.identify import TEXTBOOK, cramer_rao
+from benchmarks.pysindy_regression import best_threshold, integral_rows, smoothed_rows, weak_rows
 
 from dynasindy.data.rollout_data import disturb
+from dynasindy.safe_io import read_rows
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.systems import Xi
@@ -24,16 +23,18 @@ def test_the_true_table_is_the_published_one():
     assert float(truth.abs().max()) == pytest.approx(3.7e4)
 
 
-def test_ten_seconds_without_noise_give_the_plant():
-    rows = identify.noise_free(10.0, 0.01, 1e-6, 1)
-    assert rows[0]["value"] == "1 of 1"
-    assert float(rows[1]["value"]) < 1e-6
-
-
-def test_control_rate_data_give_the_plant():
-    rows = identify.noise_free(20.0, 0.05, 1e-4, 1)
-    assert rows[0]["value"] == "1 of 1"
-    assert float(rows[1]["value"]) < 1e-4
+def test_rows_without_noise_give_the_plant_and_those_of_other_cases_stay_in_the_file(tmp_path):
+    path = tmp_path / "table.csv"
+    for names in (["xi_10s", "xi_control"], ["xi_control"]):
+        options = parse("identify", ["--seeds", "1", "--out", str(path), "--only", *names])
+        identify.main(options)
+    rows = read_rows(path)
+    assert tuple(rows[0]) == identify.COLUMNS
+    values = {(row["case"], row["measure"].partition(",")[0]): row["value"] for row in rows}
+    assert len(values) == len(rows) == 6
+    for case, goal in (("xi_10s", 1e-6), ("xi_control", 1e-4)):
+        assert values[case, "seeds with 19 of 19 terms and 0 false"] == "1 of 1"
+        assert float(values[case, "worst relative coefficient error"]) < goal
 
 
 def test_pysindy_is_nearly_exact_once_it_has_the_integral_form_and_scaled_rates():
@@ -51,21 +52,6 @@ def test_the_rotor_model_of_tras_predicts_episodes():
     assert float(rows[0]["value"]) < 2.0
 
 
-def test_rows_of_other_cases_stay_in_the_file(tmp_path, monkeypatch):
-    path = tmp_path / "table.csv"
-    quick = {name: lambda seeds, name=name: [identify.row(name, "m", str(seeds))] for name in ("first", "second")}
-    monkeypatch.setattr(identify, "CASES", quick)
-    monkeypatch.setattr(identify, "commit", lambda: "abc")
-    identify.main(parse("identify", ["--seeds", "1", "--out", str(path)]))
-    monkeypatch.setattr(identify, "commit", lambda: "def")
-    second = parse("identify", ["--seeds", "2", "--out", str(path)])
-    second.only = ["second"]
-    identify.main(second)
-    with path.open() as file:
-        kept = [(r["case"], r["value"], r["commit"]) for r in csv.DictReader(file)]
-    assert kept == [("first", "1", "abc"), ("second", "2", "def")]
-
-
 def test_the_slope_of_a_line_is_known_as_well_as_least_squares_can():
     # y' = 3: a line through 121 samples whose start is unknown; the error of its slope is sigma / |t - mean of t|.
     library = Library(Signature(("y",), ("-",), ("u",), (1.0,)), [CONSTANT, variable("y")])
@@ -76,16 +62,10 @@ def test_the_slope_of_a_line_is_known_as_well_as_least_squares_can():
     assert bound.tolist() == pytest.approx([0.2 / np.linalg.norm(time - time.mean())], rel=1e-6)
 
 
-def test_scores_count_true_and_false_terms():
-    truth = torch.tensor([[1.0, 0.0], [2.0, 0.0], [0.0, 4.0]])
-    found = torch.tensor([[1.1, 0.5], [0.0, 0.0], [0.0, 4.0]])
-    assert score(found, truth) == (2, 1, pytest.approx(1.0))
-
-
 def test_given_rows_hold_the_law_of_the_plant_a_hundred_times_closer_than_the_trapezoidal_rule():
     from dynasindy.sindy.regression import integral_form
 
-    library, truth, data = paper_table(Xi().signature), identify.true_table(), identify.xi_recording(4.0, 0.05, 0)
+    library, truth, data = paper_table(Xi().signature), identify.true_table(), identify.xi_recordings(4.0, 0.05, [0])[0]
     misses = [
         (theta @ truth - dx).norm(dim=0) for theta, dx in (integral_form(library, data), integral_rows(library, data))
     ]
@@ -116,7 +96,7 @@ TRUE = {
 
 @pytest.mark.parametrize("name", TRUE)
 def test_the_systems_are_the_published_ones(name):
-    case = textbook_systems.CASES[name]
+    case = TEXTBOOK[name]
     names, states, truth = case.library().names, case.plant.signature.state_names, case.truth()
     found = {(names[k], states[i]): float(truth[k, i]) for k, i in truth.nonzero().tolist()}
     assert found == pytest.approx(TRUE[name])
@@ -125,7 +105,7 @@ def test_the_systems_are_the_published_ones(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TRUE)
 def test_ten_percent_of_noise_leave_the_terms_and_the_bound(name):
-    rows = {row["measure"]: row["value"] for row in textbook_systems.measure(textbook_systems.CASES[name], 1)}
+    rows = {row["measure"]: row["value"] for row in identify.textbook(TEXTBOOK[name], 1)}
     for level in (1, 10):
         assert rows[f"noise {level} %: seeds with all terms and 0 false"] == "1 of 1"
         median = rows[f"noise {level} %: rms error / Cramer-Rao bound, median and worst seed"].partition(",")[0]
@@ -133,7 +113,7 @@ def test_ten_percent_of_noise_leave_the_terms_and_the_bound(name):
 
 
 def test_rows_for_pysindy_obey_the_equations():
-    case = textbook_systems.CASES["van_der_pol"]
+    case = TEXTBOOK["van_der_pol"]
     clean, truth = case.clean(1)[0], case.truth()
     smoothed = smoothed_rows(case.library(), clean, 9)  # it rounds off where the input jumps
     for rows, limit in ((smoothed, 0.2), (weak_rows(case.library(), disturb(clean, 1e-4, 0)), 0.05)):

@@ -1,56 +1,26 @@
 """A benchmark of logs writes what a rig would, says what the user of a plant says, and scores flights by hand."""
 
-import csv
+import json
 import math
 from dataclasses import replace
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from benchmarks.logs import (
-    CASES,
-    COLUMNS,
-    TARGETS,
-    Case,
-    count_terms,
-    rows_of,
-    simulate_targets,
-    unit_sizes,
-    words,
-    write_log,
-)
+from benchmark import parse
+from benchmarks import logs
+from benchmarks.logs import CASES, TARGETS, Case, simulate_targets, words, write_log
 
 import dynasindy
 from dynasindy import Controller
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
+from dynasindy.safe_io import read_rows
 from dynasindy.sensing import Channel
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-
-
-def test_a_log_has_the_measured_states_alone(tmp_path):
-    write_log(CASES["oven"], tmp_path / "log.csv", 0)
-    with (tmp_path / "log.csv").open() as file:
-        head, *rows = csv.reader(file)
-    assert head == ["time [s]", "T [degC]", "u [-]"]
-    values = np.array(rows, dtype=float)
-    np.testing.assert_allclose(values[:, 0], 5.0 * np.arange(1800))
-    np.testing.assert_allclose(10 * values[:, 1], (10 * values[:, 1]).round(), atol=1e-6)
-
-
-def test_the_words_are_those_of_a_user(tmp_path):
-    given = words(CASES["pole"], tmp_path / "log.csv")
-    assert given[2:] == [
-        "plant.outputs=[p,lean]",
-        "plant.low=[-0.4,0]",
-        "plant.high=[0.4,0]",
-        "plant.known={p:v,lean:w}",
-    ]
-    assert words(CASES["tanks"], tmp_path)[-1].startswith("plant.library=")
-    assert not any("known" in word for word in words(CASES["oven"], tmp_path))
 
 
 class Given:
@@ -69,28 +39,70 @@ class Given:
         return np.array([self.rule(y, r)])
 
 
-def test_errors_are_those_at_the_end_in_ranges_of_the_targets():
-    """What holds the fan at w is 250 (1 + u) = 2 w + 0.008 w^2 + 10; 10 rad/s beside it is a tenth of the range."""
-
-    def feed(beside):
-        def rule(y, r):
-            w = r[0] + beside
-            return (2 * w + 0.008 * w * w + 10) / 250 - 1
-
-        return rule
-
-    exact, beside = (simulate_targets(CASES["fan"], Given(feed(shift), ("w",)), 0) for shift in (0.0, 10.0))
-    assert exact.shape == (TARGETS, 1)
-    np.testing.assert_allclose(exact, 0.0, atol=1e-4)
-    np.testing.assert_allclose(beside, 0.1, atol=1e-3)
+def holding(w):
+    """Return what holds the fan at w: 250 (1 + u) = 2 w + 0.008 w^2 + 10."""
+    return (2 * w + 0.008 * w * w + 10) / 250 - 1
 
 
-def test_a_controller_reads_degrees_of_a_plant_in_its_own_radians():
-    signature = Signature(("speed", "pitch"), ("rpm", "rad"), ("command",), (13.0, 0.5))
-    read = SimpleNamespace(signature=signature)
-    assert unit_sizes(CASES["turbine"], read) == {"speed": 1.0, "pitch": pytest.approx(math.pi / 180)}
-    read.signature = Signature(("speed", "pitch"), ("rpm", "deg"), ("command",), (13.0, 30.0))
-    assert unit_sizes(CASES["turbine"], read) == {"speed": 1.0, "pitch": 1.0}
+@pytest.mark.parametrize(
+    ("prediction", "foretold", "error"),
+    [
+        ({"controlled": True, "score": 0.0123}, ("CONTROLLED", "1.23"), 10.0),
+        ({"controlled": False, "score": None}, ("NOT promised", "inf"), 10.0),
+        (None, ("no controller", "inf"), math.inf),
+    ],
+)
+def test_a_row_holds_what_was_foretold_and_what_came_of_it(tmp_path, monkeypatch, prediction, foretold, error):
+    """A controller that holds the fan 10 rad/s beside its target is off by a tenth of the range of its targets."""
+
+    def trained(command, words, folder, result):
+        assert command == "train" and "seed=3" in words
+        (log,) = [word.partition("=")[2] for word in words if word.startswith("data.path=")]
+        head, *lines = Path(log).read_text().splitlines()
+        assert head == "time [s],w [rad/s],u [-]" and len(lines) == 200 and float(lines[7].split(",")[0]) == 0.07
+        result.parent.mkdir()
+        model = SindyModel(Signature(("w",), ("rad/s",), ("u",), (100.0,)), ["1", "u", "tanh(2 w)"])
+        model.set_coefficients(torch.tensor([[1.0], [0.0], [2.0]]))
+        model.save(result)
+        if prediction is not None:
+            (result.parent / "metrics.json").write_text(json.dumps({"prediction": prediction}))
+        return 12.34
+
+    monkeypatch.setitem(CASES, "fan", replace(CASES["fan"], seconds=2.0, flight=5.0))
+    monkeypatch.setattr(logs, "run_command", trained)
+    monkeypatch.setattr(dynasindy, "load", lambda run: Given(lambda y, r: holding(r[0] + 10), ("w",)))
+    out = tmp_path / "logs.csv"
+    logs.main(parse("logs", ["--plants", "fan", "--seeds", "3", "--out", str(out)]))
+    (row,) = read_rows(out)
+    assert tuple(row) == logs.COLUMNS
+    assert (row["foretold"], row["foretold_percent"]) == foretold
+    assert (row["output"], row["terms"], row["cpu_seconds"]) == ("w", "2", "12.3")
+    assert float(row["error_percent"]) == pytest.approx(error, abs=0.1)
+    assert float(row["worst_percent"]) == pytest.approx(error, abs=0.1)
+
+
+def test_the_words_are_those_of_a_user(tmp_path):
+    assert words(CASES["pole"], tmp_path)[2:] == [
+        "plant.outputs=[p,lean]",
+        "plant.low=[-0.4,0]",
+        "plant.high=[0.4,0]",
+        "plant.known={p:v,lean:w}",
+    ]
+    assert words(CASES["tanks"], tmp_path)[-1].startswith("plant.library=")
+    ends = "data.inputs={torque1:{name:torque1,low:-12,high:12},torque2:{name:torque2,low:-4,high:4}}"
+    assert ends in words(CASES["manipulator"], tmp_path)
+    assert "data.inputs={reflux:reflux,steam:steam}" in words(CASES["column"], tmp_path)
+
+
+def test_a_log_holds_what_sensors_tell_and_inputs_within_their_actuators():
+    y, _ = replace(CASES["oven"], seconds=500.0).record(0)
+    np.testing.assert_allclose(10 * y[:, 0], (10 * y[:, 0]).round(), atol=1e-6)
+    assert y[:, 1].isnan().all()
+    case = CASES["column"]
+    y, u = replace(case, seconds=6000.0).record(0)
+    low, high = case.ends
+    assert bool(((u >= low) & (u <= high)).all()) and u.shape == (100, 2)
+    assert not torch.equal(u[:, 0] - 2.45, u[:, 1] - 1.71) and not bool(y[:, :2].isnan().any())
 
 
 def test_what_a_controller_reads_in_flight_is_in_its_own_radians():
@@ -120,8 +132,7 @@ def test_a_controller_whose_numbers_leave_all_limits_loses_its_flight_and_no_oth
 
     def policy(shown):
         w = shown["task_params"][0, 0]
-        u = (2 * w + 0.008 * w * w + 10) / 250 - 1
-        return shown.set("action", torch.where(w > 90.0, math.nan, u).reshape(1).float())
+        return shown.set("action", torch.where(w > 90.0, math.nan, holding(w)).reshape(1).float())
 
     signature = Signature(("w",), ("rad/s",), ("u",), (100.0,))
     setup = ControlSetup(Tracking(signature, RandomStep([40.0], [140.0]), ["w"], [], TrackingReward((1.0,))), 0.05)
@@ -131,19 +142,6 @@ def test_a_controller_whose_numbers_leave_all_limits_loses_its_flight_and_no_oth
     errors = simulate_targets(CASES["fan"], Controller(policy, setup), 0)
     np.testing.assert_array_equal(np.isinf(errors), targets > 90)
     np.testing.assert_allclose(errors[targets < 90], 0.0, atol=1e-4)
-
-
-def test_a_row_holds_what_was_foretold_and_what_came_of_it():
-    metrics = {"prediction": {"controlled": True, "score": 0.0123}}
-    errors = np.array([[0.001, 0.02], [0.003, 0.04]])
-    rows = rows_of("pole", 3, metrics, errors, 6, 12.34)
-    assert [row["output"] for row in rows] == ["p", "lean"] and set(rows[0]) == set(COLUMNS)
-    assert (rows[0]["error_percent"], rows[1]["worst_percent"], rows[0]["terms"]) == ("0.2", "4", 6)
-    assert (rows[0]["foretold"], rows[0]["foretold_percent"]) == ("CONTROLLED", "1.23")
-    (row,) = rows_of("fan", 0, None, np.full((1, 1), math.inf), 0, 1.0)
-    assert (row["foretold"], row["error_percent"], row["terms"]) == ("no controller", "inf", 0)
-    doubted = metrics | {"prediction": {"controlled": False, "score": None}}
-    assert rows_of("fan", 0, doubted, torch.zeros(1, 1).numpy(), 0, 1.0)[0]["foretold"] == "NOT promised"
 
 
 def test_the_equations_of_a_ball_on_a_beam_have_the_terms_of_the_plant_and_no_other(tmp_path):
@@ -159,21 +157,6 @@ def test_the_equations_of_a_ball_on_a_beam_have_the_terms_of_the_plant_and_no_ot
     assert found["r"] == {"v": 1.0}
     assert found["a"] == pytest.approx({"a": -1 / 0.06, "u": 0.35 / 0.06}, rel=0.005)
     assert found["v"] == pytest.approx({"sin(a)": -7.0, "v": -0.1}, rel=0.005)
-
-
-def test_terms_are_counted_and_not_the_signs_inside_functions(tmp_path):
-    """Both discs of a soft shaft, by the sine of the twist and by the same over a quotient: 1 + 1 + 3 + 2 terms."""
-    units = ("rad", "rad", "rad/s", "rad/s")
-    signature = Signature(("a", "b", "va", "vb"), units, ("u",), (1.0,) * 4)
-    model = SindyModel(signature, "auto", known={"a": "va", "b": "vb"})
-    given, xi = {"va": ("u", "sin(a - b)"), "vb": ("va", "sin(a - b)")}, model.coefficients.clone()
-    for state, functions in given.items():
-        for function in functions:
-            xi[model.library.names.index(function), signature.state_index(state)] = 30.0
-    xi[model.library.names.index("sin(a - b) /(1 + -0.3 cos(a - b)^2)"), signature.state_index("va")] = -9.5
-    model.set_coefficients(xi)
-    model.save(tmp_path / "model.json")
-    assert count_terms(tmp_path / "model.json") == 7
 
 
 def moved(name, x, *u):
@@ -292,19 +275,3 @@ def test_a_column_comes_to_the_gains_of_wood_and_berry():
     d, b = 12.8 * reflux - 18.9 * steam, 6.6 * reflux - 19.4 * steam
     x = [d, b, 12.8 * reflux, -18.9 * steam, 6.6 * reflux, -19.4 * steam, *[reflux] * 4, *[steam] * 3]
     assert moved("column", x, 2.45 + reflux, 1.71 + steam) == pytest.approx([0.0] * 13, abs=1e-12)
-
-
-def test_ends_are_told_where_the_user_knows_them(tmp_path):
-    assert "data.inputs={torque1:{name:torque1,low:-12,high:12},torque2:{name:torque2,low:-4,high:4}}" in words(
-        CASES["manipulator"], tmp_path
-    )
-    assert "data.inputs={reflux:reflux,steam:steam}" in words(CASES["column"], tmp_path)
-    assert words(CASES["balanced"], tmp_path)[-1].startswith("data.states={cart:cart,lean:{name:lean,unit:rad,scale:")
-
-
-def test_a_log_holds_inputs_within_their_actuators():
-    case = CASES["column"]
-    y, u = type(case)(**{**vars(case), "seconds": 6000.0}).record(0)
-    low, high = case.ends
-    assert bool(((u >= low) & (u <= high)).all()) and u.shape == (100, 2)
-    assert not torch.equal(u[:, 0] - 2.45, u[:, 1] - 1.71) and not bool(y[:, :2].isnan().any())

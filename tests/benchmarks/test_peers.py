@@ -1,8 +1,7 @@
 """What is asked of peers and what is made of their answers; the peers themselves are not installed here."""
 
-import json
+import math
 import sys
-from argparse import Namespace
 
 import numpy as np
 import pytest
@@ -11,9 +10,12 @@ from benchmark import parse
 from benchmarks import peers
 from benchmarks.peers import serve
 
+from dynasindy.data.rollout_data import record_plant
+from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
+from dynasindy.planning.equilibria import find_equilibria
 from dynasindy.safe_io import read_rows
-from dynasindy.sindy import SindyModel
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Tras
 
 PROPORTIONAL = """
@@ -85,4 +87,17 @@ def test_models_are_scored_on_the_test_log_and_rows_have_ours_beside_them(script
 def test_logs_of_rigs_need_their_folder():
     with pytest.raises(SystemExit, match="--data"):
         peers.LOGS["tanks"](None, 0)
-    assert json.dumps(peers.CONTROLLERS) and isinstance(parse("peers", ["--environments", "x"]), Namespace)
+
+
+def test_the_hint_of_do_mpc_is_where_the_rotors_rest():
+    """At a target the root of the hint's square is the speed of the rotor at rest there, h |h| = sum of monomials."""
+    model = SindyModel(Tras().signature, "rotor", Regression("bic", tolerance=1e-4), Refinement(), known=peers.KNOWN)
+    signal = Multisine(2, amplitude=(0.3, 0.1), offset=(-0.11, 0.25), seed=400)
+    model.fit(record_plant(Tras(), signal.samples(0.01), 0.01, 10))
+    plan = peers.nmpc_plan(model, 0.05)
+    target = torch.tensor([[0.2, 0.1]], dtype=torch.float64)
+    (rest,) = find_equilibria(Tras(), [0, 1], target, torch.zeros(6), 0.05).x
+    for name, of in plan["hint"].items():
+        square = sum(c * m for c, m in zip(of, serve.monomials(target[0].tolist()), strict=True))
+        speed = float(rest[Tras().signature.state_index(name)])
+        assert math.copysign(math.sqrt(abs(square)), square) == pytest.approx(speed, rel=0.05)

@@ -1,19 +1,20 @@
-"""What the benchmark of real logs reads of them."""
+"""The benchmark of real logs: its rows on a log made by SciPy, published physics, predictions and their errors."""
 
 import math
 
 import numpy as np
 import pytest
 import torch
+from benchmark import parse
+from benchmarks import rigs
 from benchmarks.rigs import (
-    LINEAR,
+    FACTS,
     Log,
-    PublishedQube,
-    _ahead_rows,
-    _axis_errors,
     ahead,
-    linear_tanks,
-    published_axis,
+    ahead_rows,
+    axis_errors,
+    build_model,
+    published,
     pysindy_tanks,
     reading_errors,
     replay_error,
@@ -21,12 +22,37 @@ from benchmarks.rigs import (
     states_of,
     steady_force,
 )
+from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim
 
+from dynasindy.safe_io import read_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import rk4
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+
+
+def axis(t, x, force):
+    return [x[1], (force(t) - 203.5034 * x[1] - 20.3935 * math.tanh(1000 * x[1]) + 3.1648) / 95.1089]
+
+
+@pytest.mark.slow
+def test_the_command_scores_models_of_an_axis_whose_physics_are_the_published_ones(tmp_path):
+    t = 1e-3 * np.arange(3001)
+    for name, hertz in (("train", 0.7), ("test", 0.5)):
+        force = lambda t, hertz=hertz: 90 * np.sign(np.sin(2 * np.pi * hertz * t + 0.3))  # noqa: E731
+        q = solve_ivp(axis, (0, 3), [0.1, 0.0], "LSODA", t, args=(force,), max_step=1e-3, rtol=1e-9, atol=1e-12).y[0]
+        rows = np.stack([t, q, force(t)], -1)
+        np.savetxt(tmp_path / f"emps_{name}.csv", rows, delimiter=",", header="t [s],q [m],u_force [N]", comments="")
+    out = tmp_path / "rigs.csv"
+    rigs.main(parse("rigs", ["--data", str(tmp_path), "--rigs", "emps", "--out", str(out)]))
+    found = {(row["model"], row["metric"]): float(row["value"]) for row in read_rows(out)}
+    assert tuple(read_rows(out)[0]) == rigs.COLUMNS
+    assert found["published physics", "test simulated, RMSE"] < 1 < found["last value held", "test simulated, RMSE"]
+    assert found["ours", "force at 0.125 m/s"] == pytest.approx(203.5034 * 0.125 + 20.3935 - 3.1648, rel=0.05)
+    assert found["ours", "force at -0.125 m/s"] == pytest.approx(-203.5034 * 0.125 - 20.3935 - 3.1648, rel=0.05)
+    courses = read_rows(tmp_path / "rigs_over_time.csv")
+    assert tuple(courses[0]) == rigs.COURSES and {"ours", "linear", "pysindy"} <= {row["model"] for row in courses}
 
 
 def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
@@ -38,14 +64,11 @@ def test_a_thinned_log_keeps_samples_and_the_means_of_inputs():
 
 
 def test_errors_ahead_are_told_together_and_of_each_angle():
-    found = {row["metric"]: row["value"] for row in _ahead_rows("ours", torch.tensor([[0.03, 0.04], [0.3, 0.5]]))}
+    found = {row["metric"]: row["value"] for row in ahead_rows("ours", torch.tensor([[0.03, 0.04], [0.3, 0.5]]))}
     assert found["theta 0.2 s ahead, RMSE"] == 30 and found["alpha 0.2 s ahead, RMSE"] == 40
     assert found["both angles 0.2 s ahead, RMSE"] == pytest.approx(25 * 2**0.5, rel=1e-3)
     assert found["both angles 0.5 s ahead, RMSE"] == pytest.approx(1e3 * (0.34 / 2) ** 0.5, rel=1e-3)
-
-
-def test_a_log_that_is_replayed_counts_as_far_as_both_go():
-    # Missed by 3 mm and 1 mm: the root of 5.
+    # A log that is replayed counts as far as both go, here missed by 3 mm and 1 mm: the root of 5.
     assert replay_error(np.array([0.0, 0.101, 9.0]), np.array([0.003, 0.1])) == pytest.approx(5**0.5)
 
 
@@ -54,11 +77,8 @@ def test_the_error_of_an_axis_is_simulated_less_measured():
     model = SindyModel(Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15)), ["v", "u"], known={"q": "v"})
     model.set_coefficients(torch.tensor([[1.0, 0.0], [0.0, 0.0]], dtype=torch.float64))
     q = np.where(np.arange(60) < 30, 0.0, 1e-3)
-    errors = _axis_errors(model, Log(np.stack([q, np.full(60, np.nan)], -1), np.zeros((60, 1)), 1e-3))
+    errors = axis_errors(model, Log(np.stack([q, np.full(60, np.nan)], -1), np.zeros((60, 1)), 1e-3))
     assert errors.tolist() == pytest.approx([0.0] * 15 + [-1.0] * (len(errors) - 15), abs=1e-9)
-
-
-AXIS = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
 
 
 @pytest.mark.parametrize(
@@ -74,16 +94,13 @@ AXIS = Signature(("q", "v"), ("m", "m/s"), ("u",), (0.25, 0.15))
 )
 def test_the_force_that_keeps_a_speed(speed, newton, acceleration):
     x = torch.tensor([0.2, speed], dtype=torch.float64)
-    dx = published_axis(AXIS)(x, torch.tensor([newton / 100], dtype=torch.float64))
+    dx = published("emps")(x, torch.tensor([newton / 100], dtype=torch.float64))
     assert dx.tolist() == pytest.approx([speed, acceleration], abs=1e-9)
 
 
 def test_the_force_at_a_speed_is_read_from_any_model():
-    assert steady_force(published_axis(AXIS), 0.1) == pytest.approx(37.57904)
-    assert steady_force(published_axis(AXIS), -0.1) == pytest.approx(-43.90864)
-
-
-SIGNATURE = Signature(("theta", "alpha", "dtheta", "dalpha"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1, 0.2, 3, 3))
+    assert steady_force(published("emps"), 0.1) == pytest.approx(37.57904)
+    assert steady_force(published("emps"), -0.1) == pytest.approx(-43.90864)
 
 
 def energy(x: torch.Tensor) -> torch.Tensor:
@@ -109,14 +126,14 @@ def energy(x: torch.Tensor) -> torch.Tensor:
 def test_energy_changes_by_the_power_of_the_motor_alone():
     for x in torch.from_numpy(np.random.default_rng(0).normal(size=(5, 4)) * [1, 1, 5, 5]):
         u = torch.tensor([0.3], dtype=torch.float64)
-        dx = PublishedQube(SIGNATURE)(x, u)
+        dx = published("qube")(x, u)
         gained = torch.func.jvp(energy, (x,), (dx,))[1]
         power = 0.042 * (10 * 0.3 - 0.042 * x[2]) / 8.4 * x[2]
         assert gained.item() == pytest.approx(power.item(), rel=1e-4, abs=1e-6)
 
 
 def test_the_plant_itself_predicts_what_its_encoders_can_tell():
-    plant, generator = PublishedQube(SIGNATURE), torch.Generator().manual_seed(0)
+    plant, generator = published("qube"), torch.Generator().manual_seed(0)
     x, states, inputs = torch.tensor([0.0, math.pi, 0.0, 0.0]).double(), [], []
     for _ in range(400):
         u = 0.1 * torch.randn(1, generator=generator).double()
@@ -155,7 +172,7 @@ def _of(model, state, function):
 
 
 def test_a_linear_model_finds_linear_tanks_whose_upper_level_nobody_measures():
-    model = linear_tanks()
+    model = build_model("tanks", "linear")
     model.fit(states_of(_log()[0], [0, -1]))
     assert _of(model, "level_1", "u") == pytest.approx(GAIN, rel=1e-3)
     assert _of(model, "level_1", "level_1") == pytest.approx(-UPPER, rel=1e-3)
@@ -166,7 +183,7 @@ def test_a_linear_model_finds_linear_tanks_whose_upper_level_nobody_measures():
 
 def test_pysindy_finds_linear_tanks_by_the_reading_and_its_rate():
     data, level = _log()
-    model = pysindy_tanks(data, level, [LINEAR])
+    model = pysindy_tanks(data, level, FACTS["tanks"]["pysindy"][:1])
     # r'' = 0.04 GAIN u - UPPER LOWER r - (UPPER + LOWER) r'.
     assert _of(model, "rate", "rate") == pytest.approx(-(UPPER + LOWER), rel=0.1)
     assert _of(model, "rate", "u") == pytest.approx(0.04 * GAIN, rel=0.1)
