@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ SECONDS = {
     **dict.fromkeys(("hour", "hours"), 3600.0),
 }
 """Units of time, in seconds; capital letters are as good."""
-CLOCKS = ("time", "t", "timestamp")
+CLOCKS = ("time", "t", "timestamp", "stamp", "elapsed", "x_value")
 """What a column of time is called, in small letters."""
 CLOCK = "time"
 """Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
@@ -49,6 +49,12 @@ LOST = 0.1
 """Part of the rows that a log may lose at random; where more steps are odd, a coarse clock is as likely."""
 SURE = 0.005
 """Part of itself to which stamps have to tell a sampling time."""
+COARSE = 1000
+"""Step of whole numbers without a unit from which on they are hardly seconds."""
+LATE = 10
+"""Usual steps within which a counter goes on after its overflow."""
+FEWEST = 10
+"""Rows of a recording that begins anew; single rows in disorder are none."""
 ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
 
@@ -119,7 +125,7 @@ def parts_of(heading: str) -> tuple[str, str]:
 def _is_clock(heading: str) -> bool:
     """Tell whether a heading can only be that of time."""
     name, unit = parts_of(heading)
-    if name.lower() in CLOCKS:
+    if name.lower().strip("_") in CLOCKS:
         return unit.lower() in SECONDS or (not unit and name != "T")
     return name == unit
 
@@ -300,7 +306,7 @@ def _even(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | N
     mixed = low == 1 and ticks.digits < 2 and (len(odd) > LOST * rows or _is_rhythm(np.diff(odd)))
     if found is None and not mixed:
         return None
-    if found is None or found[1] - found[0] > SURE * (found[0] + found[1]) or (low < 2 and ticks.digits != 1):
+    if found is None or found[1] - found[0] > SURE * (found[0] + found[1]) or (low == 1 and ticks.digits != 1):
         raise ValueError(
             f"{path}: time moves in ticks of {ticks.tick:.6g} s, {low:g} or {low + 1:g} of them from row to row, and "
             "does not tell the sampling time; allowed are times that do: write them with more digits, or give the time "
@@ -335,6 +341,42 @@ def period_of(t: Array) -> float:
     return float(f"{np.median(np.diff(t)):.12g}")  # differences of decimals carry digits that nobody logged
 
 
+def _unix_unit(values: Array) -> str:
+    """Return the unit of times since 1970, which their size tells: years from 2001 to 2100; empty for other times."""
+    if not len(values):
+        return ""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return next((u for u, size in (("ms", 1e12), ("us", 1e15), ("ns", 1e18)) if size <= low and high < 4.1 * size), "")
+
+
+def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, str]:
+    """Return times that go on where a counter overflowed, or where a recording begins anew, and what is said of it.
+
+    Args:
+        values: Times as they are in the file, `(rows,)`.
+        table: Rows of the file, for their lines.
+        unit: Unit of the times [s].
+        dt: Sampling time that was given [s].
+    """
+    steps = np.diff(values)
+    drops = np.flatnonzero(steps < 0)
+    if not len(drops) or len(drops) > 1 + len(values) // FEWEST:
+        return values, ""
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else (dt or 1.0) / unit
+    lines = ", ".join(str(table.lines[k + 1]) for k in drops)
+    for size in (2.0**16, 2.0**32, 2.0**24, 86400.0 / unit):
+        if np.ptp(values) < size and bool(((steps[drops] + size > 0) & (steps[drops] + size <= LATE * usual)).all()):
+            lift = np.zeros(len(values))
+            lift[drops + 1] = size
+            return values + np.cumsum(lift), f"; it counts to {size:g} and goes on from 0 in line {lines}"
+    starts = np.concatenate([[0], drops + 1, [len(values)]])
+    if (np.diff(starts) < FEWEST).any() or any(values[k + 1] > values[0] + 0.5 * np.ptp(values) for k in drops):
+        return values, ""
+    lift = np.zeros(len(values))
+    lift[drops + 1] = LATE * usual - steps[drops]
+    return values + np.cumsum(lift), f"; it begins anew in line {lines}, and so does a recording"
+
+
 def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple[Array, str]:
     """Return the times of all rows [s], `(rows,)`, and the line that says which column they are and in which unit.
 
@@ -350,14 +392,24 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
         ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
     values, name = table.values[:, 0], split_unit(clock.heading)[0]
+    if not clock.unit and not table.dated and (unit := _unix_unit(values)):
+        clock = replace(clock, unit=unit)
+    values, again = _continued(values, table, clock.seconds(path), dt)
     t, counts = values * clock.seconds(path), not clock.unit and not table.dated and is_counter(values)
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, f"time is the column {name}, taken as a counter of rows: {dt:g} s between rows, as given by data.dt"
+    us = shlex.quote(f'data.time="{name} [us]"')
+    if counts and np.median(np.diff(values)) >= COARSE:
+        raise ValueError(
+            f"{path} has whole numbers without a unit in the time column {clock.heading}, "
+            f"{np.median(np.diff(values)):g} from row to row, hardly seconds; allowed is a time whose unit is known: "
+            f"give it, as in {us}, or [s] for seconds, or [ms]"
+        )
     t, coarse = _evened_stamps(path, t, values, clock.seconds(path), dt)
     how = "read as dates" if table.dated else f"in {clock.unit}" if clock.unit else "taken as seconds"
     between = f": {period_of(t):.4g} s between rows" if len(t) > 1 else ""
-    told = f"time is the column {name}, {how}{between}{coarse}"
+    told = f"time is the column {name}, {how}{between}{coarse}{again}"
     if not counts:
         return t, told
     units = shlex.quote(f'data.time="{name} [ms]"')

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from dynasindy.data.clock import CLOCK, clock_of
-from dynasindy.data.headings import ColumnSummary, guessed, summarise_columns
-from dynasindy.data.table import MAP, split_unit
+from dynasindy.data.headings import finite_columns, grows, guessed
+from dynasindy.data.table import MAP, ColumnSummary, split_unit, summarise_columns
 from dynasindy.data.units import with_units
 from dynasindy.text import did_you_mean
 
@@ -83,6 +83,9 @@ def infer(
             "as numbers, ON and OFF as 1 and 0"
         )
     named = {*_names(inputs or ()), *_names(states or ())}
+    if dt is not None and not timed:  # even rows, unless a column may be a time by another name
+        columns = finite_columns(Path(path), look)
+        timed = not any(grows(column) for h, column in columns.items() if split_unit(h)[0] not in named)
     empty = _empty(look, clock.heading)
     if blank := [name for name in empty if name in named]:
         raise ValueError(
@@ -93,6 +96,8 @@ def infer(
     counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
     if inputs is None:
         found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in {*still, *counts}}
+        for own, other in (("u_", "U"), ("U_", "u")):  # beside u, U_left may be anything
+            found = {n: c for n, c in found.items() if not (n.startswith(own) and other in found)}
     else:
         found = _chosen(others, inputs, path, "data.inputs")
     left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
@@ -174,7 +179,7 @@ def _lacking(
     )
 
 
-INPUT = re.compile(r"(u|U|input)([_\d].*)?")
+INPUT = re.compile(r"(?:u|U|(?:.*_)?(?:input|cmd|command))(?:[_ \d].*)?")
 """How inputs are called."""
 _LACKING = {
     "time": "none of them is called {clock}",

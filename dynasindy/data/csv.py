@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +20,7 @@ from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.rates import turning
 from dynasindy.data.resampling import EVEN, evened, stretches
-from dynasindy.data.table import MAP, Table, all_headings, read_columns
+from dynasindy.data.table import MAP, Table, read_columns, select_columns
 from dynasindy.data.units import conversions, undecided, with_units
 from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
@@ -28,6 +28,10 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
+PASSING = 0.05
+"""Part of the samples in the middle half of the range from which on it is passed through; two levels are no angle."""
+STREAM = 0.2
+"""Part of the rows without an input from which on they are those of another stream."""
 HOLE = 10
 """Usual distances between two samples of a state from which on what lies between them is no moment."""
 RATED = 5
@@ -247,17 +251,17 @@ class CsvLog:
     def _part(self, path: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
         notes: list[str] = []
-        clock = clock_of(all_headings(Path(path)), self.time)
+        clock = clock_of(read_columns(Path(path)).headings, self.time)
         names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
-        table = read_columns(Path(path), names)
-        notes += table.words
-        table = self._complete(path, table, len(names) - len(inputs), notes)
+        table = select_columns(Path(path), names, self.dt)
+        notes += table.notes
+        table = self._complete(path, _held(table, len(names) - len(inputs), notes), len(names) - len(inputs), notes)
         states = with_units(states, table.headings, True, rotors=False)
         inputs = with_units(inputs, table.headings, False)
         t, said = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
-        x = {s: values[c.name] * c.scale for s, c in states.items() if c.name}
+        x = {s: unwrapped(s, values[c.name] * c.scale, c.unit, notes) for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         return _Part(path, table.headings, states, inputs, t, x, u, [said, *notes])
 
@@ -285,7 +289,7 @@ class CsvLog:
                 raise ValueError(f"{path}: {message}, the first in line {first}; mend them or set missing=skip")
             notes.append(f"{message}, the first in line {first}; {done}")
         values = np.where(bad, np.nan, table.values)
-        return Table(table.headings, values[~skipped], table.lines[~skipped])
+        return replace(table, values=values[~skipped], lines=table.lines[~skipped])
 
     def _require_enough(
         self, data: Transitions, logged: Sequence[str], states: Sequence[str], notes: Sequence[str]
@@ -313,6 +317,57 @@ class CsvLog:
                 f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split "
                 "the recordings, or give data.dt if the clock is coarser than the rows"
             )
+
+
+def _held(table: Table, states_end: int, notes: list[str]) -> Table:
+    """Return a table whose inputs are held where rows of another stream have none: a command stands until the next."""
+    values = table.values.copy()
+    for k in range(states_end, values.shape[1]):
+        rows = np.flatnonzero(np.isfinite(values[:, k]))
+        if not 0 < len(rows) <= (1 - STREAM) * len(values):
+            continue
+        if np.diff(rows).max(initial=0) > HOLE * len(values) / len(rows):
+            continue
+        last = np.maximum.accumulate(np.where(np.isfinite(values[:, k]), np.arange(len(values)), -1))
+        held = np.isnan(values[:, k]) & (last >= 0)
+        values[held, k] = values[last[held], k]
+        notes.append(
+            f"{table.headings[k]} stands in {len(rows)} of {len(values)} rows, and is held from each to the next"
+        )
+    return replace(table, values=values)
+
+
+def unwrapped(name: str, x: Array, unit: str, notes: list[str]) -> Array:
+    """Return samples of an angle, or counts of an encoder, that go on where they jumped by a whole turn or range.
+
+    Args:
+        name: Name of the state.
+        x: Its samples, NaN where one is lost, `(N,)`.
+        unit: Its unit.
+        notes: Sentences on what was read.
+    """
+    seen = np.isfinite(x)
+    values = x[seen]
+    if len(values) < 2:
+        return x
+    width, steps = float(np.ptp(values)), np.diff(values)
+    turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,)}.get(unit, (2 * np.pi, 360.0) if unit == "-" else ())
+    whole = bool((values == values.round()).all()) and unit in ("-", "counts", "count", "ticks")
+    counts = tuple(2.0**k for k in range(8, 33)) if whole else ()
+    inside = np.abs(values - values.min() - 0.5 * width) < 0.25 * width
+    for turn in (*turns, *counts) if inside.mean() > PASSING else ():
+        jumps = np.abs(steps) > 0.5 * turn
+        left = np.abs(steps - turn * np.round(steps / turn))
+        if not 0.9 * turn <= width <= 1.001 * turn or not jumps.any() or left.max() > 0.25 * turn:
+            continue
+        found = x.copy()
+        found[seen] = np.unwrap(values, period=turn)
+        size = {2 * np.pi: "2 pi"}.get(turn, f"{turn:g}")
+        scaled_state = f"{{{name}: {{name: {name}, unit: rad, scale: {2 * np.pi / turn:.6g}}}}}"
+        more = f"; if these are a turn, data.states={scaled_state} gives rad" if turn in counts else ""
+        notes.append(f"{name} jumps by {size} {int(jumps.sum())} times and was unwrapped{more}")
+        return found
+    return x
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:

@@ -2,87 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter, parts_of
-from dynasindy.data.table import parse_number, read_columns, rows_of, seconds_of_date, split_unit
-
-COUNTED = 5
-"""Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
-
-
-@dataclass(frozen=True)
-class ColumnSummary:
-    """Hold the headings of a file by what stands below them.
-
-    Attributes:
-        headings: All headings.
-        numeric: Those of columns that hold a number somewhere.
-        still: Those of numeric columns that hold one number from beginning to end, with this number.
-        worded: Those of columns that hold text and no number, with the first text.
-        dated: Those of `worded` whose first text is a date.
-        counting: Those of numeric columns that grow by exactly one in each row.
-    """
-
-    headings: tuple[str, ...]
-    numeric: tuple[str, ...]
-    still: dict[str, float]
-    worded: dict[str, str]
-    dated: tuple[str, ...]
-    counting: tuple[str, ...]
-
-
-def summarise_columns(path: Path) -> ColumnSummary:
-    """Look at the columns of a file, no further down than is needed to know them.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is no table of text, a heading is missing, or two agree but for their unit.
-    """
-    (_, headings), rows = rows_of(path)
-    names = [split_unit(heading)[0] for heading in headings]
-    if double := sorted({name for name in names if name and names.count(name) > 1}):
-        raise ValueError(
-            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
-        )
-    first: dict[int, float] = {}
-    began: dict[int, int] = {}
-    texts: dict[int, str] = {}
-    still, counting = set(range(len(headings))), set(range(len(headings)))
-    passed = dict.fromkeys(counting, 0)
-    for place, (_, row) in enumerate(rows):
-        for k in [k for k in still | counting if k < len(row)]:
-            value = parse_number(row[k])
-            if not math.isnan(value):
-                passed[k] = place - began.setdefault(k, place)
-                if value != first.setdefault(k, value):
-                    still.discard(k)
-                if value != first[k] + passed[k]:
-                    counting.discard(k)
-            elif row[k].strip().lower() not in ("", "nan"):
-                texts.setdefault(k, row[k].strip()[:40])
-        if not still | counting:
-            break
-    if nameless := [k + 1 for k in sorted(first) if k and not headings[k]]:  # the first may be an index
-        raise ValueError(f"{path} has numbers in column {nameless[0]} and no heading above them; give it one")
-    worded = {headings[k]: text for k, text in sorted(texts.items()) if k not in first and headings[k]}
-    return ColumnSummary(
-        tuple(headings),
-        tuple(headings[k] for k in sorted(first) if headings[k]),
-        {headings[k]: first[k] for k in sorted(still & first.keys()) if headings[k]},
-        worded,
-        tuple(heading for heading, text in worded.items() if not math.isnan(seconds_of_date(text))),
-        tuple(headings[k] for k in sorted(counting & first.keys()) if headings[k] and passed[k] + 1 >= COUNTED),
-    )
-
+from dynasindy.data.table import ColumnSummary, read_columns, split_unit, summarise_columns
 
 Array = NDArray[np.float64]
 REGULAR = 0.9
@@ -108,8 +37,8 @@ def row_counter(path: Path, time: str, named: Collection[str]) -> str:
     look = summarise_columns(path)
     if time != CLOCK or look.dated or clock_of(look.headings, time).heading in look.headings:
         return time
-    columns = _finite(path, look)
-    growing = [heading for heading, column in columns.items() if _grows(column)]
+    columns = finite_columns(path, look)
+    growing = [heading for heading, column in columns.items() if grows(column)]
     if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(columns[growing[0]]):
         return time
     steps = np.diff(columns[growing[0]])
@@ -136,8 +65,8 @@ def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[
     Raises:
         ValueError: The file is no table of text.
     """
-    columns = _finite(path, look)
-    growing = [heading for heading, column in columns.items() if _grows(column)]
+    columns = finite_columns(path, look)
+    growing = [heading for heading, column in columns.items() if grows(column)]
     named = time is not None
     if time is None:
         time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
@@ -152,7 +81,9 @@ def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[
     if not inputs and names:
         still = {split_unit(heading)[0]: float((np.diff(column) == 0).mean()) for heading, column in columns.items()}
         held = max(names, key=lambda name: still[name])
-        inputs = [held] if still[held] > 0.5 else names[-1:]
+        stem = re.sub(r"[\W_]*\d+$", "", held)  # of Heater 1 and Heater 2
+        inputs = [name for name in names if name == held or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
+        inputs = inputs if still[held] > 0.5 else names[-1:]
         if still[held] <= 0.5:
             hints.append(
                 "No column is held for some samples, as commands are: if the log has no command, log it, too, for "
@@ -166,14 +97,17 @@ def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[
     return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
 
 
-def _finite(path: Path, look: ColumnSummary) -> dict[str, Array]:
+def finite_columns(path: Path, look: ColumnSummary) -> dict[str, Array]:
     """Return the columns that move, by heading, without the rows that lack a value."""
     headings = [heading for heading in look.numeric if heading not in look.still]
-    values = read_columns(path, headings).values if headings else np.empty((0, 0))
+    values = (
+        np.stack([read_columns(path).column(heading) for heading in headings], -1) if headings else np.empty((0, 0))
+    )
     return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
 
 
-def _grows(column: Array) -> bool:
+def grows(column: Array) -> bool:
+    """Tell whether each number is larger than the one before."""
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 

@@ -1,48 +1,38 @@
-"""A CSV file as headings and numbers, each row with its line in the file; what cannot be read says where."""
+"""The columns of a log as numbers: what their headings say, what is no number and where, and a summary of each."""
 
 from __future__ import annotations
 
-import csv
 import math
 import re
-from array import array
-from codecs import getincrementaldecoder
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from itertools import islice, pairwise
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
+from dynasindy.data.files import read_file
 from dynasindy.text import did_you_mean
 
+Array = NDArray[np.float64]
 DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:\d{2}.*))?")
 """A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
 ALLOWED = "2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05"
 """Dates that are read, for messages."""
-
-
-def seconds_of_date(text: str) -> float:
-    """Return the seconds of a date with its time of day, by ISO 8601 or with points; NaN of what is none."""
-    text = text.strip()
-    if found := DAY_FIRST.fullmatch(text):
-        day, month, year, hour, rest = found.groups()
-        text = f"{year}-{month:0>2}-{day:0>2}T{hour or '0':0>2}{rest or ':00'}"
-    try:
-        date = datetime.fromisoformat(text)
-    except ValueError:
-        return math.nan
-    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()  # else summer time would leave a gap
-
-
 MAP = "correct the column map (data.time, data.states, data.inputs)"
-SEPARATORS = ",;\t"
-"""What may stand between the values of a line."""
-TITLES = 50
-"""Lines among which the headings are looked for, to tell a title above them."""
+COUNTED = 5
+"""Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """Cells of a column that are no numbers: the line and text of the first one, and how many there are."""
+
+    line: int
+    text: str
+    count: int
 
 
 @dataclass(frozen=True)
@@ -53,81 +43,221 @@ class Table:
         headings: headings of the columns as the file has them.
         values: what is no number is NaN, `(rows, columns)`.
         lines: line of each row in the file, `(rows,)`.
-        words: sentences on cells that hold something else than a number, one for each such column.
-        dated: whether the first column holds dates.
+        words: cells that hold something else than a number, by heading.
+        dated: headings of columns that hold dates, in seconds.
+        repeated: lines at which the headings are repeated, as where a recording begins anew.
+        notes: sentences on what was decided.
     """
 
     headings: tuple[str, ...]
-    values: NDArray[np.float64]
+    values: Array
     lines: NDArray[np.int64]
-    words: tuple[str, ...] = ()
-    dated: bool = False
+    words: Mapping[str, Words] = field(default_factory=dict)
+    dated: frozenset[str] = frozenset()
+    repeated: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def column(self, heading: str) -> Array:
+        """Return the numbers below a heading, `(rows,)`."""
+        return self.values[:, self.headings.index(heading)]
 
 
-def read_columns(path: Path, names: Sequence[str]) -> Table:
-    """Read the named columns of a file; a heading `angle [rad]` may be named by `angle`.
-
-    The first column is that of time, and may hold dates, such as `2024-05-31 12:00:00.05`, which become seconds.
+def read_columns(path: Path) -> Table:
+    """Read a file; a file that was read just before is not read again.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is no table of text, a column is missing or stands there twice, or one has values and none
-            of them is a number.
+        ValueError: the file is no table, or a column with values has no heading.
     """
-    (_, headings), rows = rows_of(path)
-    columns = [_find(path, name, headings) for name in names]
-    values, lines = array("d"), array("q")
-    first: dict[int, str] = {}
-    wrong: dict[int, list[tuple[int, str]]] = {}
-    dated = False
-    for line, row in rows:
-        if len(row) > len(headings) and any(text.strip() for text in row[len(headings) :]):
-            raise ValueError(
-                f"{path}, line {line} has {len(row)} values for {len(headings)} headings; allowed is one each: put "
-                "points into decimals, or semicolons between columns"
-            )
-        lines.append(line)
-        texts = [row[k] if k < len(row) else "" for k in columns]
-        numbers = list(map(parse_number, texts))
-        if texts and math.isnan(numbers[0]):
-            numbers[0] = seconds_of_date(texts[0])
-            dated = dated or not math.isnan(numbers[0])
-        for k, (value, text) in enumerate(zip(numbers, texts, strict=True)):
-            if math.isnan(value) and text.strip().lower() not in ("", "nan"):
-                wrong.setdefault(k, []).append((line, text.strip()[:40]))
-        values.extend(numbers)
-        first = first or {k: text for k, text in zip(columns, texts, strict=True) if text.strip()}
-    found = tuple(headings[k] for k in columns)
-    words = tuple(_told(found[k], *told[0], len(told) - 1) for k, told in sorted(wrong.items()))
-    cells = np.array(values).reshape(len(lines), len(names))
-    table = Table(found, cells, np.array(lines, dtype=np.int64), words, dated)
-    for k, heading, column in zip(columns, found, table.values.T, strict=True):
-        if k in first and np.isnan(column).all():
-            raise ValueError(
-                f"{path}, column {heading!r} has no number, but values such as {first[k][:40]!r}; allowed are numbers, "
-                f"and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
-            )
-    return table
+    state = path.stat() if path.is_file() else None
+    return _read(path, *((state.st_mtime_ns, state.st_size) if state else (0, 0)))
 
 
-def _told(heading: str, line: int, text: str, more: int) -> str:
+@lru_cache(maxsize=2)
+def _read(path: Path, changed: int, size: int) -> Table:
+    raw = read_file(path)
+    headings = [" ".join(str(heading).split()) for heading in raw.headings]
+    values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
+    for k, heading in enumerate(headings):
+        values[:, k], wrong, is_date = _numbers(raw.frame[k], raw.lines)
+        if wrong is not None:
+            words[heading] = wrong
+        if is_date:
+            dated.add(heading)
+    notes = []
+    if raw.skipped:
+        notes.append(f"{raw.skipped} lines above the headings were skipped")
+    if not raw.headed:
+        notes.append(f"the file has no headings; its columns are called {', '.join(filter(None, headings))}")
+    if raw.repeated:
+        notes.append(f"line {', '.join(map(str, raw.repeated))} repeats the headings; a recording begins anew there")
+    kept = [k for k, heading in enumerate(headings) if heading or np.isfinite(values[:, k]).any()]
+    for k in [k for k in kept if not headings[k]]:
+        if k and not _counts(values[:, k]):
+            raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
+        kept.remove(k)  # an index that a program wrote
+    found = tuple(headings[k] for k in kept)
+    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), raw.repeated, tuple(notes))
+    return _with_one_clock(table)
+
+
+CLOCK_OF_ITS_OWN = re.compile(r"(.+?[_ ./]?)(timestamp|time|stamp|t)", re.IGNORECASE)
+"""A heading that is the time of the columns with the same beginning, such as `left_time`."""
+
+
+def _with_one_clock(table: Table) -> Table:
+    """Return a table whose columns of a second clock are taken to the times of the first one.
+
+    A column that is held for most of the time keeps its last value; others are on straight lines between two samples.
+    """
+    found = {h: CLOCK_OF_ITS_OWN.fullmatch(split_unit(h)[0]) for h in table.headings}
+    clocks = {
+        match[1]: heading
+        for heading, match in found.items()
+        if match and _is_increasing(table.column(heading)) and heading not in table.dated
+    }
+    if len(clocks) < 2 or any(name.lower() in ("t", "time", "timestamp") for name in map(_name, table.headings)):
+        return table
+    first, *others = clocks.values()
+    values, moved, now = table.values.copy(), [], table.column(first)
+    for begin, heading in clocks.items():
+        if heading == first:
+            continue
+        then = table.column(heading)
+        for k, name in enumerate(table.headings):
+            if name.startswith(begin) and name != heading:
+                held = (np.diff(values[:, k]) == 0).mean() > 0.5
+                at = np.clip(np.searchsorted(then, now, side="right") - 1, 0, len(then) - 1)
+                values[:, k] = values[at, k] if held else np.interp(now, then, values[:, k])
+                moved.append(name)
+    kept = [k for k, name in enumerate(table.headings) if name not in others]
+    unit = split_unit(first)[1]
+    names = [(f"time [{unit}]" if unit else "time") if h == first else h for h in table.headings]
+    note = f"{', '.join(moved)} of the clock {', '.join(others)} stand at the times of {first}"
+    return replace(table, headings=tuple(names[k] for k in kept), values=values[:, kept], notes=(*table.notes, note))
+
+
+def _name(heading: str) -> str:
+    return split_unit(heading)[0]
+
+
+def _is_increasing(column: Array) -> bool:
+    return len(column) > 1 and bool((np.diff(column) > 0).all())
+
+
+def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words | None, bool]:
+    """Return a column as numbers, the words in it, and whether these are dates, which become seconds."""
+    if column.dtype.kind in "biuf":
+        return column.to_numpy(dtype=np.float64), None, False
+    text = column.astype("string").str.strip()
+    points = text.str.replace(",", ".", regex=False)
+    numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
+    worded = np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)
+    if not worded.any():
+        return numbers, None, False
+    first = int(np.flatnonzero(worded)[0])
+    if np.isnan(numbers).all() and math.isfinite(seconds_of_date(str(text[first]))):
+        return _seconds(text), Words(int(lines[first]), str(text[first])[:40], int(worded.sum())), True
+    return numbers, Words(int(lines[first]), str(text[first])[:40], int(worded.sum())), False
+
+
+def _seconds(text: pd.Series) -> Array:
+    """Return the seconds of dates, NaN of what is none."""
+    iso = text.str.replace(
+        DAY_FIRST, lambda found: _iso(found) if found[0] == found.string else found[0], regex=True
+    ).str.replace(",", ".", regex=False)
+    dates = pd.to_datetime(iso, format="ISO8601", utc=True, errors="coerce")
+    since = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    return np.asarray(since.to_numpy(dtype=np.float64, na_value=np.nan))
+
+
+def _iso(found: re.Match[str]) -> str:
+    day, month, year, hour, rest = found.groups()
+    return f"{year}-{month:0>2}-{day:0>2}T{hour or '0':0>2}{rest or ':00'}"
+
+
+def seconds_of_date(text: str) -> float:
+    """Return the seconds of a date with its time of day, by ISO 8601 or with points; NaN of what is none."""
+    text = text.strip()
+    if re.fullmatch(r"[\d.,]*", text) and not DAY_FIRST.fullmatch(text):
+        return math.nan
+    return float(_seconds(pd.Series([text], dtype="string"))[0])
+
+
+def select_columns(path: Path, names: Sequence[str], dt: float | None = None) -> Table:
+    """Return the named columns of a file, in this order; a heading `angle [rad]` may be named by `angle`.
+
+    The first column is that of time, and alone may hold dates, which become seconds. Where the file has none and a
+    sampling time is given, its rows are even.
+
+    Args:
+        path: The file.
+        names: Names or headings of the columns.
+        dt: Sampling time that was given [s].
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is no table, a column is missing or stands there twice, or one has values and none of them
+            is a number.
+    """
+    whole = read_columns(path)
+    if dt is not None and names and not named_by(names[0], whole.headings):
+        rows = Table((names[0],), dt * np.arange(len(whole.lines), dtype=np.float64)[:, None], whole.lines)
+        whole = replace(
+            whole,
+            headings=(*rows.headings, *whole.headings),
+            values=np.concatenate([rows.values, whole.values], 1),
+            notes=(*whole.notes, "the file has no column of time, and its rows are taken as even"),
+        )
+    places = [_find(path, name, whole.headings) for name in names]
+    found = tuple(whole.headings[k] for k in places)
+    values = whole.values[:, places]
+    words = {}
+    for k, heading in enumerate(found):
+        if heading in whole.dated and k:
+            values[:, k] = np.nan
+        if heading in whole.words and not (heading in whole.dated and not k):
+            words[heading] = whole.words[heading]
+        if heading in words and np.isnan(values[:, k]).all():
+            raise ValueError(
+                f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
+                f"numbers, and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
+            )
+    told = tuple(_worded(heading, each) for heading, each in words.items())
+    dated = frozenset(found[:1]) & whole.dated
+    return Table(found, values, whole.lines, words, dated, whole.repeated, (*whole.notes, *told))
+
+
+def _worded(heading: str, words: Words) -> str:
     """Say which cell of a column holds text, and how many more of them do."""
-    first = f"line {line}, column {heading!r} holds {text!r}, which is no number"
-    if not more:
+    first = f"line {words.line}, column {heading!r} holds {words.text!r}, which is no number"
+    if (more := words.count - 1) == 0:
         return f"{first}; it counts as missing"
     others = "1 more cell of the column holds none" if more == 1 else f"{more} more cells of the column hold none"
     return f"{first}, and {others}; they count as missing"
 
 
-def all_headings(path: Path) -> list[str]:
-    """Return all headings of a file."""
-    return rows_of(path)[0][1]
+SUFFIXES = {
+    "deg_s": "deg/s", "dps": "deg/s", "rad_s": "rad/s", "deg": "deg", "rad": "rad", "rpm": "rpm", "pct": "%", "V": "V",
+}  # fmt: skip
+"""Units as the end of a name has them, `angle_deg`."""
 
 
 def split_unit(heading: str) -> tuple[str, str]:
-    """Split `angle [rad]` or `angle (rad)` into name and unit; the unit is empty where there is none."""
+    """Split a heading into name and unit: `angle [rad]`, `angle (rad)` and `angle_rad` alike; empty where none is.
+
+    A place in an array belongs to the name, and so do the parts of a path: `/joint/position[0]` is `joint_position_0`.
+    """
+    heading = heading.strip()
+    name, unit = heading, ""
     found = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
-    return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
+    if found and found[1] and not re.fullmatch(r"\d+", found[2] or "-"):
+        name, unit = found[1], (found[2] or found[3] or "").strip()
+    elif end := next((end for end in SUFFIXES if len(heading) > len(end) + 1 and heading.endswith(f"_{end}")), ""):
+        name, unit = heading[: -len(end) - 1], SUFFIXES[end]
+    if re.search(r"/|\[\d+\]", name):
+        name = re.sub(r"\W+", "_", name).strip("_")
+    return name, unit
 
 
 def named_by(name: str, headings: Sequence[str]) -> list[str]:
@@ -139,16 +269,9 @@ def named_by(name: str, headings: Sequence[str]) -> list[str]:
         lambda heading: heading == name,
         lambda heading: split_unit(heading)[0] == name,
         lambda heading: split_unit(heading) == split_unit(name),
+        lambda heading: not split_unit(name)[1] and split_unit(heading)[0] == split_unit(name)[0],
     )
     return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
-
-
-def parse_number(text: str) -> float:
-    """Return a number, NaN for what is none; a comma that is left in a value is that of a decimal."""
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        return math.nan
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:
@@ -163,92 +286,52 @@ def _find(path: Path, name: str, headings: Sequence[str]) -> int:
     return places[0]
 
 
-def rows_of(path: Path) -> tuple[tuple[int, list[str]], Iterator[tuple[int, list[str]]]]:
-    """Return the line and fields of the headings, and of the rows below them; rows without a value are no rows.
+def _counts(column: Array) -> bool:
+    """Tell whether a column grows by exactly one in each row."""
+    rows = np.flatnonzero(~np.isnan(column))
+    if not len(rows) or np.ptp(rows) + 1 < COUNTED:
+        return False
+    return bool((column[rows] - column[rows[0]] == rows - rows[0]).all())
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """Hold the headings of a file by what stands below them.
+
+    Attributes:
+        headings: All headings.
+        numeric: Those of columns that hold a number somewhere.
+        still: Those of numeric columns that hold one number from beginning to end, with this number.
+        worded: Those of columns that hold text and no number, with the first text.
+        dated: Those of `worded` whose first text is a date.
+        counting: Those of numeric columns that grow by exactly one in each row.
+    """
+
+    headings: tuple[str, ...]
+    numeric: tuple[str, ...]
+    still: dict[str, float]
+    worded: dict[str, str]
+    dated: tuple[str, ...]
+    counting: tuple[str, ...]
+
+
+def summarise_columns(path: Path) -> ColumnSummary:
+    """Say what stands in the columns of a file.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is no table of text, or does not begin with a line of headings.
+        FileNotFoundError: There is no such file.
+        ValueError: The file is no table, a heading is missing, or two agree but for their unit.
     """
-    rows = _lines(path)
-    line, fields = next(rows, (0, []))
-    headings = [field.strip() for field in fields]
-    if not any(headings):
-        raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
-    if all(not math.isnan(parse_number(heading)) for heading in headings):
-        names = ",".join(["time", *(f"x{k}" for k in range(1, len(headings) - 1)), "u"][: len(headings)])
+    table = read_columns(path)
+    names = [split_unit(heading)[0] for heading in table.headings]
+    if double := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(
-            f"{path} has numbers in line {line}, where headings are wanted; allowed is a CSV file with a line of "
-            f"headings: write one above, such as {names}, with names and units of yours, as in angle [deg]; columns "
-            "that are called u or u_... are inputs, all others but time are states"
+            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
         )
-    if below := _below_a_title(path):
-        what = f"line 1 holds {', '.join(filter(None, headings))[:60]!r}"
-        raise ValueError(
-            f"{path}: {what}, as a title does, and the headings seem to stand in line {below}; allowed is a CSV file "
-            f"whose first line holds the headings: delete what stands above line {below}"
-        )
-    return (line, headings), rows
-
-
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    with _opened(path) as file:
-        reader, before = csv.reader(file, delimiter=_separator(file)), 0
-        try:
-            for row in reader:
-                if reader.line_num > before + 1:
-                    raise ValueError(
-                        f"{path}, line {before + 1}: a quote opens that is not closed in its line, so the lines up "
-                        f"to {reader.line_num} would be one value; close or remove it"
-                    )
-                before = reader.line_num
-                if row:
-                    yield before, row
-        except csv.Error as error:
-            raise ValueError(
-                f"{path}, after line {before}: {error}; allowed are lines of short values: look for a quote that is "
-                "not closed"
-            ) from error
-
-
-def _below_a_title(path: Path) -> int:
-    """Return the line of the headings if a title stands above them, else 0.
-
-    Headings are words above numbers, and more of them than the title has parts; a line of units has as many.
-    """
-    with _opened(path) as file:
-        lines = [line.rstrip("\r\n") for line in islice(file, TITLES)]
-    for k, (line, below) in enumerate(pairwise(lines)):
-        separator = max(SEPARATORS, key=line.count)
-        words, values = ([part.strip() for part in text.split(separator)] for text in (line, below))
-        title = [part for part in lines[0].split(separator) if part.strip()]
-        wordy = all(math.isnan(parse_number(word)) for word in words)
-        if len(words) == len(values) > 1 and wordy and any(not math.isnan(parse_number(value)) for value in values):
-            return k + 1 if len(title) < len([word for word in words if word]) else 0
-    return 0
-
-
-def _opened(path: Path) -> TextIO:
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist or is no file; allowed is a CSV file with a line of headings: correct data.path"
-        )
-    with path.open("rb") as file:
-        begin = file.read(4096)
-    wide = begin.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if b"\0" in begin and not wide:
-        raise ValueError(f"{path} is not text; allowed is a CSV file with a line of headings: export the log as CSV")
-    # A degree sign in a heading is one byte where Windows wrote it, which is no UTF-8.
-    encoding = "utf-16" if wide else "utf-8-sig"
-    try:
-        getincrementaldecoder("utf-8")().decode(begin)
-    except UnicodeDecodeError:
-        encoding = encoding if wide else "cp1252"
-    return path.open(newline="", encoding=encoding, errors="replace")
-
-
-def _separator(file: TextIO) -> str:
-    """Guess the separator from the line of headings, and go back to it."""
-    first = file.readline(100_000)
-    file.seek(0)
-    return max(SEPARATORS, key=first.count)
+    dated = tuple(heading for heading in table.headings if heading in table.dated)
+    found = {h: c[~np.isnan(c)] for h, c in zip(table.headings, table.values.T, strict=True) if h not in dated}
+    numeric = tuple(heading for heading, column in found.items() if len(column))
+    still = {h: float(found[h][0]) for h in numeric if (found[h] == found[h][0]).all()}
+    worded = {h: words.text for h, words in table.words.items() if h not in numeric}
+    counting = tuple(h for h in numeric if _counts(table.column(h)))
+    return ColumnSummary(table.headings, numeric, still, worded, dated, counting)

@@ -15,7 +15,7 @@ from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.headings import row_counter
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
-from dynasindy.data.table import all_headings, split_unit
+from dynasindy.data.table import read_columns, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
@@ -123,7 +123,7 @@ class LoggedData:
             return self._read_off(notes)
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
-        headings = all_headings(Path(self._files[0]))
+        headings = read_columns(Path(self._files[0])).headings
         names, rates = {split_unit(heading)[0] for heading in headings}, set((self.known or {}).values())
         states = given[0] or {
             n: Column("" if n in rates and n not in names else n, unit)
@@ -166,14 +166,14 @@ class LoggedData:
 
     def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
         """Return columns in the units of their headings; known rates of angles in rad are in rad/s."""
-        headings = all_headings(Path(self._files[0]))
+        headings = read_columns(Path(self._files[0])).headings
         return dict(with_units(columns_of(states), headings, states=True, known=self.known, rotors=False))
 
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
         """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
 
         def _mend(wrong: Mismatch) -> str:
-            headings, given = all_headings(Path(self._files[0])), columns_of(states)
+            headings, given = read_columns(Path(self._files[0])).headings, columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
             unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])

@@ -140,7 +140,19 @@ def test_time_that_does_not_increase_is_refused_at_its_row(tmp_path):
     table = log()
     table[30, 0] = table[29, 0]
     assert "increase" in refusal(write(tmp_path / "equal.csv", table))
-    assert "0 s follows 0.79 s" in refusal(write(tmp_path / "two.csv", np.concatenate([log(), log()])))
+    swapped = log()
+    swapped[[30, 40]] = swapped[[40, 30]]
+    assert "increase" in refusal(write(tmp_path / "swapped.csv", swapped))
+
+
+def test_a_recording_that_begins_anew_is_two(tmp_path):
+    path = Path(write(tmp_path / "two.csv", np.concatenate([log(), log()])))
+    lines = path.read_text().splitlines()
+    for text in (lines, [*lines[:81], lines[0], *lines[81:]]):  # with the headings once more, too
+        path.write_text("\n".join(text))
+        data = CsvLog(str(path), STATES, INPUTS).read().transitions
+        assert data.segment.bincount().tolist() == [79, 79]
+        assert np.array_equal(data.x.numpy(), np.concatenate([log()[:-1, 1:3]] * 2))
 
 
 def test_a_constant_input_is_refused_by_its_name(tmp_path):

@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from dynasindy.data.columns import infer
-from dynasindy.data.headings import guessed, row_counter, summarise_columns
+from dynasindy.data.headings import guessed, row_counter
+from dynasindy.data.table import summarise_columns
 from dynasindy.evaluation.identification import LoggedData
 
 
@@ -176,14 +177,17 @@ def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
     assert "data.dt" not in str(error.value)  # it was given
     named = rows_of_a_swing(tmp_path / "c.csv", "row,angle,u", lambda k: (k, math.sin(k), k // 4 % 2))
     for states in (["row", "angle"], {"way": "row", "angle": {"name": "angle"}}):
-        with pytest.raises(ValueError, match="row"):
-            LoggedData(named, states, {"u": "u"}, dt=0.1).recording(None)
+        found = LoggedData(named, states, {"u": "u"}, dt=0.1).recording(None)
+        assert found.signature.n_x == 2 and found.transitions.dt == 0.1
 
 
-def test_a_log_without_any_time_is_told_to_have_one_written(tmp_path):
+def test_rows_of_a_log_without_any_time_are_even_where_the_sampling_time_is_given(tmp_path):
     path = rows_of_a_swing(tmp_path / "log.csv", "angle,u", lambda k: (math.sin(k), k // 4 % 2))
     with pytest.raises(ValueError, match="grows"):
-        LoggedData(path, dt=0.1).recording(None)
+        LoggedData(path).recording(None)
+    found = LoggedData(path, dt=0.1).recording(None)
+    assert found.transitions.dt == 0.1 and found.signature.state_names == ("angle",)
+    assert found.transitions.x[:, 0].tolist() == pytest.approx([math.sin(k) for k in range(len(found.transitions))])
 
 
 def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path):

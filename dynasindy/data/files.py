@@ -1,0 +1,468 @@
+"""Files of many programs as one table: text in any dialect, MATLAB, spreadsheets, and containers of channels.
+
+Each reader returns the columns below their headings, numbers or text, and the place of each row in the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+SAMPLE = 400
+"""Lines from which separator, headings and decimal sign are told."""
+BLANKS = r"\s+"
+SEPARATORS = (",", ";", "\t", BLANKS)
+"""What may stand between the values of a line; the first of several that do."""
+WORD = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
+"""A heading between blanks, with its unit."""
+NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
+UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)|[^\W\d]{1,3}[\d²]?(?:/[^\W\d]{1,3}[\d²]?)?|[-%°]|deg|turn|degC", re.IGNORECASE)
+"""A unit alone, in a line below the headings."""
+EXTRA = "pip install 'dynasindy[logs]'"
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Columns of a file as they are in it.
+
+    Attributes:
+        headings: One for each column.
+        frame: The columns, named 0, 1, ...; numbers where all cells are numbers, otherwise text.
+        lines: Line or row of each row in the file, `(rows,)`.
+        headed: Whether the headings are the file's own.
+        skipped: Lines above the headings.
+        repeated: Lines at which the headings are repeated.
+    """
+
+    headings: tuple[str, ...]
+    frame: pd.DataFrame
+    lines: NDArray[np.int64]
+    headed: bool = True
+    skipped: int = 0
+    repeated: tuple[int, ...] = ()
+
+
+def read_file(path: Path) -> RawTable:
+    """Read a file by its ending; text where it is no other format.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is no table, or is of a format whose package is not installed.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist or is no file; allowed is a CSV file with a line of headings: correct data.path"
+        )
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        return _read_text(path)
+    try:
+        return reader(path)
+    except ImportError as error:
+        name = (error.name or str(error)).partition(".")[0]
+        raise ValueError(f"{path} needs the package {name}, which is not installed; install it: {EXTRA}") from error
+    except MemoryError:
+        raise
+    except Exception as error:  # of some library, about a file that is damaged or none of its format
+        if str(path) in str(error):
+            raise
+        raise ValueError(
+            f"{path} cannot be read as {path.suffix} ({' '.join(str(error).split())[:200]}); allowed is a whole file "
+            "of this format: export the log again, or as CSV"
+        ) from error
+
+
+def is_number(text: str) -> bool:
+    """Tell whether a text is a number, with a point or a comma for decimals."""
+    return bool(NUMBER.fullmatch(text.strip()))
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a text file is laid out: separator, decimal sign, headings, their line and the first line of values."""
+
+    separator: str
+    decimal: str
+    headings: tuple[str, ...]
+    columns: int
+    first: int  # lines before the first one of values
+    headed: bool
+    skipped: int  # lines before the headings
+
+
+def _read_text(path: Path) -> RawTable:
+    encoding = _encoding(path)
+    with path.open(encoding=encoding, errors="replace", newline="") as file:
+        lines = re.split(r"\r\n|\r|\n", file.read(200 * SAMPLE))
+    layout = _layout(path, lines[: min(SAMPLE, max(len(lines) - 1, 1))] if len(lines) > SAMPLE else lines)
+    settings: dict[str, Any] = {
+        "sep": layout.separator,
+        "decimal": layout.decimal,
+        "encoding": encoding,
+        "encoding_errors": "replace",
+        "header": None,
+        "skiprows": layout.first,
+        "skip_blank_lines": False,
+        "skipinitialspace": True,
+        "low_memory": False,
+    }
+    try:
+        frame = pd.read_csv(path, names=range(layout.columns), index_col=False, **settings)
+    except pd.errors.EmptyDataError:
+        frame = pd.DataFrame({k: pd.Series(dtype=float) for k in range(layout.columns)})
+    except pd.errors.ParserError as error:
+        raise ValueError(_fault(path, encoding, layout, str(error))) from error
+    lines_of = layout.first + 1 + np.arange(len(frame))
+    if fault := _open_quote(path, encoding, layout):
+        raise ValueError(fault)
+    blank = frame.isna().all(axis=1).to_numpy()
+    frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
+    repeated = _repeated(frame, layout.headings)
+    numbers = tuple(int(line) for line in lines_of[repeated])
+    if numbers:
+        frame, lines_of = frame[~repeated].reset_index(drop=True), lines_of[~repeated]
+    wide = [k for k in range(len(layout.headings), layout.columns) if frame[k].notna().any()]
+    if wide:
+        row = int(np.flatnonzero(frame[wide].notna().any(axis=1))[0])
+        count = int(frame.loc[row].last_valid_index()) + 1
+        raise ValueError(
+            f"{path}, line {lines_of[row]} has {count} values for {len(layout.headings)} headings; allowed is one "
+            "each: put points into decimals, or semicolons between columns"
+        )
+    frame = frame[list(range(len(layout.headings)))]
+    return RawTable(layout.headings, frame, lines_of, layout.headed, layout.skipped, numbers)
+
+
+def _encoding(path: Path) -> str:
+    with path.open("rb") as file:
+        begin = file.read(4096)
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\0" in begin:
+        raise ValueError(
+            f"{path} is not text; allowed is a CSV file with a line of headings: export the log as CSV, or give the "
+            f"file the ending of its format ({', '.join(READERS)})"
+        )
+    try:
+        begin[: begin.rfind(b"\n") + 1 or None].decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"  # a degree sign in a heading is one byte where Windows wrote it, which is no UTF-8
+    return "utf-8-sig"
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    if separator == BLANKS:
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line], delimiter=separator), [])]
+
+
+def _is_value(text: str) -> bool:
+    return is_number(text) or bool(DATE.fullmatch(text.strip()))
+
+
+def _layout(path: Path, lines: Sequence[str]) -> _Layout:
+    """Find values from below, then the headings above them; what stands above these is a title."""
+    lines = [line.removeprefix("\ufeff") for line in lines]
+    filled = [k for k, line in enumerate(lines) if line.strip(" ,;\t")]
+    if not filled or (filled[0] and not any(_is_value(f) for k in filled for f in re.split(r"[,;\s]", lines[k]))):
+        raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
+    separator = _separator([lines[k] for k in filled])
+    rows = {k: _fields(lines[k], separator) for k in filled}
+    lower = filled[len(filled) // 2 :]
+    width = max(map(len, (rows[k] for k in lower)))
+    common = Counter(len(rows[k]) for k in lower).most_common(1)[0][0]
+    counts = Counter(place for k in lower for place, text in enumerate(rows[k]) if _is_value(text))
+    numeric = {place for place, count in counts.items() if 2 * count >= len(lower)}
+
+    def holds_values(k: int) -> bool:
+        values = [place for place, text in enumerate(rows[k]) if _is_value(text)]
+        words = [p for p in numeric if p < len(rows[k]) and rows[k][p] and not _is_value(rows[k][p])]
+        return bool(values) and len(rows[k]) <= common + 1 and 2 * len(words) <= len(numeric)
+
+    first = len(filled)
+    while first and (holds_values(filled[first - 1]) or (first > 1 and _inside(first, filled, rows, holds_values))):
+        first -= 1
+    if first == len(filled):  # no values at all
+        first = 1
+    head, headed = filled[:first], bool(first)
+    decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
+    if not headed:
+        width = max(map(len, rows.values()))
+        trailing = not any(len(row) == width and row[-1] for row in rows.values())
+        count = width - trailing
+        names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
+        return _Layout(separator, decimal, names, width, filled[0], False, 0)
+    headings, units = rows[head[-1]], list[str]()
+    if len(head) > 1 and any(headings) and all(UNIT.fullmatch(text) or not text for text in headings):
+        above = rows[head[-2]]
+        if len(above) == len(headings):
+            headings, units, head = above, headings, head[:-1]
+    if separator == BLANKS and len(headings) > common:  # blanks before units
+        headings = WORD.findall(lines[head[-1]])
+    if units:
+        bare = [re.sub(r"^[\[(]|[\])]$", "", unit) for unit in units]
+        headings = [f"{name} [{unit}]" if unit not in ("", "-") else name for name, unit in zip(headings, bare)]
+    width = max(width, len(headings))
+    last = filled[first] if first < len(filled) else head[-1] + 1
+    return _Layout(separator, decimal, tuple(headings), width, last, True, head[-1])
+
+
+def _inside(first: int, filled: Sequence[int], rows: Mapping[int, list[str]], values: Callable[[int], bool]) -> bool:
+    """Tell whether a line without values stands between lines with values: one that a program wrote in between."""
+    return values(filled[first - 2]) and len(rows[filled[first - 2]]) >= len(rows[filled[first - 1]])
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return the separator that gives most lines of the lower half the same number of fields that are values."""
+
+    def score(separator: str) -> tuple[float, int]:
+        lower = [_fields(line, separator) for line in lines[len(lines) // 2 :]]
+        width, same = Counter(map(len, lower)).most_common(1)[0]
+        fields = [text for row in lower for text in row]
+        values = sum(_is_value(text) or not text for text in fields) / max(1, len(fields))
+        return (values * same / len(lower) if width > 1 else 0.0), width
+
+    found = {separator: score(separator) for separator in SEPARATORS}
+    best = max(value for value, _ in found.values())
+    if not best:
+        return max(SEPARATORS[:3], key=lambda separator: lines[0].count(separator))
+    # "1,5;2,5" has values between commas as well, fewer of them whole; ";" then wins by its even count.
+    near = [separator for separator in SEPARATORS if found[separator][0] > best - 0.02]
+    if "," in near and any(other in near for other in (";", "\t")):
+        near.remove(",")
+    return near[0]
+
+
+def _repeated(frame: pd.DataFrame, headings: Sequence[str]) -> NDArray[np.bool_]:
+    """Tell which rows repeat the headings."""
+    same = np.zeros(len(frame), dtype=bool)
+    words = [k for k, name in enumerate(headings) if name and not is_number(name) and frame[k].dtype.kind not in "biuf"]
+    if words:
+        first = words[0]
+        rows = np.flatnonzero(frame[first].astype(str).str.strip().to_numpy() == headings[first].split(" [")[0])
+        rows = np.union1d(rows, np.flatnonzero(frame[first].astype(str).str.strip().to_numpy() == headings[first]))
+        for row in rows.astype(int):
+            cells = [str(frame.iat[row, k]).strip() for k in words]
+            same[row] = all(c in (headings[k], headings[k].split(" [")[0]) for c, k in zip(cells, words))
+    return same
+
+
+def _fault(path: Path, encoding: str, layout: _Layout, message: str) -> str:
+    """Return what is wrong with a text that pandas cannot take apart."""
+    if fault := _open_quote(path, encoding, layout):
+        return fault
+    if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", message):
+        return (
+            f"{path}, line {found[2]} has {found[3]} values for {len(layout.headings)} headings; allowed is one each: "
+            "put points into decimals, or semicolons between columns"
+        )
+    return f"{path}: {' '.join(message.split())}; allowed are lines of short values: look for an open quote"
+
+
+def _open_quote(path: Path, encoding: str, layout: _Layout) -> str:
+    """Return at which line a quote opens that is not closed there, '' if none does."""
+    with path.open("rb") as file:
+        if not any(b'"' in part for part in iter(lambda: file.read(1 << 20), b"")):
+            return ""
+    with path.open(encoding=encoding, errors="replace", newline="") as text:
+        reader, before = csv.reader(text, delimiter=" " if layout.separator == BLANKS else layout.separator), 0
+        try:
+            for _ in reader:
+                if reader.line_num > before + 1:
+                    return (
+                        f"{path}, line {before + 1}: a quote opens that is not closed in its line, so the lines up to "
+                        f"{reader.line_num} would be one value; close or remove it"
+                    )
+                before = reader.line_num
+        except csv.Error as error:
+            return (
+                f"{path}, after line {before}: {error}; allowed are lines of short values: look for a quote that is "
+                "not closed"
+            )
+    return ""
+
+
+def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:
+    """Return the arrays of one length, the commonest, as a table; a matrix has a column for each of its columns."""
+    flat = {
+        name: np.asarray(values)
+        for key, whole in columns.items()
+        for name, values in _columns_of(str(key), np.asarray(whole))
+        if np.asarray(values).dtype.kind in "biufM"
+    }
+    lengths = Counter(len(values) for values in flat.values() if len(values) > 1)
+    if not lengths:
+        raise ValueError(f"{path} holds no arrays of numbers; allowed are variables of one length: save the log so")
+    length = max(lengths, key=lambda size: (lengths[size], size))
+    kept = {name: values for name, values in flat.items() if len(values) == length}
+    frame = pd.DataFrame({k: _as_number(values) for k, values in enumerate(kept.values())})
+    return RawTable(tuple(kept), frame, np.arange(1, length + 1, dtype=np.int64))
+
+
+def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[ns]").astype(np.int64) / 1e9
+    return values.astype(np.float64)
+
+
+def _columns_of(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    values = values.squeeze() if values.ndim != 1 else values
+    if values.ndim == 1:
+        yield name, values
+    elif values.ndim == 2:
+        tall = values if len(values) >= values.shape[1] else values.T
+        yield from ((f"{name}[{k}]", tall[:, k]) for k in range(tall.shape[1]))
+
+
+def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the arrays of nested structures, with their names; Simulink's signals have the names of their labels."""
+    if isinstance(tree, Mapping):
+        label = tree.get("label")
+        for key, value in tree.items():
+            if str(key).startswith("__") or key in ("label", "dimensions", "blockName", "title", "plotStyle"):
+                continue
+            inner = key in ("signals", "values", "Data", "data")
+            own = str(label) if inner and isinstance(label, str) and label else ""
+            time = str(key).lower() == "time"
+            yield from _flatten(value, own or ("time" if time else name if inner and name else str(key)))
+    elif isinstance(tree, list | tuple) and tree and isinstance(tree[0], Mapping):
+        for k, value in enumerate(tree):
+            yield from _flatten(value, f"{name}[{k}]")
+    elif isinstance(tree, np.ndarray) and tree.dtype == object:
+        for k, value in enumerate(tree.ravel()):
+            yield from _flatten(value, f"{name}[{k}]")
+    else:
+        yield name, np.asarray(tree)
+
+
+def _read_mat(path: Path) -> RawTable:
+    from scipy.io import loadmat
+
+    with path.open("rb") as file:
+        newer = b"MATLAB 7.3" in file.read(128)
+    if newer:
+        return _read_hdf5(path)
+    columns: dict[str, Any] = {}
+    for name, values in _flatten(loadmat(str(path), simplify_cells=True)):
+        columns.setdefault("time" if name == "tout" else name, values)
+    return _of_columns(columns, path)
+
+
+def _read_hdf5(path: Path) -> RawTable:
+    h5py = import_module("h5py")
+    columns: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+
+        def keep(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and "#refs#" not in name:
+                short = name.rpartition("/")[2]
+                columns[name if short in columns else short] = item[()]
+
+        file.visititems(keep)
+    return _of_columns(columns, path)
+
+
+def _read_npz(path: Path) -> RawTable:
+    with np.load(path, allow_pickle=False) as file:
+        return _of_columns(dict(file) if hasattr(file, "files") else {"x": file}, path)
+
+
+def _of_frame(frame: pd.DataFrame) -> RawTable:
+    if frame.index.name or not isinstance(frame.index, pd.RangeIndex):
+        frame = frame.reset_index()
+    headings = tuple(str(name) for name in frame.columns)
+    columns = {
+        k: (frame[name].astype("int64") / 1e9 if frame[name].dtype.kind == "M" else frame[name])
+        for k, name in enumerate(frame.columns)
+    }
+    return RawTable(headings, pd.DataFrame(columns), np.arange(1, len(frame) + 1, dtype=np.int64))
+
+
+def _read_excel(path: Path) -> RawTable:
+    """Read the first sheet as text would be: headings may stand below a title."""
+    cells = pd.read_excel(path, header=None)
+    buffer = io.StringIO()
+    cells.to_csv(buffer, header=False, index=False)
+    text = path.parent / path.name  # for messages
+    lines = buffer.getvalue().splitlines()
+    layout = _layout(text, lines[:SAMPLE])
+    body = cells.iloc[layout.first :, : len(layout.headings)]
+    body.columns = pd.RangeIndex(body.shape[1])
+    frame = body.reset_index(drop=True).infer_objects()
+    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), layout.headed, layout.skipped)
+
+
+def _read_tdms(path: Path) -> RawTable:
+    file = import_module("nptdms").TdmsFile.read(path)
+    columns: dict[str, Any] = {}
+    for group in file.groups():
+        for channel in group.channels():
+            if "time" not in columns and "wf_increment" in channel.properties:
+                columns["time"] = channel.time_track()
+            columns[channel.name] = channel[:]
+    return _of_columns(columns, path)
+
+
+def _read_mdf(path: Path) -> RawTable:
+    with import_module("asammdf").MDF(path) as file:
+        frame = file.to_dataframe(use_interpolation=False, time_from_zero=False)
+    frame.index.name = "time"
+    return _of_frame(frame)
+
+
+def _read_bag(path: Path) -> RawTable:
+    """Read the numbers of all messages: a column each, a row for each time, empty where a topic says nothing."""
+    rosbags, highlevel = import_module("rosbags.typesys"), import_module("rosbags.highlevel")
+    store = rosbags.get_typestore(rosbags.Stores.LATEST)
+    rows: dict[int, dict[str, float]] = {}
+    with highlevel.AnyReader([path], default_typestore=store) as reader:
+        for connection, stamp, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            row = rows.setdefault(stamp, {})
+            row.update(_numbers(connection.topic, message))
+    frame = pd.DataFrame.from_dict(rows, orient="index").sort_index()
+    frame.index = pd.Index(frame.index / 1e9, name="time")
+    return _of_frame(frame)
+
+
+def _numbers(name: str, message: Any) -> Iterator[tuple[str, float]]:
+    if isinstance(message, bool | int | float | np.number):
+        yield name, float(message)
+    elif isinstance(message, np.ndarray | list | tuple):
+        yield from (pair for k, value in enumerate(message) for pair in _numbers(f"{name}[{k}]", value))
+    elif hasattr(message, "__dataclass_fields__"):
+        for field in message.__dataclass_fields__:
+            if field not in ("header", "layout", "__msgtype__"):
+                inner = name if field == "data" else f"{name}/{field}"
+                yield from _numbers(inner, getattr(message, field))
+
+
+READERS: dict[str, Callable[[Path], RawTable]] = {
+    ".mat": _read_mat,
+    ".h5": _read_hdf5,
+    ".hdf5": _read_hdf5,
+    ".npz": _read_npz,
+    ".npy": _read_npz,
+    ".parquet": lambda path: _of_frame(pd.read_parquet(path)),
+    ".feather": lambda path: _of_frame(pd.read_feather(path)),
+    ".xlsx": _read_excel,
+    ".tdms": _read_tdms,
+    ".mf4": _read_mdf,
+    ".mdf": _read_mdf,
+    ".bag": _read_bag,
+    ".mcap": _read_bag,
+    ".db3": _read_bag,
+}
+"""Formats by the ending of a file; all others are text."""

@@ -1,0 +1,118 @@
+"""Each format is written by its own library, and gives the numbers of the same log as text."""
+
+import importlib
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dynasindy.evaluation.identification import LoggedData
+
+ROWS = 300
+T = 0.01 * np.arange(ROWS)
+ANGLE = np.sin(3 * T)
+COMMAND = np.arange(ROWS) // 25 % 3 - 1.0
+WORDS = {"time": T, "angle": ANGLE, "u": COMMAND}
+
+
+def write_mat(path):
+    from scipy.io import savemat
+
+    savemat(path, {"t": T[:, None], "angle": ANGLE[:, None], "u": COMMAND[:, None], "gain": 3.0, "title": "swing"})
+
+
+def write_structure(path):
+    """Simulink's structure with time, one of its signals with a label."""
+    from scipy.io import savemat
+
+    signals = [{"values": ANGLE[:, None], "label": "angle"}, {"values": COMMAND[:, None], "label": "u"}]
+    savemat(path, {"simout": {"time": T[:, None], "signals": signals}, "tout": T[:, None]})
+
+
+def write_hdf5(path):
+    with importlib.import_module("h5py").File(path, "w") as file:
+        for name, values in WORDS.items():
+            file[f"recording/{name}"] = values
+        file["serial"] = 7
+
+
+def write_tdms(path):
+    nptdms = importlib.import_module("nptdms")
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment([nptdms.ChannelObject("rig", name, values) for name, values in WORDS.items()])
+
+
+def write_mdf(path):
+    asammdf = importlib.import_module("asammdf")
+    file = asammdf.MDF()
+    file.append([asammdf.Signal(values, T, name=name) for name, values in WORDS.items() if name != "time"])
+    file.save(path)
+
+
+def write_bag(path):
+    """Messages of an angle and of a command, at the same times."""
+    typesys, mcap = importlib.import_module("rosbags.typesys"), importlib.import_module("rosbags.rosbag2")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    kind = store.types["std_msgs/msg/Float64"]
+    folder = path.with_suffix("")
+    with mcap.Writer(folder, version=9, storage_plugin=mcap.StoragePlugin.MCAP) as writer:
+        topics = [
+            (writer.add_connection(name, kind.__msgtype__, typestore=store), values)
+            for name, values in (("/angle", ANGLE), ("/u", COMMAND))
+        ]
+        for k in range(ROWS):
+            for connection, values in topics:
+                data = store.serialize_cdr(kind(float(values[k])), kind.__msgtype__)
+                writer.write(connection, 1_700_000_000_000_000_000 + 10_000_000 * k, data)
+    next(folder.glob("*.mcap")).rename(path)
+
+
+WRITERS = {
+    "plain.mat": (write_mat, ()),
+    "structure.mat": (write_structure, ()),
+    "log.npz": (lambda path: np.savez(path, **WORDS), ()),
+    "log.h5": (write_hdf5, ("h5py",)),
+    "log.parquet": (lambda path: pd.DataFrame(WORDS).to_parquet(path), ("pyarrow",)),
+    "log.feather": (lambda path: pd.DataFrame(WORDS).to_feather(path), ("pyarrow",)),
+    "log.xlsx": (lambda path: pd.DataFrame(WORDS).to_excel(path, index=False), ("openpyxl",)),
+    "log.tdms": (write_tdms, ("nptdms",)),
+    "log.mf4": (write_mdf, ("asammdf",)),
+    "log.mcap": (write_bag, ("rosbags",)),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_format_gives_the_log_that_was_written(tmp_path, name):
+    write, packages = WRITERS[name]
+    for package in packages:
+        pytest.importorskip(package)
+    write(tmp_path / name)
+    found = LoggedData(str(tmp_path / name)).recording(None)
+    assert found.signature.state_names == ("angle",) and found.signature.input_names == ("u",)
+    data = found.transitions
+    assert data.dt == pytest.approx(0.01, rel=1e-6)
+    assert data.x[:, 0].numpy() == pytest.approx(ANGLE[:-1], abs=1e-12)
+    assert data.u[:, 0].numpy() == pytest.approx(COMMAND[:-1], abs=1e-12)
+
+
+def test_a_damaged_file_and_a_format_without_its_package_cost_one_line(tmp_path, monkeypatch):
+    for ending in ("mat", "npz", "parquet", "h5", "xlsx"):
+        (tmp_path / f"log.{ending}").write_bytes(b"neither \x00 nor")
+        with pytest.raises(ValueError, match=ending) as error:
+            LoggedData(str(tmp_path / f"log.{ending}")).recording(None)
+        assert "\n" not in str(error.value)
+    monkeypatch.setitem(__import__("sys").modules, "nptdms", None)
+    (tmp_path / "log.tdms").write_bytes(b"TDSm")
+    with pytest.raises(ValueError, match="nptdms"):
+        LoggedData(str(tmp_path / "log.tdms")).recording(None)
+
+
+def test_objects_of_a_strangers_file_are_not_executed(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return open, (str(tmp_path / "written"), "w")
+
+    np.savez(tmp_path / "log.npz", time=T, x=np.array([Bomb()] * ROWS, dtype=object))
+    with pytest.raises(ValueError, match="npz"):
+        LoggedData(str(tmp_path / "log.npz")).recording(None)
+    assert not (tmp_path / "written").exists()
