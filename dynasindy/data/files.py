@@ -127,8 +127,9 @@ def _read_text(path: Path) -> RawTable:
     lines_of = layout.first + 1 + np.arange(len(frame))
     if fault := _open_quote(path, encoding, layout):
         raise ValueError(fault)
-    blank = frame.isna().all(axis=1).to_numpy()
-    frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
+    blank = frame[0].isna().to_numpy()
+    if blank.any() and (blank := frame.isna().all(axis=1).to_numpy()).any():
+        frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
     repeated = _repeated(frame, layout.headings)
     numbers = tuple(int(line) for line in lines_of[repeated])
     if numbers:
