@@ -158,8 +158,8 @@ class CsvLog:
     """Read a recording from a CSV file.
 
     Attributes:
-        path: the file, with a line of headings; separated by commas, semicolons or tabs. Several files with the same
-            columns are one recording.
+        path: the file, text or another format of `dynasindy.data.files`. Several files with the same columns are one
+            recording.
         states: columns of the states, by name, in the order of x.
         inputs: columns of the inputs, by name, in the order of u.
         time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where

@@ -63,7 +63,7 @@ def read_file(path: Path) -> RawTable:
     """
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} does not exist or is no file; allowed is a CSV file with a line of headings: correct data.path"
+            f"{path} does not exist or is no file; allowed is the file of a log: correct data.path"
         )
     reader = READERS.get(path.suffix.lower())
     if reader is None:
