@@ -62,9 +62,7 @@ def read_file(path: Path) -> RawTable:
         ValueError: It is no table, or is of a format whose package is not installed.
     """
     if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist or is no file; allowed is the file of a log: correct data.path"
-        )
+        raise FileNotFoundError(f"{path} does not exist or is no file; allowed is the file of a log: correct data.path")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         return _read_text(path)
