@@ -23,7 +23,7 @@ BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablati
 BUILDERS = (
     "dynasindy.sindy.named_libraries",
     "dynasindy.evaluation.scenarios.step_references",
-    "dynasindy.tasks.signals",
+    "dynasindy.tasks.references",
 )
 """Where the parts of an experiment are classes, and where they are functions."""
 FOREIGN = ("Foreign", "GymnasiumEnv")

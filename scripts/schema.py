@@ -18,7 +18,7 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.rig import Guard
 from dynasindy.sindy.functions import register_formula
 from dynasindy.systems import System
-from dynasindy.tasks.signals import Signal
+from dynasindy.tasks.references import Signal
 
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy"}

@@ -1,9 +1,8 @@
 """What is wanted: references, reward, initial states."""
 
 from dynasindy.tasks.base import Sampled, Task
-from dynasindy.tasks.references import Mixture, RandomStep, Reference, Step, Wave
+from dynasindy.tasks.references import Mixture, RandomStep, Reference, Step, Wave, target, wave
 from dynasindy.tasks.reward import TrackingReward
-from dynasindy.tasks.signals import target, wave
 from dynasindy.tasks.tracking import Tracking
 
 __all__ = [

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from dynasindy.dyna.excite import interact
-from dynasindy.dyna.local_model import fit_local_model
+from dynasindy.dyna.excite import fit_local_model, interact
 from dynasindy.envs import ControlEnv
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System
