@@ -23,7 +23,8 @@ BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablati
 BUILDERS = (
     "dynasindy.sindy.named_libraries",
     "dynasindy.evaluation.scenarios.step_references",
-    "dynasindy.tasks.references",
+    "dynasindy.tasks.references.target",
+    "dynasindy.tasks.references.wave",
 )
 """Where the parts of an experiment are classes, and where they are functions."""
 FOREIGN = ("Foreign", "GymnasiumEnv")
