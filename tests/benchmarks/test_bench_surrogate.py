@@ -25,7 +25,7 @@ def test_the_command_identifies_a_log_and_judges_all_three_methods(tmp_path, mon
     assert list(ours) == bench_surrogate.COLUMNS
     for state in bench_surrogate.TARGETS:
         assert float(ours[state]) < float(linear[state]) < float(held[state])
-    assert float(ours["delay_ms"]) == pytest.approx(10.0, abs=1.0)  # one sample
+    assert float(ours["delay_ms"]) == pytest.approx(10.0, abs=5.0)  # one sample, out of 15 s
 
 
 def test_published_rows_are_of_all_three_methods_on_each_log():
