@@ -17,7 +17,7 @@ class Gathering(Callback):
         """Gather what lies in the folder of the sweep; what is in the way is told as an error when all is over."""
         from dynasindy.evaluation.ablation import gather
         from dynasindy.progress import say
-        from dynasindy.viz.ablation import draw_ablation
+        from dynasindy.viz.learning import draw_ablation
 
         root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
         try:

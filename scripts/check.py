@@ -30,10 +30,10 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.checking.closed_loop import step_for
     from dynasindy.checking.verdict import check_record, in_figures, in_lines, in_short, unstable_targets
     from dynasindy.export.write import Exported
-    from dynasindy.progress import say, track
+    from dynasindy.progress import say
     from dynasindy.safe_io import add_to_json, write_json
     from dynasindy.viz.check import draw_check
-    from dynasindy.viz.style import save
+    from dynasindy.viz.style import save_figures
 
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
@@ -62,9 +62,7 @@ def main(cfg: DictConfig) -> None:
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", in_figures(found, findings))
-    figures = draw_check(found)
-    for name, figure in track("figures", figures.items(), len(figures), "files"):
-        save(figure, folder / name)
+    save_figures(draw_check(found), folder)
     say(
         "What the model predicts; the plant itself was not asked.",
         *in_lines(findings),

@@ -19,8 +19,8 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.viz.animation import animate
-    from dynasindy.viz.controllers import name_by_planning, name_with_integral
-    from dynasindy.viz.evaluation import draw_evaluation
+    from dynasindy.viz.controllers import name_by_planning
+    from dynasindy.viz.response import draw_evaluation
 
     torch.set_num_threads(cfg.threads)
     if cfg.run is None:
@@ -32,7 +32,7 @@ def main(cfg: DictConfig) -> None:
     sensing = load_sensing(config, folder, env)
     name = name_by_planning(config.planning)
     if cfg.integral:
-        policy, name = IntegralAction(policy, env), name_with_integral(name)
+        policy, name = IntegralAction(policy, env), f"{name}, integral action"
     out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:

@@ -91,20 +91,21 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
     """Draw the training data and the open-loop prediction against the real states."""
     import torch
 
-    from dynasindy import viz
     from dynasindy.evaluation.identification_report import describe_restarts
+    from dynasindy.viz.identification import prediction, training_data
+    from dynasindy.viz.style import save_figures
 
     training, validation = source.training, source.validation
     shown, against = ("log", "the log") if source.logged else ("plant", "the plant")
     figures = {
-        "training_data": viz.training_data(
+        "training_data": training_data(
             torch.arange(len(training)) * training.dt,
             training.x,
             training.u,
             source.signature,
             segment=training.segment,
         ),
-        "prediction": viz.prediction(
+        "prediction": prediction(
             torch.arange(len(validation)) * validation.dt,
             validation.x_next,
             found.predicted,
@@ -115,7 +116,7 @@ def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]
             shown,
         ),
     }
-    viz.save_all(figures, folder, formats)
+    save_figures(figures, folder, formats)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
-from dynasindy.viz.evaluation import draw_evaluation
+from dynasindy.viz.response import draw_evaluation
 from dynasindy.workbench import damped, rates_of
 
 

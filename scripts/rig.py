@@ -92,8 +92,8 @@ def again(folder: str) -> str:
 def draw(session: "Session") -> None:
     """Draw the excitations of the folder, and each flight with its references and what ended it early."""
     from dynasindy.rig.log import samples
-    from dynasindy.viz.flight import draw_flight, draw_rig_excitation
-    from dynasindy.viz.style import save
+    from dynasindy.viz.response import draw_flight, draw_rig_excitation
+    from dynasindy.viz.style import save_figures
 
     for path, rows in session.logs("excitation").items():
         if rows:
@@ -101,11 +101,11 @@ def draw(session: "Session") -> None:
             ended = f", ended by {flown.ended}" if flown is not None and flown.ended else ""
             title = f"{path.stem.replace('_', ' ').capitalize()} of the rig{ended}"
             figure = draw_rig_excitation(samples(path, session.wiring.signature), session.wiring, session.guard, title)
-            save(figure, session.folder / "figures" / path.stem)
+            save_figures({path.stem: figure}, session.folder / "figures")
     for name, shown in session.shown.items():
         if len(shown.time):  # it did not end before its first sample
             figure = draw_flight(shown, session.wiring, session.guard, name)
-            save(figure, session.folder / "figures" / name)
+            save_figures({name: figure}, session.folder / "figures")
 
 
 if __name__ == "__main__":

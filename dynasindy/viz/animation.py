@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,7 +14,8 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from PIL import Image, ImageDraw, ImageFont
+from matplotlib.lines import Line2D
+from PIL import Image
 
 from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.scenarios import Evaluation
@@ -30,71 +30,6 @@ RATE = 10
 """Pictures per second."""
 FULL = (7500.0, 3800.0)
 """Speeds of tail and main rotor at which the drawn blades turn a radian per picture [rpm]; real ones would blur."""
-
-
-class Chart:
-    """The tracked outputs of one row over the whole run, drawn as far as a moment.
-
-    Args:
-        evaluation: What to show.
-        row: Which of its references.
-    """
-
-    ZOOM = 2
-
-    def __init__(self, evaluation: Evaluation, row: int) -> None:
-        self.names, self.time = evaluation.output_names, evaluation.time.numpy()
-        self.units = tuple(evaluation.units.values())
-        self.y, self.r = evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
-        inch = HEIGHT / 100
-        with matplotlib.rc_context(STYLE):
-            figure = Figure(figsize=(inch, inch), dpi=100 * self.ZOOM)
-            canvas = FigureCanvasAgg(figure)
-            axes = figure.subplots(len(self.names), 1, sharex=True, squeeze=False)[:, 0]
-            figure.subplots_adjust(left=0.2, right=0.96, bottom=0.19, top=0.92, hspace=0.32)
-            for k, axis in enumerate(axes):
-                self._frame(axis, k)
-            time_axis(axes[-1], time_span(self.time))
-            figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
-            canvas.draw()
-        self.ground = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-        self.lines = [self._pixels(axis, self.y[:, k]) for k, axis in enumerate(axes)]
-        self.tops = [(1 - axis.get_position().y1) * self.ground.height for axis in axes]
-
-    def until(self, moment: int) -> Frame:
-        """Return the chart up to and with sample number `moment`, and the errors then in words."""
-        image = self.ground.copy()
-        pen, font = ImageDraw.Draw(image), ImageFont.load_default(size=13 * self.ZOOM)
-        for k, (line, top) in enumerate(zip(self.lines, self.tops, strict=True)):
-            past = line[: moment + 1]
-            pen.line(past, fill=BLUE, width=2 * self.ZOOM, joint="curve")
-            (u, v), size = past[-1], 4 * self.ZOOM
-            pen.ellipse([u - size, v - size, u + size, v + size], fill=BLUE)
-            error = self.r[moment, k] - self.y[moment, k]
-            words = f"{WORDS.get(self.names[k], self.names[k])} error {error:+z.3f} {self.units[k]}"
-            pen.text((0.96 * image.width, top - 5 * self.ZOOM), words, fill=BLACK, font=font, anchor="rs")
-        return np.asarray(image.resize((HEIGHT, HEIGHT), Image.Resampling.LANCZOS))
-
-    def _frame(self, axis: Axes, k: int) -> None:
-        """Draw what does not move: the reference, axes that hold the whole run, and the legend's lines."""
-        step = bool((np.diff(self.r[:, k]) == 0).mean() > 0.5)
-        look: dict[str, Any] = {"drawstyle": "steps-post" if step else "default", "linestyle": "--", "linewidth": 1.2}
-        axis.plot(self.time, self.r[:, k], color=BLACK, label="reference", **look)
-        axis.plot([], [], color=BLUE, linewidth=2.0, label="plant")  # its curve grows with time, see `until`
-        axis.set_ylim(*self._ends(k))
-        axis.set_xlim(self.time[0], self.time[-1])
-        axis.set_ylabel(label(self.names[k], self.units[k]))
-
-    def _ends(self, k: int) -> tuple[float, float]:
-        """Return between which values output and reference are, and a little more."""
-        values = np.concatenate([self.y[:, k], self.r[:, k]])
-        extent = float(np.ptp(values))
-        beyond = 0.08 * max(extent, 0.02) if extent else 0.0016
-        return float(values.min()) - beyond, float(values.max()) + beyond
-
-    def _pixels(self, axis: Axes, values: Array) -> list[tuple[float, float]]:
-        points = axis.transData.transform(np.stack([self.time, values], -1))
-        return [(float(u), self.ground.height - float(v)) for u, v in points]
 
 
 def bar_limits(evaluation: Evaluation, row: int, output: int) -> tuple[float, float]:
@@ -124,21 +59,55 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
         row: Which of its references.
         every: Control periods per picture.
     """
-    chart = Chart(evaluation, row)
-    x, reference = evaluation.trajectory["state"][row].tolist(), evaluation.references[row].tolist()
-    speed = every * RATE * float(evaluation.time[1] - evaluation.time[0])
+    time, y, r = evaluation.time.numpy(), evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
+    x, names, units = (
+        evaluation.trajectory["state"][row].tolist(),
+        evaluation.output_names,
+        [*evaluation.units.values()],
+    )
+    speed = every * RATE * float(time[1] - time[0])
     fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
     ends = [bar_limits(evaluation, row, n) for n in range(len(evaluation.columns))]
     turned, unit = [0.0, 0.0], duration_unit(evaluation.seconds)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(HEIGHT / 100, HEIGHT / 100), dpi=100)
+        canvas, axes = FigureCanvasAgg(figure), figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        figure.subplots_adjust(left=0.2, right=0.96, bottom=0.19, top=0.92, hspace=0.32)
+        curves = [_frame(axis, time, r[:, n], y[:, n]) for n, axis in enumerate(axes)]
+        for axis, name, of in zip(axes, names, units, strict=True):
+            axis.set_ylabel(label(name, of))
+        time_axis(axes[-1], time_span(time))
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
     for k in range(0, len(x), every):
-        words = f"t = {evaluation.time[k] / unit.seconds:.1f} {unit.name}{fast}"
+        words = f"t = {time[k] / unit.seconds:.1f} {unit.name}{fast}"
         if is_beam(evaluation.signature):
             turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
-            scene = draw_beam(x[k], reference[k], turned, words)
+            scene = draw_beam(x[k], r[k].tolist(), turned, words)
         else:
-            moment, seconds = float(evaluation.time[k]), evaluation.seconds
-            scene = draw(evaluation.signature, x[k], reference[k], evaluation.columns, moment, ends, seconds)
-        yield np.hstack([scene, chart.until(k)])
+            of_run = float(time[k]), ends, evaluation.seconds
+            scene = draw(evaluation.signature, x[k], r[k].tolist(), evaluation.columns, *of_run)
+        for n, (axis, (past, now)) in enumerate(zip(axes, curves, strict=True)):
+            past.set_data(time[: k + 1], y[: k + 1, n])
+            now.set_data(time[[k]], y[[k], n])
+            error = f"error {r[k, n] - y[k, n]:+z.3f} {units[n]}"
+            axis.set_title(f"{WORDS.get(names[n], names[n])} {error}", loc="right", fontsize=8)
+        canvas.draw()
+        yield np.hstack([scene, np.asarray(canvas.buffer_rgba())[..., :3]])
+
+
+def _frame(axis: Axes, time: Array, reference: Array, output: Array) -> tuple[Line2D, Line2D]:
+    """Draw what does not move, and return the lines of the output and of its last value, which grow with time."""
+    step = bool((np.diff(reference) == 0).mean() > 0.5)
+    style = "steps-post" if step else "default"
+    axis.plot(time, reference, color=BLACK, label="reference", drawstyle=style, linestyle="--", linewidth=1.2)
+    (past,) = axis.plot([], [], color=BLUE, linewidth=2.0, label="plant")
+    (now,) = axis.plot([], [], color=BLUE, marker="o", markersize=5)
+    values = np.concatenate([output, reference])
+    extent = float(np.ptp(values))
+    beyond = 0.08 * max(extent, 0.02) if extent else 0.0016
+    axis.set_ylim(float(values.min()) - beyond, float(values.max()) + beyond)
+    axis.set_xlim(time[0], time[-1])
+    return past, now
 
 
 def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds: float = 10.0) -> Path:

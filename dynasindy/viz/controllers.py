@@ -12,7 +12,7 @@ BROWN = "#5D3A1A"
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllerStyle:
     """What a controller is called, and the line that it is drawn as; no other has both its colour and its dashes."""
 
     words: str
@@ -26,30 +26,30 @@ class Controller:
 
 
 # The default and the paper's three settings have a colour and a solid line; of the others, kin share a colour.
-CONTROLLERS: Mapping[str, Controller] = {
-    "gradient": Controller("planning by gradient", BLUE),
-    "gradient_integral": Controller("planning by gradient, integral action", BLUE, "--"),
-    "rollouts_0": Controller("no planning", RED),
-    "rollouts_400": Controller("400 rollouts", SKY),
-    "rollouts_800": Controller("800 rollouts", GREEN),
-    "rollouts_0_tuned": Controller("TD3 tuned for no planning", RED, "--"),
-    "direct": Controller("direct TD3", RED, ":"),
-    "sb3_sac": Controller("SAC", PURPLE),
-    "sb3_sac_5": Controller("SAC, five updates per step", PURPLE, "--"),
-    "sb3_td3": Controller("Stable-Baselines3's TD3", ORANGE),
-    "sb3_td3_5": Controller("Stable-Baselines3's TD3, five updates per step", ORANGE, "--"),
-    "oracle": Controller("true plant as the model", BROWN),
-    "pysindy": Controller("PySINDy as the model", SKY, "--"),
-    "pysindy_gate_off": Controller("PySINDy as the model, gate off", SKY, ":"),
-    "gate_off": Controller("gate off", BROWN, "--"),
-    "horizon_1": Controller("rollouts of 1 period", ORANGE, "-."),
-    "horizon_5": Controller("rollouts of 5 periods", SKY, "-."),
-    "horizon_20": Controller("rollouts of 20 periods", PURPLE, "-."),
-    "horizon_100": Controller("rollouts of 100 periods", GREEN, "-."),
-    "horizon_400": Controller("rollouts of 400 periods", BROWN, "-."),
-    "real_share_05": Controller("5 % of a batch real", PURPLE, ":"),
-    "real_share_25": Controller("25 % of a batch real", ORANGE, ":"),
-    "real_share_50": Controller("50 % of a batch real", BROWN, ":"),
+CONTROLLERS: Mapping[str, ControllerStyle] = {
+    "gradient": ControllerStyle("planning by gradient", BLUE),
+    "gradient_integral": ControllerStyle("planning by gradient, integral action", BLUE, "--"),
+    "rollouts_0": ControllerStyle("no planning", RED),
+    "rollouts_400": ControllerStyle("400 rollouts", SKY),
+    "rollouts_800": ControllerStyle("800 rollouts", GREEN),
+    "rollouts_0_tuned": ControllerStyle("TD3 tuned for no planning", RED, "--"),
+    "direct": ControllerStyle("direct TD3", RED, ":"),
+    "sb3_sac": ControllerStyle("SAC", PURPLE),
+    "sb3_sac_5": ControllerStyle("SAC, five updates per step", PURPLE, "--"),
+    "sb3_td3": ControllerStyle("Stable-Baselines3's TD3", ORANGE),
+    "sb3_td3_5": ControllerStyle("Stable-Baselines3's TD3, five updates per step", ORANGE, "--"),
+    "oracle": ControllerStyle("true plant as the model", BROWN),
+    "pysindy": ControllerStyle("PySINDy as the model", SKY, "--"),
+    "pysindy_gate_off": ControllerStyle("PySINDy as the model, gate off", SKY, ":"),
+    "gate_off": ControllerStyle("gate off", BROWN, "--"),
+    "horizon_1": ControllerStyle("rollouts of 1 period", ORANGE, "-."),
+    "horizon_5": ControllerStyle("rollouts of 5 periods", SKY, "-."),
+    "horizon_20": ControllerStyle("rollouts of 20 periods", PURPLE, "-."),
+    "horizon_100": ControllerStyle("rollouts of 100 periods", GREEN, "-."),
+    "horizon_400": ControllerStyle("rollouts of 400 periods", BROWN, "-."),
+    "real_share_05": ControllerStyle("5 % of a batch real", PURPLE, ":"),
+    "real_share_25": ControllerStyle("25 % of a batch real", ORANGE, ":"),
+    "real_share_50": ControllerStyle("50 % of a batch real", BROWN, ":"),
 }
 """The default, and the settings of the ablation."""
 FAMILIES: Mapping[str, str] = {
@@ -83,11 +83,6 @@ def name_by_planning(planning: Mapping[str, Any]) -> str:
     return controller_name({"GradientPlanning": "gradient"}.get(kind, "policy"))
 
 
-def name_with_integral(words: str) -> str:
-    """Return the words for a controller with integral action around it."""
-    return f"{words}, integral action"
-
-
 def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Return colour and dashes per controller of a figure, by its setting or its words, as matplotlib takes them.
 
@@ -98,5 +93,5 @@ def line_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     taken = {known[name].colour for name in chosen if name in known}
     free = [colour for colour in CYCLE if colour not in taken] or list(CYCLE)
     left = [name for name in chosen if name not in known]
-    others = {name: Controller(name, free[k % len(free)]) for k, name in enumerate(left)}
+    others = {name: ControllerStyle(name, free[k % len(free)]) for k, name in enumerate(left)}
     return {name: (known.get(name) or others[name]).look for name in chosen}

@@ -1,16 +1,14 @@
-"""What the gate saw and decided, and what became of each refit."""
+"""How wrong the model is over real episodes, and what the gate decides by it."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.viz.identification import CLOSES, EPISODE, JUDGED, OPENS, TYPICAL
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
@@ -19,19 +17,19 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
-    draw_named_values,
+    label_decades,
     legend_beside,
-    mark_divergence,
     panels,
     styled,
+    time_axis,
 )
 
-FEW_DECADES = 1000.0
-"""Ends of an axis nearer to each other than this factor have few powers of ten between them."""
-BESIDE = 0.2
-"""Room for the number beside the last dot, as a share of the decades between the first and the last dot."""
 CLEAR = 1.1
 """An end of an axis lies beyond every value by this factor at least: what lies on the frame is not seen."""
+TYPICAL = "typical ranges"
+"""Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
+DOTS: Mapping[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
+NONE: Mapping[str, ArrayLike] = {}
 
 
 @styled
@@ -39,12 +37,12 @@ def gate(
     decisions: Mapping[str, ArrayLike],
     title: str = "Trust in the model",
     unit: str = "reward per period",
-    windows: Mapping[str, ArrayLike] | None = None,
+    windows: Mapping[str, ArrayLike] = NONE,
 ) -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
-    A replay that ran away is marked at the upper edge. Of a single episode each figure has a line of its own, as there
-    is no course to draw.
+    A replay that ran away is marked at the upper edge. Of a single episode each dot has its number, as there is no
+    course to draw.
 
     Args:
         decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
@@ -58,127 +56,119 @@ def gate(
             every window that was held out.
     """
     columns = {name: array(values) for name, values in decisions.items()}
-    if len(columns["episode"]) == 1:
-        return _single_episode_gate(
-            {name: float(values[0]) for name, values in columns.items()}, title, unit, windows or {}
-        )
-    x, before, after = (columns[name] for name in ("episode", "held_out_error_before", "held_out_error_after"))
+    x, whole, judged = (columns[name] for name in ("episode", "reward_error", "judged_reward_error"))
+    before, after, back = columns["held_out_error_before"], columns["held_out_error_after"], columns["refit_kept"] == 0
     figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
-    dots: dict[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
-    upper.plot(x, columns["reward_error"], color=GREY, label=EPISODE, **dots)
-    upper.plot(x, columns["judged_reward_error"], color=BLUE, label=JUDGED, **dots)
+    _draw(upper, x, whole, GREY, "whole episode, before the refit")
+    _draw(upper, x, judged, BLUE, "held-out windows, judged")
     # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
-    for name, line, words in (("open_below", ":", OPENS), ("close_above", "--", CLOSES)):
+    for name, line, words in (("open_below", ":", "trusted below"), ("close_above", "--", "no longer trusted above")):
         bound = np.pad(columns[name], 1, mode="edge")
         upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
-    for number, closed in enumerate(x[columns["open"] == 0]):
-        text = "_" * (number > 0) + "model not trusted"
-        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label=text)
-    upper.set_yscale("log")
-    bounds = [columns[name] for name in ("open_below", "close_above")]
-    upper.set_ylim(*_around(np.concatenate([columns["reward_error"], columns["judged_reward_error"], *bounds])))
-    _ticks(upper.yaxis)
-    mark_divergence(upper, x[~np.isfinite(columns["reward_error"])], GREY)
-    mark_divergence(upper, x[np.isinf(columns["judged_reward_error"])], BLUE)
-    upper.set_ylabel(f"reward error\n[{unit}]")
-    legend_beside(upper)
-    lower.plot(x, before, color=ORANGE, label="before the refit", **dots)
-    lower.plot(x, after, color=BLUE, label="after the refit", **dots)
-    back = columns["refit_kept"] == 0
+    for closed in x[columns["open"] == 0]:
+        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label="model not trusted")
+    _draw(lower, x, before, ORANGE, "before the refit")
+    _draw(lower, x, after, BLUE, "after the refit")
+    ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
     if back.any():
-        ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none"}
-        ring |= {"linestyle": "none", "clip_on": False}
-        lower.plot(x[back], after[back], color=RED, label="rolled back", **ring)
-    if np.isfinite(before).any():
-        lower.set_yscale("log")
-        lower.set_ylim(*_around(np.concatenate([before, after])))
-        _ticks(lower.yaxis)
+        lower.plot(x[back], after[back], color=RED, label="rolled back", clip_on=False, **ring)
+    of_windows = [array(windows.get(name, ())) for name in ("reward_error", "state_error")]
+    for axis, single, color in zip((upper, lower), of_windows, (BLUE, ORANGE if back.any() else BLUE), strict=True):
+        seen = single[np.isfinite(single) & (single > 0)]
+        places = x[-1] + np.linspace(0.1, 0.4, len(seen))  # beside the dot that sums them up
+        if len(seen):
+            text = f"each of {len(seen)} windows"
+            axis.plot(places, seen, ".", color=color, markersize=4, clip_on=False, label=text)
+    bounds = [columns[name] for name in ("open_below", "close_above")]
+    _limit(upper, np.concatenate([whole, judged, *bounds, of_windows[0]]))
+    _limit(lower, np.concatenate([before, after, of_windows[1]]))
+    _mark_divergence(upper, x[~np.isfinite(whole)], GREY)
+    _mark_divergence(upper, x[np.isinf(judged)], BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     lower.set_xlim(wide[0], wide[-1])
     lower.set_xlabel("real episode")
+    upper.set_ylabel(f"reward error\n[{unit}]")
     lower.set_ylabel(f"held-out state error\n[{TYPICAL}]")
-    legend_beside(lower)
-    return figure
-
-
-def _single_episode_gate(
-    columns: Mapping[str, float], title: str, unit: str, windows: Mapping[str, ArrayLike]
-) -> Figure:
-    """Draw what the gate saw in the only episode: errors along the axis, one below the other, and those of windows."""
-    figure, (upper, lower) = panels(2, 1, (8.5, 3.2), title, sharex=False)
-    closed = "" if columns["open"] else ", closes the gate"
-    kept = {1.0: "", 0.0: ", rolled back"}.get(columns["refit_kept"], ", not tested")
-    errors = {
-        EPISODE: ("reward_error", GREY),
-        f"{JUDGED}{closed}": ("judged_reward_error", BLUE),
-    }
-    judged = array(windows.get("reward_error", ()))
-    _rows(upper, columns, errors, f"reward error [{unit}]", (judged, 1, BLUE))
-    for name, line, words in (("open_below", ":", OPENS), ("close_above", "--", CLOSES)):
-        if np.isfinite(columns[name]):
-            text = f"{words} {columns[name]:g}"
-            upper.axvline(columns[name], color=BLACK, linestyle=line, linewidth=0.9, label=text)
-            left, right = upper.get_xlim()
-            upper.set_xlim(left, max(right, 2 * columns[name]))
-    if upper.get_legend_handles_labels()[0]:
-        legend_beside(upper)
-    tests = {
-        "before the refit": ("held_out_error_before", ORANGE),
-        f"after the refit{kept}": ("held_out_error_after", RED if columns["refit_kept"] == 0 else BLUE),
-    }
-    back = columns["refit_kept"] == 0  # the model that stays is the one from before
-    stays = (array(windows.get("state_error", ())), 0 if back else 1, ORANGE if back else BLUE)
-    _rows(lower, columns, tests, f"held-out state error [{TYPICAL}]", stays)
-    if lower.get_legend_handles_labels()[0]:
-        legend_beside(lower)
     for axis in (upper, lower):
-        if axis.get_xscale() == "log":
-            _ticks(axis.xaxis)
+        legend_beside(axis)
     return figure
 
 
-def _rows(
-    axis: Axes,
-    columns: Mapping[str, float],
-    rows: Mapping[str, tuple[str, str]],
-    what: str,
-    windows: tuple[Array, int, str],
-) -> None:
-    """Draw figures along a logarithmic axis, each with its name in front and its value beside it.
+@styled
+def model_error(episode: ArrayLike, error: ArrayLike) -> Figure:
+    """Draw the one-step reward error of the model over real episodes on a log axis.
 
-    Beneath one of them, given by its height and its colour, stand the errors on single windows that it sums up.
+    Args:
+        episode: `(n,)` real episodes.
+        error: `(n,)` error of the model; one that is not finite is marked at the upper edge.
     """
-    single, height, color = windows
-    single = single[np.isfinite(single) & (single > 0)]
-    if len(single):
-        look: dict[str, Any] = {"color": color, "marker": "|", "markersize": 9, "linestyle": "none"}
-        axis.plot(single, np.full(len(single), height + 0.3), label=f"each of {len(single)} windows", **look)
-    draw_named_values(axis, {words: (columns[name], color) for words, (name, color) in rows.items()}, what)
-    values = np.concatenate([[columns[name] for name, _ in rows.values()], single])
+    x, y = array(episode), array(error)
+    figure, (axis,) = panels(1, 1, (7.0, 3.2), "SINDy model learning progress")
+    _draw_positive(axis, x, y, marker="o", markersize=2.5)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
+    _mark_divergence(axis, x[~np.isfinite(y)], RED)
+    legend_beside(axis)
+    axis.set_xlabel("real episode")
+    axis.set_ylabel("one-step reward error, |real - model| [-]")
+    return figure
+
+
+@styled
+def growing_error(time: ArrayLike, error: ArrayLike) -> Figure:
+    """Draw the error of a prediction that sees nothing after its start, on a log axis.
+
+    Args:
+        time: `(n,)` [s] since the start.
+        error: `(n,)` distance of predicted and real states [typical ranges of the states].
+    """
+    figure, (axis,) = panels(1, 1, (7.0, 3.2), "Open-loop error along the first episode")
+    _draw_positive(axis, array(time), array(error))
+    legend_beside(axis)
+    axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
+    time_axis(axis, time)
+    axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
+    return figure
+
+
+def _draw(axis: Axes, x: Array, y: Array, color: str, words: str) -> None:
+    """Draw a curve; of a single point its number, too, which no course explains."""
+    axis.plot(x, y, color=color, label=words, **DOTS)
+    if len(x) == 1 and np.isfinite(y[0]):
+        at: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "center"}
+        axis.annotate(f"{y[0]:.3g}", (x[0], y[0]), (-6, 0), color=color, **at)
+
+
+def _draw_positive(axis: Axes, x: Array, y: Array, **look: Any) -> None:
+    """Draw a curve on a logarithmic axis: a zero is a mark below it, and has no line."""
+    zero, seen = y == 0, y[(y > 0) & np.isfinite(y)]
+    axis.plot(x, np.where(zero, np.nan, y), color=RED, linewidth=1.0, **look)
+    if zero.any():
+        below = np.full(zero.sum(), 0.5 * float(seen.min()) if len(seen) else 1.0)
+        axis.plot(
+            x[zero], below, color=RED, marker="v", markersize=4, linestyle="none", label="exactly 0, below the axis"
+        )
+    axis.set_yscale("log")
+
+
+def _mark_divergence(axis: Axes, x: Array, color: str) -> None:
+    """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
+    low, top = axis.get_ylim()
+    axis.set_ylim(low, top)
+    if len(x):
+        look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
+        axis.plot(x, np.full(len(x), top), color=color, label="ran away, above the axis", **look)
+
+
+def _limit(axis: Axes, values: Array) -> None:
+    """End a logarithmic axis at the next of 1, 2, 5, 10, 20, ... clearly below and above positive values."""
     seen = values[np.isfinite(values) & (values > 0)]
     if len(seen):
-        axis.set_xscale("log")
-        room = max(2.0, (seen.max() / seen.min()) ** BESIDE)  # for the figures beside the dots
-        axis.set_xlim(*_around(np.append(seen, room * seen.max())))
-
-
-def _around(values: Array) -> tuple[float, float]:
-    """Return the next of 1, 2, 5, 10, 20, ... clearly below and above positive values, at least a factor of 5 apart."""
-    seen = values[np.isfinite(values) & (values > 0)]
-    if not len(seen):
-        return 1.0, 10.0
-    powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())) - 1, np.ceil(np.log10(seen.max())) + 2)
-    steps = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
-    # The factors of the powers of ten are not exact in the last digits.
-    low = float(steps[steps <= seen.min() / CLEAR * (1 + 1e-9)][-1])
-    return low, float(max(steps[steps >= seen.max() * CLEAR * (1 - 1e-9)][0], 5 * low))
-
-
-def _ticks(axis: Axis) -> None:
-    """Put ticks at 1, 2 and 5 times the powers of ten where the limits hold few decades, at the powers elsewhere."""
-    low, high = axis.get_view_interval()
-    if high / low < FEW_DECADES:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-    axis.set_minor_formatter(NullFormatter())
+        powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())) - 1, np.ceil(np.log10(seen.max())) + 2)
+        steps = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
+        # The factors of the powers of ten are not exact in the last digits.
+        low = float(steps[steps <= seen.min() / CLEAR * (1 + 1e-9)][-1])
+        axis.set_yscale("log")
+        axis.set_ylim(low, float(max(steps[steps >= seen.max() * CLEAR * (1 - 1e-9)][0], 5 * low)))
+        label_decades(axis.yaxis)

@@ -1,13 +1,10 @@
 """What the model was fitted to and how well it predicts: inputs, training data, prediction, coefficients."""
 
-from collections.abc import Mapping, Sequence
-from itertools import cycle
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.systems import Signature
@@ -20,16 +17,11 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
-    format_number,
     input_axis,
     label,
-    label_single_point,
-    legend_above,
-    legend_beside,
-    mark_divergence,
+    legend_below,
     panels,
     styled,
-    symbol,
     time_axis,
     time_span,
 )
@@ -42,64 +34,41 @@ LOST = 10.0
 """A prediction ends where it is off by more than this part of the range."""
 LEAST = 0.001
 """Error below which a prediction is as good as any [% of the range of what is predicted]."""
-TYPICAL = "typical ranges"
-"""Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 GAP = "gap: samples missing or left out"
-NOTHING = "exactly 0, below the axis"
-EPISODE, JUDGED = "whole episode, before the refit", "held-out windows, judged"
-"""What an error of the model is of: what it had not seen, and what the gate compares with its thresholds."""
-OPENS, CLOSES = "trusted below", "no longer trusted above"
-"""The thresholds of the gate, each with its number behind it."""
 MOST = 50
 """More gaps than these are not marked, as the marks would hide the data."""
 
 
 @styled
-def excitation(time: ArrayLike, u: ArrayLike, signature: Signature = SIGNATURE, title: str = "Excitation") -> Figure:
-    """Draw the excitation signal, `(T, n_u)` in [-1, 1], over `time` `(T,)` [s].
-
-    A row of NaN is where it began anew, and is marked.
-    """
-    seconds, values = array(time), array(u)
-    figure, axes = panels(signature.n_u, 1, (7.0, 1.5 * signature.n_u + 0.6), title)
-    for i, axis in enumerate(axes):
-        _input(axis, seconds, values, signature, i)
-    _mark_restarts(axes, seconds, values)
-    if axes[0].get_legend_handles_labels()[0]:
-        legend_above(axes[0])
-    _finish(axes, 1, seconds)
-    return figure
-
-
-@styled
 def training_data(
     time: ArrayLike,
-    x: ArrayLike,
+    x: ArrayLike | None,
     u: ArrayLike | None = None,
     signature: Signature = SIGNATURE,
     title: str = "Training data",
     segment: ArrayLike | None = None,
     left_out: Sequence[Sequence[float]] = (),
 ) -> Figure:
-    """Draw the states `(T, n_x)` that the model was fitted to and the inputs that moved them, over `time` `(T,)` [s].
+    """Draw the states that the model was fitted to and the inputs that moved them, over time.
 
     Marked are where the excitation ended early and began anew, a row without inputs, where a log has a gap, and what
     the fit leaves out. States that are NaN where the inputs are known are samples that were lost, and are not marked.
 
     Args:
         time: `(T,)` [s].
-        x: `(T, n_x)` states.
-        u: `(T, n_u)` inputs, each held to the next sample, NaN where they began anew; without them only the states are
-            drawn.
+        x: `(T, n_x)` states; without them only the inputs are drawn.
+        u: `(T, n_u)` inputs in [-1, 1], each held to the next sample, NaN where they began anew; without them only the
+            states are drawn.
         signature: Names and units.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
         left_out: From when to when the fit leaves the samples out, as a mechanical stop was touched [s].
     """
-    seconds, values = array(time), array(x)
+    seconds = array(time)
+    values = np.zeros((len(seconds), 0)) if x is None else array(x)
     inputs = () if u is None else signature.input_names
-    seen = [i for i in range(signature.n_x) if not np.isnan(values[:, i]).all()]
-    if unseen := [name for i, name in enumerate(signature.state_names) if i not in seen]:
+    seen = [i for i in range(values.shape[1]) if not np.isnan(values[:, i]).all()]
+    if unseen := [name for i, name in enumerate(signature.state_names[: values.shape[1]]) if i not in seen]:
         title = f"{title}; not measured: {', '.join(unseen)}"
     names = (*(signature.state_names[i] for i in seen), *inputs)
     units = (*(signature.state_units[i] for i in seen), *("-",) * len(inputs))
@@ -115,7 +84,7 @@ def training_data(
     for start, end in left_out:
         for axis in shown:
             axis.axvspan(start, end, color=ORANGE, alpha=0.25, lw=0, label="at a stop, left out of the fit")
-    _legend_below(figure, axes[0])
+    legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -157,126 +126,19 @@ def prediction(
         x, seen, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, seen, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        text = _fit(truths[:, i], model[:, i], f"{format_number(float(wide))} {signature.state_units[i]}, {whose}")
+        text = _fit(
+            truths[:, i],
+            model[:, i],
+            f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}, {whose}",
+        )
         axes[i].set_title(text, fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             axes[i].set_ylim(*_limits(known, ended, wide))
     _mark_gaps(axes[: len(names)], seconds, segment)
-    _legend_below(figure, axes[0])
+    legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
     return figure
-
-
-@styled
-def model_error(
-    episode: ArrayLike,
-    error: ArrayLike,
-    refits: ArrayLike | None = None,
-    what: str = "reward error, |real - model|",
-    title: str = "SINDy model learning progress",
-    thresholds: Mapping[str, float] | None = None,
-    judged: ArrayLike | None = None,
-) -> Figure:
-    """Draw the model's error over real episodes on a log axis, with a tick at each refit.
-
-    An error that is not finite is that of a replay that ran away, and is marked at the upper edge.
-
-    Args:
-        episode: `(n,)` real episodes.
-        error: `(n,)` or `(n, k)` error of the model; several columns are drawn as median and range.
-        refits: episodes after which the model was fitted anew.
-        what: the error in words, the label of the axis.
-        title: of the figure.
-        thresholds: levels that the judged error is compared with, or the error where nothing else is judged, in
-            words; drawn as lines.
-        judged: `(n,)` the error that the gate judges, on held-out windows; NaN where nothing was judged.
-    """
-    x, y = array(episode), array(error)
-    y = y.reshape(len(y), -1)
-    figure, (axis,) = panels(1, 1, (7.0 if judged is None else 8.5, 3.2), title)
-    dots: dict[str, Any] = {"marker": "o", "markersize": 2.5}
-    color, label = (RED, None) if judged is None else (GREY, EPISODE)  # grey as beside the gate's decisions
-    middle = _draw_positive(axis, x, np.median(y, axis=1), color, label=label, **dots)
-    label_single_point(axis, x, middle, color)
-    windows = np.full(len(x), np.nan) if judged is None else array(judged)
-    if judged is not None:
-        _draw_positive(axis, x, windows, color=BLUE, label=JUDGED, **dots)
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
-    if y.shape[1] > 1:
-        axis.fill_between(x, y.min(1), y.max(1), color=color, alpha=0.2, linewidth=0)
-    for k, at in enumerate([] if refits is None else array(refits)):
-        axis.axvline(at, color=GREY, linestyle=":", linewidth=0.8, label="model refitted" if k == 0 else None)
-    axis.set_yscale("log")
-    for (words, level), line in zip((thresholds or {}).items(), cycle((":", "--"))):
-        axis.axhline(level, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {level:g}")
-    mark_divergence(axis, x[~np.isfinite(y).all(axis=1)], color)
-    mark_divergence(axis, x[np.isinf(windows)], BLUE)
-    if axis.get_legend_handles_labels()[0]:
-        legend_beside(axis)
-    axis.set_xlabel("real episode")
-    axis.set_ylabel(f"{what} [-]")
-    return figure
-
-
-@styled
-def growing_error(time: ArrayLike, error: ArrayLike, title: str = "Open-loop error along the first episode") -> Figure:
-    """Draw the error of a prediction that sees nothing after its start, on a log axis.
-
-    Args:
-        time: `(n,)` [s] since the start.
-        error: `(n,)` distance of predicted and real states [typical ranges of the states].
-        title: of the figure.
-    """
-    figure, (axis,) = panels(1, 1, (7.0, 3.2), title)
-    _draw_positive(axis, array(time), array(error))
-    if axis.get_legend_handles_labels()[0]:
-        legend_beside(axis)
-    axis.set_yscale("log")
-    axis.set_xlim(0.0, array(time).max(initial=0.0) or 1.0)
-    time_axis(axis, time)
-    axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
-    return figure
-
-
-@styled
-def coefficient_table(
-    coefficients: ArrayLike,
-    feature_names: Sequence[str],
-    state_names: Sequence[str] = SIGNATURE.state_names,
-    title: str = r"SINDy model $\Xi$",
-) -> Figure:
-    """Draw the coefficients `(n_features, n_x)` as a table; features that no state uses are left out."""
-    values = array(coefficients)
-    used = [int(k) for k in np.flatnonzero((values != 0).any(axis=1))]
-    rows = [[f"{v:.4g}" if v else "" for v in values[k]] for k in used] or [[""] * len(state_names)]
-    figure, (axis,) = panels(1, 1, (1.3 * (len(state_names) + 1.5), 0.28 * (len(rows) + 2) + 0.3), title)
-    axis.axis("off")
-    table = axis.table(
-        cellText=rows,
-        rowLabels=[feature_names[k] for k in used] or ["(none)"],
-        colLabels=[rf"d{symbol(name)}/dt" for name in state_names],
-        cellColours=[["#dcebf5" if text else "white" for text in row] for row in rows],
-        loc="center",
-        bbox=(0.0, 0.0, 1.0, 1.0),  # type: ignore[arg-type]  # the stubs forget sequences
-    )
-    table.auto_set_font_size(False)
-    table.set_fontsize(8.5)
-    for cell in table.get_celld().values():
-        cell.set_edgecolor("#bfbfbf")
-    return figure
-
-
-def _draw_positive(axis: Axes, x: Array, y: Array, color: str = RED, **look: Any) -> Array:
-    """Draw a curve on an axis that is to be logarithmic, and return it: a zero is a mark below it, and has no line."""
-    zero, seen = y == 0, y[(y > 0) & np.isfinite(y)]
-    drawn = np.where(zero, np.nan, y)
-    axis.plot(x, drawn, color=color, linewidth=1.0, **look)
-    if zero.any():
-        below = np.full(zero.sum(), 0.5 * float(seen.min()) if len(seen) else 1.0)
-        axis.plot(x[zero], below, color=color, marker="v", markersize=4, linestyle="none", label=NOTHING)
-    return drawn
 
 
 def _panels(names: Sequence[str], units: Sequence[str], title: str) -> tuple[Figure, list[Axes], int]:
@@ -329,13 +191,6 @@ def _limits(real: Array, predicted: Array, wide: float) -> tuple[float, float]:
     return float(low - MARGIN * wide), float(high + MARGIN * wide)
 
 
-def _legend_below(figure: Figure, axis: Axes) -> None:
-    """Put what the first panel explains below all of them, each of it once."""
-    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    if named:
-        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named))
-
-
 def _breaks(segment: ArrayLike | None) -> list[int]:
     """Return the first samples of all stretches but the first."""
     return [] if segment is None else (np.flatnonzero(np.diff(array(segment))) + 1).tolist()
@@ -346,7 +201,7 @@ def _broken(values: Array, segment: ArrayLike | None) -> Array:
     return np.insert(values, _breaks(segment), np.nan)
 
 
-def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None = None) -> None:
+def _finish(axes: Sequence[Axes], columns: int, seconds: Array, segment: ArrayLike | None) -> None:
     words = "time without the gaps" if _breaks(segment) else "time"
     shown = [axis for axis in axes if axis.get_visible()]
     for axis in shown[-columns:]:  # the last one of each column, above an empty place, too
@@ -368,7 +223,7 @@ def _fit(real: Array, predicted: Array, whole: str) -> str:
         return f"RMSE {rmse:.2g}"
     percent = 100 * rmse / wide
     cut = (predicted.max() - real.max() > BEYOND * wide) or (real.min() - predicted.min() > BEYOND * wide)
-    words = f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
+    words = f"{percent:.0f}" if 99.5 <= percent < 1e6 else f"{percent:.2g}"
     if percent < LEAST:
         words = f"below {LEAST:g}"
     return f"RMSE {words} % of {whole}" + ", cut off" * bool(cut)

@@ -1,7 +1,12 @@
-"""How learning went: the return over episodes of one run, and of several settings over seeds."""
+"""How learning went: the return over episodes of one run, and return and error of several settings over seeds."""
 
+from __future__ import annotations
+
+import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,30 +16,35 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike
 
+from dynasindy.evaluation.ablation import SHARE, Level, Row, read_ablation
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
-from dynasindy.viz.controllers import line_styles
-from dynasindy.viz.style import BLUE, GREY, RED, Array, array, label_single_point, legend_beside, panels, styled
+from dynasindy.safe_io import file_name
+from dynasindy.viz.controllers import FAMILIES, controller_name, line_styles
+from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, legend_beside, panels, save_figures, styled
 
+Curves = Mapping[str, ArrayLike]
+"""`(n_seeds, n_episodes)` values after each episode, per setting."""
+WINDOW = 10
+"""Episodes in the moving mean of a run's returns."""
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
 FEWEST_TICKS = 3
 """Ticks that an axis needs to be read."""
 WIDE = 30.0
-"""Returns that differ by more than this factor are drawn on a logarithmic axis, if one is asked for."""
+"""Returns that differ by more than this factor are drawn on a logarithmic axis."""
 APART = 0.12
 """Distance of the seeds of a setting after a single episode, of the width of its strip."""
 MOST_NAMED, STRIP = 6, 80
 """Strips that have their names below them at most, and the letters of one line of all these names."""
+REFERENCE = "rollouts_800"
+"""Setting beside which all others stand, but those compared at equal numbers of imagined transitions (`horizon`)."""
+OF_RANGE = "% of the target range"
+"""Unit of errors where outputs in several units are compared."""
 
 
 @styled
 def learning_curve(
-    episode: ArrayLike,
-    train_return: ArrayLike,
-    eval_episode: ArrayLike | None = None,
-    eval_return: ArrayLike | None = None,
-    window: int = 10,
-    title: str = "Learning curve",
+    episode: ArrayLike, train_return: ArrayLike, eval_episode: ArrayLike, eval_return: ArrayLike
 ) -> Figure:
     """Draw the return of the exploring policy per real episode and that of the policy in evaluation.
 
@@ -43,19 +53,14 @@ def learning_curve(
         train_return: `(n,)` its return, with exploration noise.
         eval_episode: `(m,)` episodes after which the policy was evaluated.
         eval_return: `(m,)` mean evaluated return, without noise.
-        window: episodes in the moving mean.
-        title: of the figure.
     """
     x, y = array(episode), array(train_return)
-    figure, (axis,) = panels(1, 1, (7.0, 3.6), title)
+    figure, (axis,) = panels(1, 1, (7.0, 3.6), "Learning curve")
     axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
-    if len(y) > window:
-        axis.plot(x, moving_mean(y, window), color=BLUE, label=f"mean of {window} episodes")
-    if eval_episode is None or eval_return is None:
-        label_single_point(axis, x, y, BLUE)
-    else:
-        at, mean = array(eval_episode), array(eval_return)
-        axis.plot(at, mean, color=RED, marker="o", markersize=3.5, label="evaluated policy")
+    if len(y) > WINDOW:
+        mean = [y[max(0, k + 1 - WINDOW) : k + 1].mean() for k in range(len(y))]
+        axis.plot(x, mean, color=BLUE, label=f"mean of {WINDOW} episodes")
+    axis.plot(array(eval_episode), array(eval_return), color=RED, marker="o", markersize=3.5, label="evaluated policy")
     axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
     axis.set_xlabel("real episode")
     axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
@@ -66,60 +71,120 @@ def learning_curve(
 
 @styled
 def average_rewards(
-    curves: Mapping[str, ArrayLike],
+    curves: Curves,
     episode: ArrayLike | None = None,
-    window: int = 10,
-    seed: int = 0,
     title: str = "Average rewards",
-    log: bool = False,
     longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]] | None = None,
 ) -> Figure:
-    """Draw interquartile mean and 95 % bootstrap band over seeds, one line per setting; see `draw_bands`.
+    """Draw interquartile mean and 95 % bootstrap band over seeds of the return, one line per setting.
+
+    The axis is logarithmic, and linear within 10 of zero, if returns differ by more than a factor of `WIDE`.
 
     Args:
         curves: `(n_seeds, n_episodes)` return of each episode, per setting.
         episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
-        window: episodes in the moving mean taken of each seed before the statistics.
-        seed: of the bootstrap.
         title: of the figure.
-        log: logarithmic returns, linear within 10 of zero, if they differ by more than a factor of `WIDE`.
         longer: single runs that went on after the last episode of the curves, drawn faintly: `(n,)` episodes and `(n,)`
             returns of each, per setting.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
-    smooth = {
-        name: np.stack([moving_mean(row, window) for row in np.atleast_2d(array(values))])
-        for name, values in curves.items()
-    }
-    words = f"return, mean of {window} episodes" if window > 1 else "return"
-    if log and _wide(smooth):
+    size = np.abs(np.concatenate([[LINEAR], *(array(values).ravel() for values in curves.values())]))
+    size = np.maximum(size[np.isfinite(size)], LINEAR)[1:]
+    logarithmic = len(size) > 0 and bool(size.max() > WIDE * size.min())
+    if logarithmic:
         axis.set_yscale("symlog", linthresh=LINEAR)
-        words += f", logarithmic beyond {LINEAR:g}"
-    draw_bands(axis, smooth, episode, seed)
+    _draw_bands(axis, curves, episode)
     _draw_longer(axis, longer or {}, list(curves))
-    _enough_ticks(axis)
+    low, high = sorted(axis.get_ylim())
+    if logarithmic and sum(low <= tick <= high for tick in axis.get_yticks()) < FEWEST_TICKS:
+        axis.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=LINEAR, subs=[1.0, 2.0, 5.0]))
+        axis.yaxis.set_major_formatter("{x:g}")
     legend_beside(axis)
-    axis.set_ylabel(f"{words} [-]")
+    axis.set_ylabel(f"return, logarithmic beyond {LINEAR:g} [-]" if logarithmic else "return [-]")
     return figure
 
 
-def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike | None = None, seed: int = 0) -> None:
+def draw_ablation(
+    results: Path, level: float, formats: tuple[str, ...] = ("png",), share: float = Level.share
+) -> list[Path]:
+    """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
+
+    The numbers of rollouts, as in the paper, stand in two figures of their own; the errors of all other settings, the
+    controls, in a third, a panel per family.
+
+    Args:
+        results: Folder of the tables; the figures go there too.
+        level: The required level [rad].
+        formats: File formats, e.g. ("png", "svg").
+        share: The required level of plants whose outputs are not all in rad, as a share of the target range.
+
+    Returns:
+        The files.
+    """
+    rows = read_ablation(results / "ablation_curves.csv")
+    files = []
+    for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
+        lines, case = _without_common_words(list(group)), file_name(f"{system}_{experiment}", "plant and experiment")
+        title = f"plant {system}, experiment {experiment}"
+        returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
+        shares = all(row.get(SHARE) is not None for row in lines)
+        errors = _curves(lines, _share if shares else _worst)
+        judged = (100 * share, OF_RANGE) if shares else (level, "rad")
+        episodes = sorted({float(row["episode"] or 0.0) for row in lines})
+        chosen = [name for name in errors if _family(name) == "rollouts"] or list(errors)
+        main = {controller_name(name): errors[name] for name in chosen}
+        controls = {name: values for name, values in errors.items() if name not in chosen}
+        figures = {
+            "average_rewards": average_rewards(
+                {controller_name(name): returns[name] for name in chosen},
+                episodes,
+                f"Imagined rollouts: average rewards, {title}",
+            ),
+            "steady_state_error": _draw_errors({"": main}, episodes, *judged, f"Steady-state error, {title}"),
+        }
+        if controls:
+            families = _families(controls, errors.get(REFERENCE))
+            figures["controls"] = _draw_errors(families, episodes, *judged, f"Controls: steady-state error, {title}")
+        files += save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results, formats)
+    return files
+
+
+@styled
+def _draw_errors(families: Mapping[str, Curves], episode: ArrayLike, level: float, unit: str, title: str) -> Figure:
+    """Draw the error of the worse axis over episodes, a panel per family of settings, with the same vertical axis."""
+    once = all(map(_single_episode, families.values()))  # then each panel has a strip for each of its settings
+    alone = len(families) == 1 and "" in families
+    size = (8.5, 3.8) if alone else (10.0, 0.6 + 2.6 * len(families))
+    figure, axes = panels(len(families), 1, size, title, sharex=not once)
+    short = "% of range" if unit == OF_RANGE else unit
+    when = "of the last 5 s" if unit == "rad" else "at the end"  # a slow plant's end is longer
+    for axis, (family, curves) in zip(axes, families.items(), strict=True):
+        if axis is not axes[0]:
+            axis.sharey(axes[0])
+        _draw_bands(axis, curves, episode)
+        axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
+        axis.set_yscale("log")
+        legend_beside(axis)
+        axis.set_title(family)
+        axis.set_ylabel(
+            f"mean abs error {when}, worse axis [{short}]" if alone else f"steady-state error,\nworse axis [{short}]"
+        )
+        if not once and not alone:
+            axis.label_outer(remove_inner_ticks=False)
+    return figure
+
+
+def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
     Where there are fewer than three seeds, each is a line of its own, and nothing is a band. After a single episode
     there is no course: settings stand side by side, and so do the seeds of each.
-
-    Args:
-        axis: Where to draw.
-        curves: `(n_seeds, n_episodes)` values after each episode, per setting.
-        episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
-        seed: Seed of the bootstrap.
     """
-    banded, once = False, single_episode(curves)
-    for place, ((name, values), line) in enumerate(zip(curves.items(), line_styles(curves).values())):
-        rows = np.atleast_2d(array(values))
-        x = np.arange(1, rows.shape[1] + 1) if episode is None else array(episode)[: rows.shape[1]]
-        x = np.array([float(place)]) if once else x
+    seeds = {name: np.atleast_2d(array(values)) for name, values in curves.items()}
+    once, last = _single_episode(curves), max((rows.shape[1] for rows in seeds.values()), default=0)
+    episodes = np.arange(1.0, last + 1) if episode is None else array(episode)[:last]
+    for place, ((name, rows), line) in enumerate(zip(seeds.items(), line_styles(curves).values(), strict=True)):
+        x = np.array([float(place)]) if once else episodes[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.
@@ -128,33 +193,29 @@ def draw_bands(axis: Axes, curves: Mapping[str, ArrayLike], episode: ArrayLike |
             for number, row in enumerate(rows):
                 beside = APART * (number - (len(rows) - 1) / 2) if once else 0.0
                 axis.plot(x + beside, row, label="_" * (number > 0) + label, **look)
-        else:
-            middle, low, high = _bootstrap_band(rows, seed)
-            axis.plot(x, middle, label=label, **look)
-            axis.fill_between(x, low, high, color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
-            if len(x) == 1:
-                axis.vlines(x, low, high, color=line["color"], alpha=0.3, linewidth=7)
-            banded = True
-    if banded:
-        few = any(len(np.atleast_2d(array(values))) < FEWEST for values in curves.values())
-        words = f"; each seed where there are fewer than {FEWEST}" if few else ""
+            continue
+        by_episode = torch.as_tensor(rows.T)
+        low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=0)
+        axis.plot(x, interquartile_mean(by_episode).numpy(), label=label, **look)
+        axis.fill_between(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
+        if len(x) == 1:
+            axis.vlines(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.3, linewidth=7)
+    counts = [len(rows) for rows in seeds.values()]
+    if max(counts, default=0) >= FEWEST:
+        words = f"; each seed where there are fewer than {FEWEST}" if min(counts) < FEWEST else ""
         axis.plot([], [], color=GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
-    if not curves:
-        return
     if once:
-        _name_strips(axis, list(curves), 1.0 if episode is None else float(array(episode)[0]))
-        return
-    last = max(np.atleast_2d(array(values)).shape[1] for values in curves.values())
-    x = np.arange(1, last + 1) if episode is None else array(episode)[:last]
-    room = 0.02 * (x[-1] - x[0]) + 1e-3
-    axis.set_xlim(x[0] - room, x[-1] + room)
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axis.set_xlabel("real episode")
+        _name_strips(axis, list(curves), episodes[0])
+    elif curves:
+        room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
+        axis.set_xlim(episodes[0] - room, episodes[-1] + room)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        axis.set_xlabel("real episode")
 
 
-def single_episode(curves: Mapping[str, ArrayLike]) -> bool:
-    """Return whether no curve, `(n_seeds, n_episodes)` each, has more than one episode."""
+def _single_episode(curves: Curves) -> bool:
+    """Return whether no curve has more than one episode."""
     return bool(curves) and all(np.atleast_2d(array(values)).shape[1] == 1 for values in curves.values())
 
 
@@ -171,44 +232,61 @@ def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
 def _draw_longer(axis: Axes, longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]], known: Sequence[str]) -> None:
     """Draw single runs as thin lines in the colours of their settings, and widen the axis to their ends."""
     of = line_styles(dict.fromkeys([*known, *longer]))
+    left, right = axis.get_xlim()
     for name, runs in longer.items():
-        words = name.replace("$", r"\$")
-        label = f"{words}, longer ({len(runs)} seed{'s' * (len(runs) > 1)})"
-        for number, (x, y) in enumerate(runs):
-            text = "_" * (number > 0) + label
-            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=text, **of[name])
-    ends = [float(array(x).max()) for runs in longer.values() for x, _ in runs]
-    if ends:
-        left, right = axis.get_xlim()
-        axis.set_xlim(left, max(right, max(ends) + 0.02 * (max(ends) - left)))
+        label = f"{name}, longer ({len(runs)} seed{'s' * (len(runs) > 1)})"
+        for x, y in runs:
+            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=label, **of[name])
+            right = max(right, 1.02 * array(x).max() - 0.02 * left)
+    axis.set_xlim(left, right)
 
 
-def _enough_ticks(axis: Axes) -> None:
-    """Add ticks at 2 and 5 times powers of ten to a logarithmic axis that shows few of these alone."""
-    low, high = sorted(axis.get_ylim())
-    shown = [tick for tick in axis.get_yticks() if low <= tick <= high]
-    if axis.get_yscale() == "symlog" and len(shown) < FEWEST_TICKS:
-        axis.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=LINEAR, subs=[1.0, 2.0, 5.0]))
-        axis.yaxis.set_major_formatter("{x:g}")
+def _without_common_words(rows: list[Row]) -> list[Row]:
+    """Return the rows with settings that lack the words of the command line which all of them share."""
+    settings = [str(row["setting"]).split(",") for row in rows]
+    common = set.intersection(*(set(words[1:]) for words in settings))
+    names = [",".join(word for word in words if word not in common) for words in settings]
+    return [{**row, "setting": name} for row, name in zip(rows, names, strict=True)]
 
 
-def _wide(curves: Mapping[str, Array]) -> bool:
-    """Return whether the magnitudes of all values, those within `LINEAR` of zero aside, differ by more than `WIDE`."""
-    size = np.abs(np.concatenate([values.ravel() for values in curves.values()])) if curves else np.ones(1)
-    size = np.maximum(size[np.isfinite(size)], LINEAR)
-    return len(size) > 0 and bool(size.max() > WIDE * size.min())
+def _families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
+    """Return the controls by what they vary, each beside the reference but where the amount of data would differ."""
+    families: dict[str, dict[str, Array]] = {}
+    for name in sorted(curves, key=_by_number):
+        family = _family(name)
+        first = {} if family == "horizon" or reference is None else {controller_name(REFERENCE): reference}
+        members = families.setdefault(FAMILIES.get(family, family.replace("_", " ")), first)
+        members[controller_name(name)] = curves[name]
+    return dict(sorted(families.items()))
 
 
-def moving_mean(values: Array, window: int) -> Array:
-    """Return the mean of the last `window` values at each place, of fewer at the beginning."""
-    total = np.cumsum(np.insert(values, 0, 0.0))
-    end = np.arange(1, len(values) + 1)
-    start = np.maximum(end - window, 0)
-    return (total[end] - total[start]) / (end - start)
+def _by_number(setting: str) -> list[tuple[str, int]]:
+    """Return a key that sorts `horizon_20` before `horizon_100`."""
+    return [("", int(word)) if word.isdigit() else (word, 0) for word in re.split(r"(\d+)", setting)]
 
 
-def _bootstrap_band(returns: Array, seed: int) -> tuple[Array, Array, Array]:
-    """Return interquartile mean and interval over seeds at each episode of `(n_seeds, n_episodes)`."""
-    by_episode = torch.as_tensor(returns.T)
-    low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=seed)
-    return interquartile_mean(by_episode).numpy(), low.numpy(), high.numpy()
+def _family(setting: str) -> str:
+    """Return what a setting varies: `real_share` for `real_share_05`; those of a kind of their own stand together."""
+    if "," in setting:
+        return "changed on the command line"
+    if setting.startswith(("rollouts_0_tuned", "direct", "sb3_")):  # `rollouts_0` stands beside the numbers of rollouts
+        return "without a model"
+    stem = re.fullmatch(r"(.+)_\d+", setting)
+    return stem[1] if stem else "other models, and the gate"
+
+
+def _curves(rows: list[Row], value: Callable[[Row], float]) -> dict[str, Array]:
+    """Return `(n_seeds, n_episodes)` per setting, over the episodes that all its seeds have."""
+    curves = {}
+    for setting, group in groupby(rows, key=lambda row: str(row["setting"])):
+        seeds = [[value(row) for row in lines] for _, lines in groupby(group, key=lambda row: row["seed"])]
+        curves[setting] = np.array([seed[: min(map(len, seeds))] for seed in seeds])
+    return curves
+
+
+def _worst(row: Row) -> float:
+    return max(float(v) for k, v in row.items() if k.startswith("evaluated_steady_state_error/") and v is not None)
+
+
+def _share(row: Row) -> float:
+    return 100 * float(row[SHARE] or 0.0)

@@ -1,35 +1,52 @@
-"""How a controlled plant responds: steps, sines and squares, and the error over many references."""
+"""How a controlled plant responds: steps, sines and squares, evaluations over many references, flights of a rig."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.metrics import SETTLING_BAND, steady_seconds
+from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.systems import Signature
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.text import format_duration
 from dynasindy.viz.controllers import line_styles
+from dynasindy.viz.identification import training_data
 from dynasindy.viz.style import (
     BLACK,
     BLUE,
     GREY,
+    ORANGE,
+    RED,
     Array,
     array,
     input_axis,
     label,
     legend_above,
     panels,
+    save_figures,
+    spell_names,
     styled,
     time_axis,
     time_span,
     zero_order_hold,
 )
 
+if TYPE_CHECKING:  # figures know a flight by its attributes alone
+    from dynasindy.rig import Guard, Wiring
+    from dynasindy.rig.log import FlightRecord
+
 AXES = SIGNATURE.state_names[:2]
+LATE = 0.02
+"""Share of the planned time that is left free beside what was flown, for the line at which a flight ended."""
 LEAST = 1e-5
 """Errors below this part of the band that is paid for are not drawn: ten millionths of a radian for the twin rotor."""
 
@@ -43,6 +60,7 @@ def tracking(
     names: Sequence[str] = AXES,
     signature: Signature = SIGNATURE,
     title: str = "",
+    settling: bool = True,
 ) -> Figure:
     """Draw the tracked axes of one or several controllers against the same reference.
 
@@ -54,48 +72,30 @@ def tracking(
         names: tracked states, with their units unless these are rad: `height [m]`.
         signature: tells the inputs, their units and ranges.
         title: of the figure.
+        settling: Whether a reference that stays has what the step metrics use: the settling band and the final seconds.
     """
     seconds, target = array(time), None if reference is None else array(reference)
     inputs = inputs or {}
     n_u = signature.n_u if inputs else 0
     figure, axes = panels(len(names) + n_u, 1, (7.0, 2.1 * len(names) + 1.4 * n_u + 0.5), title)
-    for i, name in enumerate(names):
+    for i, (axis, name) in enumerate(zip(axes, names, strict=False)):
         if target is not None:
             look: Any = {"color": BLACK, "linestyle": "--", "linewidth": 1.2}
-            axes[i].plot(_row_times(seconds, target), target[:, i], label="reference", **look)
-        _lines(axes[i], seconds, outputs, i)
-        axes[i].set_ylabel(label(*_with_unit(name)))
-    for i in range(n_u):
-        _inputs(axes[len(names) + i], seconds, inputs, i, signature)
+            axis.plot(_row_times(seconds, target), target[:, i], label="reference", **look)
+        for (of, y), look in zip(outputs.items(), line_styles(outputs).values(), strict=True):
+            axis.plot(_row_times(seconds, array(y)), array(y)[:, i], label=of, **look)
+        axis.set_ylabel(label(*_with_unit(name)))
+        if settling and target is not None and bool((target == target[0]).all()):
+            _draw_settling(axis, seconds, float(target[0, i]), [float(array(y)[0, i]) for y in outputs.values()])
+    for i, axis in enumerate(axes[len(names) :]):
+        for (of, u), look in zip(inputs.items(), line_styles(inputs).values(), strict=True):
+            # Zero-order hold: the input is constant until the next sample, the last one until the end.
+            own = signature.in_own_units(array(u))[:, i]
+            axis.step(*zero_order_hold(seconds, own), where="post", linewidth=1.0, label=of, **look)
+        input_axis(axis, signature, i)
     legend_above(axes[0])
     time_axis(axes[-1], time_span(seconds))
     axes[-1].set_xlim(*time_span(seconds))
-    return figure
-
-
-@styled
-def step_response(
-    time: ArrayLike,
-    reference: ArrayLike,
-    outputs: Mapping[str, ArrayLike],
-    inputs: Mapping[str, ArrayLike] | None = None,
-    names: Sequence[str] = AXES,
-    signature: Signature = SIGNATURE,
-    title: str = "Step response",
-) -> Figure:
-    """Draw `tracking` with what the step metrics use: the settling band and the final seconds."""
-    figure = tracking(time, reference, outputs, inputs, names, signature, title)
-    seconds, target = array(time), array(reference)
-    steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
-    for i, axis in enumerate(figure.axes[: len(names)]):
-        starts = [array(y)[0, i] for y in outputs.values()]
-        half = SETTLING_BAND * max((abs(target[-1, i] - start) for start in starts), default=0.0)
-        band = f"{100 * SETTLING_BAND:g} % band"
-        axis.axhspan(target[-1, i] - half, target[-1, i] + half, color=GREY, alpha=0.2, lw=0, label=band)
-        start, end = time_span(seconds)
-        text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
-        axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
-    legend_above(figure.axes[0])
     return figure
 
 
@@ -145,6 +145,109 @@ def error_fan(
     return figure
 
 
+def draw_evaluation(
+    evaluation: Evaluation,
+    folder: Path,
+    label: str = "policy",
+    formats: Sequence[str] = ("png",),
+    place: str = "",
+) -> list[Path]:
+    """Draw an evaluation into a folder, in files that begin with the scenario's name.
+
+    One episode is drawn over time and, of several ones, the spread of the error. Titles say which episode is shown,
+    what disturbed it, and where it was flown, unless on the plant.
+
+    Args:
+        evaluation: What to draw.
+        folder: Where; made if missing.
+        label: Name of the controller in the legend.
+        formats: File formats, e.g. ("png", "svg").
+        place: Where it was flown, unless on the plant, such as "on a model".
+
+    Returns:
+        The files.
+    """
+    episode, name, signature = representative_episode(evaluation), evaluation.scenario, evaluation.signature
+    disturbed = (words.removeprefix(f"{name}: ") for words in evaluation.disturbances)  # which the name says already
+    scenario = "; ".join([f"Scenario '{name}'{place and f' {place}'}", *map(spell_names, disturbed)])
+    title = "\n".join(filter(None, [scenario, episode.words]))
+    states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
+    x = torch.cat([states[episode.row], following[episode.row, -1:]])  # and the state after the last period
+    columns = list(evaluation.columns) or list(range(signature.n_x))  # all states where the task has no references
+    names = [f"{signature.state_names[k]} [{signature.state_units[k]}]" for k in columns]
+    reference = evaluation.references[episode.row] if evaluation.columns else None
+    target = None if reference is None else torch.cat([reference, reference[-1:]])
+    inputs = {label: evaluation.inputs[episode.row]}
+    figures = {name: tracking(evaluation.time, target, {label: x[:, columns]}, inputs, names, signature, title)}
+    if evaluation.columns and len(evaluation.outputs) > 1:
+        figures[f"{name}_errors"] = error_fan(
+            evaluation.time,
+            evaluation.outputs,
+            evaluation.references,
+            names,
+            f"{scenario}: error over all references",
+            [0.01 * box for box in evaluation.boxes] or [0.01],
+        )
+    for figure in figures.values():
+        _shade_disturbances(figure, evaluation.windows)
+    return save_figures(figures, folder, formats)
+
+
+@styled
+def draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
+    """Draw a flight on the time that was planned for it.
+
+    Args:
+        shown: The flight, with one sample or more.
+        wiring: What of the plant is measured, and how often.
+        guard: Tells the ranges of the outputs within which a flight goes on; drawn where they are near.
+        name: Of the flight, such as `flight_1`.
+    """
+    units = [f"{output} [{unit}]" for output, unit in zip(shown.names, shown.units, strict=True)]
+    measured = {"measured": shown.outputs}
+    planned = max(shown.planned, len(shown.time)) * wiring.dt
+    title = f"{name.replace('_', ' ').capitalize()} on the rig"
+    ended = float(shown.time[-1]) + wiring.dt
+    if shown.fault:
+        title += f", ended after {format_duration(ended, planned)} of {format_duration(planned)} by {shown.fault}"
+    inputs = {"measured": shown.inputs}
+    figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature, title, False)
+    for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
+        if np.isnan(shown.outputs[:, column]).all():
+            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
+        for line in axis.lines:
+            if line.get_label() == "reference":  # a target is held, and the next one follows at once
+                line.set_drawstyle("steps-post")
+        _mark_isolated_samples(axis, shown.time, shown.outputs[:, column])
+        _draw_range(figure, axis, guard.ranges.get(output, ()))
+    for axis in figure.axes:
+        if shown.fault:
+            axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
+    time_axis(figure.axes[-1], (0.0, planned))
+    figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
+    legend_above(figure.axes[0])
+    return figure
+
+
+@styled
+def draw_rig_excitation(samples: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
+    """Draw what an excitation moved, and the ranges of the guard where they are near.
+
+    Args:
+        samples: Times `(T,)` [s], states `(T, n_x)`, NaN where they were not measured, and inputs `(T, n_u)`.
+        wiring: Tells names and units, and what is measured.
+        guard: Tells the ranges of the states within which a flight goes on.
+        title: Of the figure.
+    """
+    time, states, inputs = samples
+    figure = training_data(time, states, inputs, wiring.signature, title)
+    seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
+    for axis, place in zip(figure.axes, seen, strict=False):
+        _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
+    legend_above(figure.axes[0])
+    return figure
+
+
 def _with_unit(name: str) -> tuple[str, str]:
     """Return the name and the unit of `name [unit]`."""
     bare, _, unit = name.partition(" [")
@@ -156,15 +259,39 @@ def _row_times(seconds: Array, rows: Array) -> Array:
     return seconds if len(rows) <= len(seconds) else np.append(seconds, time_span(seconds)[1])
 
 
-def _lines(axis: Axes, seconds: Array, outputs: Mapping[str, ArrayLike], column: int) -> None:
-    for (name, values), look in zip(outputs.items(), line_styles(outputs).values()):
-        rows = array(values)
-        axis.plot(_row_times(seconds, rows), rows[:, column], label=name, **look)
+def _draw_settling(axis: Axes, seconds: Array, target: float, starts: Sequence[float]) -> None:
+    """Draw the band around a step's target in which the step metrics call it settled, and the seconds at its end."""
+    start, end = time_span(seconds)
+    half = SETTLING_BAND * max((abs(target - at) for at in starts), default=0.0)
+    axis.axhspan(target - half, target + half, color=GREY, alpha=0.2, lw=0, label=f"{100 * SETTLING_BAND:g} % band")
+    steady = steady_seconds(float(seconds[1] - seconds[0]), len(seconds)) if len(seconds) > 1 else 0.0
+    text = f"steady state: last {format_duration(steady, longest=end - start, digits=3)}"
+    axis.axvspan(end - steady, end, color=GREY, alpha=0.08, lw=0, label=text)
 
 
-def _inputs(axis: Axes, seconds: Array, inputs: Mapping[str, ArrayLike], column: int, signature: Signature) -> None:
-    for (of, values), look in zip(inputs.items(), line_styles(inputs).values()):
-        # Zero-order hold: the input is constant until the next sample, the last one until the end.
-        own = signature.in_own_units(array(values))[:, column]
-        axis.step(*zero_order_hold(seconds, own), where="post", linewidth=1.0, label=of, **look)
-    input_axis(axis, signature, column)
+@styled
+def _shade_disturbances(figure: Figure, windows: Sequence[tuple[float, float]]) -> None:
+    for start, end in windows:
+        for axis in figure.axes:
+            axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
+    if windows:
+        legend_above(figure.axes[0])
+
+
+def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
+    """Draw the ends of a range of the guard that are near; one that is far off would flatten the flight."""
+    bottom, top = axis.get_ylim()
+    room = 0.3 * (top - bottom)
+    for end in ends:
+        if bottom - room < end < top + room:
+            axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
+            figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
+
+
+def _mark_isolated_samples(axis: Axes, time: Array, values: Array) -> None:
+    """Mark samples between two that were lost, of which a line shows nothing."""
+    known = np.isfinite(np.concatenate([[np.nan], values, [np.nan]]))
+    alone = known[1:-1] & ~known[:-2] & ~known[2:]
+    if alone.any():
+        measured = next(line for line in axis.lines if line.get_label() == "measured")
+        axis.plot(time[alone], values[alone], ".", color=measured.get_color(), markersize=3.0)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from dynasindy.safe_io import read_cells, read_json, reading
 from dynasindy.systems import Signature
-from dynasindy.viz.gate import gate
-from dynasindy.viz.identification import excitation, growing_error, model_error, prediction, training_data
+from dynasindy.viz.gate import gate, growing_error, model_error
+from dynasindy.viz.identification import prediction, training_data
 from dynasindy.viz.learning import learning_curve
-from dynasindy.viz.response import step_response, tracking
-from dynasindy.viz.style import save_all
+from dynasindy.viz.response import tracking
+from dynasindy.viz.style import save_figures
 
 Table = dict[str, NDArray[np.float64]]
 
@@ -49,7 +49,7 @@ def draw_run(
     Returns:
         The files, in `folder/figures`.
     """
-    return save_all(_figures(folder, signature, controller), folder / "figures", formats)
+    return save_figures(_figures(folder, signature, controller), folder / "figures", formats)
 
 
 def _figures(folder: Path, signature: Signature, controller: str = "policy") -> dict[str, Figure]:
@@ -58,7 +58,7 @@ def _figures(folder: Path, signature: Signature, controller: str = "policy") -> 
     excited = read_table(folder / "data" / "excitation.csv")
     time, u = excited["time"], stacked(excited, signature.input_names)
     left_out = folder / "data" / "left_out.json"
-    figures["excitation"] = excitation(time, u, signature)
+    figures["excitation"] = training_data(time, None, u, signature, "Excitation")
     figures["training_data"] = training_data(
         time,
         stacked(excited, names),
@@ -88,14 +88,13 @@ def _figures(folder: Path, signature: Signature, controller: str = "policy") -> 
         if len(error) == 1 and first.is_file():  # one dot would show no course
             figures["model_error"] = _windows(read_table(first), signature)
         else:
-            what = "one-step reward error, |real - model|"
-            figures["model_error"] = model_error(progress["episode"], error, what=what)
+            figures["model_error"] = model_error(progress["episode"], error)
     if (folder / "gate.csv").is_file():
         decisions = read_table(folder / "gate.csv")
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
         held_out = folder / "data" / "held_out_first_episode.csv"
-        windows = read_table(held_out) if held_out.is_file() else None
+        windows = read_table(held_out) if held_out.is_file() else {}
         figures["gate"] = gate(decisions, unit=unit, windows=windows)
     which = found.get("drawn", {}).get("words", "")
     figures["step_response"] = _response(
@@ -120,11 +119,8 @@ def _response(table: Table, signature: Signature, which: str, controller: str) -
     y, u = {controller: stacked(table, outputs)}, {controller: inputs}
     names = [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs]
     reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
-    if reference is not None and bool((reference == reference[0]).all()):
-        title = "\n".join(filter(None, ["Step response", which]))
-        return step_response(time, reference, y, u, names, signature, title)
-    # What moves has no settling band.
-    title = "\n".join(filter(None, ["Response", which]))
+    step = reference is not None and bool((reference == reference[0]).all())
+    title = "\n".join(filter(None, ["Step response" if step else "Response", which]))
     return tracking(time, reference, y, u, names, signature, title)
 
 

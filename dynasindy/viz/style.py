@@ -2,25 +2,25 @@
 
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
-from weakref import WeakKeyDictionary
 
 import matplotlib
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.rates import NAMED
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file
 from dynasindy.systems.base import WHOLE, Signature
-from dynasindy.text import TimeUnit, duration_unit
+from dynasindy.text import duration_unit
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -38,7 +38,8 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
 """Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
-DIVERGED = "ran away, above the axis"
+FEW_DECADES = 1000.0
+"""Ends of an axis nearer to each other than this factor have few powers of ten between them."""
 ROW = 95
 """Letters that a row of a legend above an axis holds."""
 LEGEND = 60
@@ -100,24 +101,9 @@ def panels(
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
         letters = int(11 * size[0])  # some eleven an inch
-        figure.suptitle("\n".join(row for line in title.split("\n") for row in _wrap_title(line, letters)), fontsize=11)
+        lines = [textwrap.fill(line, letters, break_long_words=False) for line in title.split("\n")]
+        figure.suptitle("\n".join(lines), fontsize=11)
     return figure, list(axes.flat)
-
-
-def _wrap_title(line: str, letters: int) -> list[str]:
-    """Return a line as few lines of at most so many letters, which break between clauses or are of equal length."""
-    if len(line) <= letters:
-        return [line]
-    clauses = re.split(r"(?<=[;:.]) ", line)
-    rows = clauses[:1]
-    for clause in clauses[1:]:
-        joined = f"{rows[-1]} {clause}"
-        rows = [*rows[:-1], joined] if len(joined) <= letters else [*rows, clause]
-    fewest = len(textwrap.wrap(line, letters))
-    if len(rows) == fewest and max(map(len, rows)) <= letters:
-        return rows
-    narrow = next(n for n in range(1, letters + 1) if len(textwrap.wrap(line, n, break_long_words=False)) <= fewest)
-    return textwrap.wrap(line, max(narrow, max(map(len, line.split()))), break_long_words=False)
 
 
 def symbol(name: str) -> str:
@@ -188,34 +174,18 @@ def time_span(seconds: Array) -> tuple[float, float]:
 
 
 def time_axis(axis: Axes, seconds: ArrayLike, words: str = "time") -> None:
-    """Label an axis whose data are in seconds, with ticks in the unit in which its length is told: s, min or h.
+    """Label an axis whose data are in seconds, with ticks in the unit in which its length is given: s, min or h.
 
     Args:
-        axis: Where; figures that share it are told, too.
-        seconds: The times that it shows, or its two ends [s]; `span` gives those of a run.
+        axis: Where; figures that share it follow.
+        seconds: The times that it shows, or its two ends [s]; `time_span` gives those of a run.
         words: What it shows.
     """
-    unit = duration_unit(float(np.ptp(array(seconds)))) if np.size(seconds) else duration_unit(0.0)
-    TIMED[axis] = words, unit
-    _label_time_axis(axis, words, unit)
-
-
-TIMED: WeakKeyDictionary[Axes, tuple[str, TimeUnit]] = WeakKeyDictionary()
-"""Axes of time, with what they show and the unit that they have by themselves."""
-
-
-def _share_time_unit(figures: Iterable[Figure]) -> None:
-    """Tell the times of all figures in one unit, the smallest of those that they have by themselves."""
-    timed = [(axis, *TIMED[axis]) for figure in figures for axis in figure.axes if axis in TIMED]
-    for axis, words, _ in timed:
-        _label_time_axis(axis, words, min((unit for *_, unit in timed), key=lambda unit: unit.seconds))
-
-
-def _label_time_axis(axis: Axes, words: str, unit: TimeUnit) -> None:
+    unit = duration_unit(float(np.ptp(array(seconds))) if np.size(seconds) else 0.0)
     axis.set_xlabel(f"{words} [{unit.name}]")
-    if unit.seconds != 1 or isinstance(axis.xaxis.get_major_locator(), _Scaled):  # which had another unit before
-        axis.xaxis.set_major_locator(_Scaled(unit.seconds))
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / unit.seconds:g}"))
+    axis.xaxis.set_major_locator(_Scaled(unit.seconds))
+    scaled = FuncFormatter(lambda value, _: f"{value / unit.seconds:g}")
+    axis.xaxis.set_major_formatter(ScalarFormatter() if unit.seconds == 1 else scaled)
 
 
 class _Scaled(MaxNLocator):
@@ -235,84 +205,53 @@ def zero_order_hold(seconds: Array, values: Array) -> tuple[Array, Array]:
     return np.append(seconds, time_span(seconds)[1]), np.concatenate([values, values[-1:]])
 
 
-def format_number(value: float) -> str:
-    """Return a number with three digits, or all those before the point."""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def draw_named_values(axis: Axes, values: Mapping[str, tuple[float, str]], what: str) -> None:
-    """Draw single values along an axis, one below the other, each with its name in front and its number beside it.
-
-    Args:
-        axis: Where.
-        values: Value, NaN if there is none, and colour by name.
-        what: Label of the axis.
-    """
-    for height, (value, color) in enumerate(values.values()):
-        if np.isfinite(value):
-            axis.plot(value, height, color=color, marker="o", markersize=6)
-            at = (value, height)
-            ground = {"facecolor": "white", "linewidth": 0, "pad": 1}  # the line of the grid would run through it
-            axis.annotate(
-                format_number(value), at, (8, 0), textcoords="offset points", va="center", color=color, bbox=ground
-            )
-    axis.set_yticks(range(len(values)), list(values))
-    axis.set_ylim(len(values) - 0.5, -0.5)
-    axis.set_xlabel(what)
-
-
-def label_single_point(axis: Axes, x: Array, y: Array, color: str) -> None:
-    """Write its value beside a curve that has only one point, which is easily overlooked."""
-    seen = np.isfinite(y)
-    if seen.sum() == 1:
-        axis.plot(x[seen], y[seen], color=color, marker="o", markersize=5, linestyle="none")
-        axis.annotate(
-            f"{y[seen][0]:.3g}", (x[seen][0], y[seen][0]), (7, 0), textcoords="offset points", va="center", color=color
-        )
+def label_decades(axis: Axis) -> None:
+    """Give a logarithmic axis of few decades ticks at 1, 2 and 5 times the powers of ten; these alone give no scale."""
+    low, high = axis.get_view_interval()
+    if high / low < FEW_DECADES:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend_above(axis: Axes) -> None:
-    """Put the legend above an axis: what moves leaves no corner free."""
-    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))  # what is drawn twice is told once
-    labels = list(named)
+    """Put the legend above an axis: what moves leaves no corner free; what is drawn twice is named once."""
+    named = _named(axis)
     # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
-    rows = -(-sum(len(label) + 6 for label in labels) // ROW)
-    columns = max(1, -(-len(labels) // max(1, rows)))
+    rows = -(-sum(len(label) + 6 for label in named) // ROW)
+    columns = max(1, -(-len(named) // max(1, rows)))
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": columns}
-    axis.legend(list(named.values()), labels, **place, columnspacing=1.2, handlelength=1.6)
+    if named:
+        axis.legend(list(named.values()), list(named), **place, columnspacing=1.2, handlelength=1.6)
 
 
 def legend_beside(axis: Axes) -> None:
-    """Put the legend to the right of an axis, where no line can run through it; what is drawn twice is told once."""
-    named = dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    words = [textwrap.fill(name, LEGEND) for name in named]
-    axis.legend(list(named.values()), words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    """Put the legend to the right of an axis, where no line can run through it; what is drawn twice is named once."""
+    if named := _named(axis):
+        words = [textwrap.fill(name, LEGEND) for name in named]
+        axis.legend(list(named.values()), words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def mark_divergence(axis: Axes, x: Array, color: str) -> None:
-    """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
-    low, top = axis.get_ylim()
-    axis.set_ylim(low, top)
-    if len(x):
-        look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
-        axis.plot(x, np.full(len(x), top), color=color, label=DIVERGED, **look)
+def legend_below(figure: Figure, axis: Axes) -> None:
+    """Put what the first panel explains below all of them, each of it once."""
+    if named := _named(axis):
+        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named))
 
 
-def save_all(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write figures that belong together, their times in one unit, as `folder/NAME`, and return the files."""
-    _share_time_unit(figures.values())
-    return [file for name, figure in figures.items() for file in save(figure, folder / name, formats)]
+def _named(axis: Axes) -> dict[str, Any]:
+    return dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
 
 
-def save(figure: Figure, path: str | Path, formats: Sequence[str] = ("png",)) -> list[Path]:
-    """Write a figure once per format as `path` with the format's suffix and return the files."""
-    target = Path(path)
-    report_progress("figures", note=target.name)
-    files = [target.with_name(f"{target.name}.{suffix}") for suffix in formats]
+def save_figures(figures: Mapping[str, Figure], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write each figure once per format as `folder/NAME` with the format's suffix, and return the files."""
+    files = []
     with matplotlib.rc_context(STYLE):
-        for place, suffix in zip(files, formats, strict=True):
-            # Dates would make equal figures differ.
-            metadata = {"Date": None} if suffix in ("svg", "pdf") else None
-            with replace_file(place) as file:
-                figure.savefig(file, format=suffix, metadata=metadata)
+        for name, figure in figures.items():
+            report_progress("figures", note=name)
+            for suffix in formats:
+                # Dates would make equal figures differ.
+                metadata = {"Date": None} if suffix in ("svg", "pdf") else None
+                files.append(folder / f"{name}.{suffix}")
+                with replace_file(files[-1]) as file:
+                    figure.savefig(file, format=suffix, metadata=metadata)
     return files

@@ -25,7 +25,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> None:
-    done = report(f"save={trained.parents[3]}", "scenarios=[step]", "formats=[svg]", "any_commit=true", cwd=tmp_path)
+    done = report(f"save={trained.parents[3]}", "scenarios=[step]", "any_commit=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     kept = tmp_path / "docs" / "results" / "runs" / "xi_dyna_rollouts_800"
     assert (kept / "evaluation" / "step.json").is_file() and not list(kept.rglob("*.pt"))
@@ -38,7 +38,7 @@ def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> No
 
 
 def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:
-    done = report(f"save={trained}", "name=mine", "scenarios=[]", "formats=[svg]", "any_commit=true", cwd=tmp_path)
+    done = report(f"save={trained}", "name=mine", "scenarios=[]", "any_commit=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "docs" / "results" / "runs" / "mine" / "metrics.json").is_file()
     said = next(line for line in done.stdout.splitlines() if line.startswith("note: "))

@@ -1,12 +1,7 @@
-from pathlib import Path
-
 import pytest
 
-from dynasindy.viz.controllers import CONTROLLERS, controller_name, line_styles, name_by_planning, name_with_integral
+from dynasindy.viz.controllers import CONTROLLERS, controller_name, line_styles, name_by_planning
 from dynasindy.viz.style import BLACK, BLUE, GREEN, GREY, RED
-
-ROWS = Path(__file__).parents[2] / "docs/results/ablation.csv"
-PAPER = ("gradient", "rollouts_0", "rollouts_400", "rollouts_800")
 
 
 def test_a_controller_looks_the_same_by_its_setting_and_by_its_words_in_every_company():
@@ -51,9 +46,3 @@ def test_names_are_words_and_unique():
 )
 def test_a_controller_of_a_run_has_the_name_that_it_has_elsewhere(planning, words):
     assert name_by_planning(planning) == words
-
-
-def test_integral_action_is_a_controller_of_its_own():
-    name = name_with_integral(controller_name("gradient"))
-    assert name == controller_name("gradient_integral")
-    assert line_styles([controller_name("gradient"), name])[name]["linestyle"] == "--"

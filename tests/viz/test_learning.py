@@ -1,58 +1,143 @@
-"""Learning figures: the statistics they draw against hand-computed ones."""
+"""Learning figures: the statistics they draw against hand-computed ones, and what stands beside what."""
 
 import numpy as np
+import pytest
 
-from dynasindy.viz import average_rewards, learning_curve
-from dynasindy.viz.learning import moving_mean
-
-
-def test_moving_mean_by_hand() -> None:
-    np.testing.assert_allclose(moving_mean(np.array([2.0, 4.0, 9.0, 2.0]), 2), [2.0, 3.0, 6.5, 5.5])
+from dynasindy.evaluation.ablation import write_ablation
+from dynasindy.viz.learning import average_rewards, draw_ablation, learning_curve
 
 
-def test_learning_curve_draws_episodes_and_evaluations() -> None:
+def test_learning_curve_draws_episodes_their_moving_mean_and_evaluations() -> None:
     returns = np.arange(30.0)
-    figure = learning_curve(np.arange(1, 31), returns, [10, 20], [12.0, 22.0], window=5)
+    figure = learning_curve(np.arange(1, 31), returns, [10, 20], [12.0, 22.0])
     raw, mean, evaluated = figure.axes[0].lines
     np.testing.assert_array_equal(raw.get_ydata(), returns)
-    assert mean.get_ydata()[-1] == 27.0
+    assert [mean.get_ydata()[k] for k in (0, 2, 29)] == [0.0, 1.0, 24.5]
     np.testing.assert_array_equal(evaluated.get_xydata(), [[10, 12.0], [20, 22.0]])
 
 
 def test_average_rewards_draw_the_interquartile_mean_within_its_band() -> None:
     one = np.array([[0.0], [10.0], [20.0], [1000.0]]) + np.zeros((4, 6))
-    figure = average_rewards({"wild": one, "calm": np.ones((3, 6))}, window=1)
-    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 15.0)
-    low, high = (f(figure.axes[0].collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
+    (axis,) = average_rewards({"wild": one, "calm": np.ones((3, 6))}).axes
+    np.testing.assert_allclose(axis.lines[0].get_ydata(), 15.0)
+    low, high = (f(axis.collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
     assert 0 <= low <= 15 <= high <= 1000
-    assert "(4 seeds)" in figure.axes[0].get_legend().get_texts()[0].get_text()
-    axis = figure.axes[0]
     assert len(axis.collections) == 2  # three seeds have a band, too
 
 
-def test_a_logarithmic_axis_is_for_returns_that_differ_much_and_says_so() -> None:
-    def axis(low: float):
-        return average_rewards({"a": [[low, -1000.0]]}, window=1, log=True).axes[0]
-
-    assert axis(-100.0).get_yscale() == "linear"
-    assert axis(-20.0).get_yscale() == axis(5.0).get_yscale() == "symlog"
-    assert axis(-20.0).get_ylabel() == "return, logarithmic beyond 10 [-]"
+def test_a_logarithmic_axis_is_for_returns_that_differ_much() -> None:
+    scales = [average_rewards({"a": [[low, -1000.0]]}).axes[0].get_yscale() for low in (-100.0, -20.0, 5.0)]
+    assert scales == ["linear", "symlog", "symlog"]
 
 
 def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:
     two = np.array([np.arange(5.0), 2 * np.arange(5.0)])
-    (axis,) = average_rewards({"one": two[0], "two": two}, episode=[10, 20, 30, 40, 50], window=1).axes
+    (axis,) = average_rewards({"one": two[0], "two": two}, episode=[10, 20, 30, 40, 50]).axes
     np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [10, 20, 30, 40, 50])
     np.testing.assert_array_equal([line.get_ydata() for line in axis.lines], [two[0], *two])
     assert not axis.collections
     assert axis.lines[1].get_color() == axis.lines[2].get_color() != axis.lines[0].get_color()
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["one (1 seed)", "two (2 seeds)"]
 
 
 def test_of_a_single_episode_there_are_dots_and_intervals_to_be_seen() -> None:
-    (axis,) = average_rewards({"few": [[1.0], [2.0]], "many": [[1.0], [2.0], [6.0]]}, window=1).axes
+    (axis,) = average_rewards({"few": [[1.0], [2.0]], "many": [[1.0], [2.0], [6.0]]}).axes
     shown = [line for line in axis.lines if line.get_visible() and len(line.get_xdata())]
     assert [line.get_ydata()[0] for line in shown] == [1.0, 2.0, 3.0]  # of three seeds the mean, as none is trimmed
     assert {line.get_marker() for line in shown} == {"o"}
     (interval,) = axis.collections[-1].get_segments()
     assert 1.0 <= interval[0][1] < interval[1][1] <= 6.0
+
+
+def rows(settings, episodes=(1, 2), seeds=(0, 1), **changed):
+    return [
+        {
+            "system": "xi", "experiment": "dyna", "setting": setting, "seed": seed, "episode": episode,
+            "evaluated_return": -10.0, "evaluated_steady_state_error/y": error, "evaluated_steady_state_error/z": 0.02,
+            **changed,
+        }
+        for setting, error in settings.items()
+        for seed in seeds
+        for episode in episodes
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def drawn(tmp_path, monkeypatch):
+    """Draw an ablation of rows and return its figures by file."""
+
+    def _draw(table, level=0.05, **more):
+        found = {}
+        monkeypatch.setattr("dynasindy.viz.learning.save_figures", lambda figures, *_: found.update(figures) or [])
+        write_ablation(tmp_path / "ablation_curves.csv", table)
+        draw_ablation(tmp_path, level, **more)
+        return found
+
+    return _draw
+
+
+def lines(axis):
+    return {line.get_label(): line.get_xydata().tolist() for line in axis.lines if len(line.get_xdata())}
+
+
+@pytest.mark.parametrize("common", ["", "".join(f",scenario.reference.option_{k}=10" for k in range(20))])
+def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path, common):
+    both = [rows({f"a{common}": 0.1, f"b{common}": 0.2}, system=system) for system in ("tras", "xi")]
+    write_ablation(tmp_path / "ablation_curves.csv", both[0] + both[1])
+    names = {file.name for file in draw_ablation(tmp_path, 0.05)}
+    kinds = ("average_rewards", "steady_state_error")
+    assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
+    assert all((tmp_path / name).stat().st_size > 1000 for name in names)
+
+
+def test_the_error_of_the_worse_axis_stands_at_its_evaluations_beside_the_level(drawn):
+    found = drawn(rows({"rollouts_0": 0.1, "rollouts_800": 0.01}, episodes=(2, 4, 6)))
+    (axis,) = found["steady_state_error_xi_dyna"].axes
+    curves = lines(axis)
+    assert curves["no planning (2 seeds)"] == [[2, 0.1], [4, 0.1], [6, 0.1]]
+    assert curves["800 rollouts (2 seeds)"][0] == [2, 0.02] and axis.get_yscale() == "log"
+    assert curves["required: at most 0.05 rad"][0][1] == 0.05
+
+
+def test_controls_stand_by_what_they_vary_beside_the_reference_where_it_compares(drawn):
+    names = ("direct", "horizon_100", "horizon_20", "oracle", "real_share_05", "horizon_20,agent.tau=0.1")
+    names += ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "rollouts_800")
+    found = drawn(rows(dict.fromkeys(names, 0.1), seeds=(0,)))
+    assert set(found) == {f"{name}_xi_dyna" for name in ("average_rewards", "steady_state_error", "controls")}
+    many = "800 rollouts"
+    members = [[name.partition(" (")[0] for name in lines(axis)][:-1] for axis in found["controls_xi_dyna"].axes]
+    assert members == [
+        [many, "horizon_20,agent.tau=0.1"],
+        ["rollouts of 20 periods", "rollouts of 100 periods"],  # at equal transitions, of which the reference has more
+        [many, "true plant as the model"],
+        [many, "5 % of a batch real"],
+        [many, "direct TD3", "TD3 tuned for no planning", "SAC", "SAC, five updates per step"],
+    ]
+    assert len({axis.get_ylim() for axis in found["controls_xi_dyna"].axes}) == 1
+
+
+@pytest.mark.parametrize("changed", [{"system": "../../x"}, {"experiment": "x/../../../y"}, {"system": "/tmp/x"}])
+def test_cells_of_a_table_do_not_choose_where_figures_go(tmp_path, changed):
+    (tmp_path / "results").mkdir()
+    write_ablation(tmp_path / "results" / "ablation_curves.csv", rows({"a": 0.1}, **changed))
+    with pytest.raises(ValueError, match="file"):
+        draw_ablation(tmp_path / "results", 0.05)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["ablation_curves.csv"]
+
+
+def test_a_setting_with_signs_of_mathematics_is_drawn_as_it_stands(tmp_path):
+    write_ablation(tmp_path / "ablation_curves.csv", rows({"$\\frac{$,x=<b>": 0.1}, episodes=(1,)))
+    assert draw_ablation(tmp_path, 0.05)
+
+
+def test_errors_of_outputs_in_several_units_are_drawn_as_per_cent_of_the_target_range(drawn):
+    table = [
+        row
+        for name in ("a", "rollouts_800")
+        for n in (1, 2)
+        for row in rows({name: 0.1}, (n,), (0,), steady_state_share=0.4 / n)
+    ]
+    found = drawn(table, share=0.1)
+    for name, curve in (("steady_state_error", "800 rollouts (1 seed)"), ("controls", "a (1 seed)")):
+        curves = lines(found[f"{name}_xi_dyna"].axes[0])
+        assert curves["required: at most 10 % of the target range"][0][1] == 10.0
+        np.testing.assert_allclose(curves[curve], [[1, 40.0], [2, 20.0]])

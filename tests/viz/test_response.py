@@ -1,13 +1,31 @@
-"""Response figures draw the data they are given, with the bands the metrics use."""
+"""Responses draw the data they are given, with the bands the metrics use; evaluations and flights what happened."""
 
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from matplotlib.colors import to_rgb
 
+from dynasindy.envs import ControlEnv
+from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.rig import Guard, Wiring
+from dynasindy.rig.log import FlightRecord
+from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz import error_fan, step_response, tracking
+from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
+from dynasindy.viz import response
+from dynasindy.viz.response import (
+    draw_evaluation,
+    draw_flight,
+    draw_rig_excitation,
+    error_fan,
+    tracking,
+)
+from dynasindy.viz.style import ORANGE
 
 TIME = torch.arange(400) * 0.05
 REFERENCE = torch.tensor([0.4, 0.25]).expand(400, 2)
@@ -21,7 +39,7 @@ def test_tracking_draws_reference_and_every_controller() -> None:
     lines = figure.axes[1].lines
     np.testing.assert_allclose(lines[0].get_ydata(), 0.25)
     np.testing.assert_allclose(lines[2].get_ydata(), 0.5 * OUTPUT[:, 1], rtol=1e-6)
-    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()] == ["reference", "a", "b"]
+    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()][:3] == ["reference", "a", "b"]
 
 
 def test_the_state_after_the_last_period_is_drawn_at_its_end() -> None:
@@ -41,7 +59,7 @@ def test_inputs_are_drawn_as_held() -> None:
 
 
 def test_step_response_shows_the_five_percent_band_and_the_last_five_seconds() -> None:
-    figure = step_response(TIME, REFERENCE, {"a": OUTPUT})
+    figure = tracking(TIME, REFERENCE, {"a": OUTPUT})
     band, steady = figure.axes[0].patches
     assert (band.get_y(), band.get_height()) == pytest.approx((0.38, 0.04))
     assert (steady.get_x(), steady.get_width()) == pytest.approx((15.0, 5.0))
@@ -67,14 +85,143 @@ def test_small_errors_are_drawn_as_they_are_and_no_curve_lies_on_the_frame() -> 
     assert np.ptp(outer[outer < 1.5e-6]) > 0  # not on one floor
 
 
-def test_the_time_axis_ends_with_the_last_period_of_the_run():
-    time, zeros = np.arange(0.0, 20.0, 0.05), np.zeros((400, 2))
-    assert tracking(time, zeros, {"policy": zeros}).axes[-1].get_xlim() == (0.0, 20.0)
-
-
 def test_inputs_are_drawn_in_the_units_of_their_actuators() -> None:
     """A motor of 0 to 12 V at the quarter of its power has 3 V."""
     volts = replace(SIGNATURE, input_ends=((-12, 12), (-1, 1)), input_limits=((0, 1), (-1, 1)), input_units=("V", "-"))
     figure = tracking(TIME, REFERENCE, {"a": OUTPUT}, {"a": 0.25 * np.ones_like(OUTPUT)}, signature=volts)
     assert [float(axis.lines[0].get_ydata()[0]) for axis in figure.axes[2:]] == [3.0, 0.25]
     assert ["[V]" in axis.get_ylabel() for axis in figure.axes] == [False, False, True, False]
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """Draw an evaluation and return its figures by file."""
+
+    def _draw(evaluation: Evaluation) -> dict:
+        drawn: dict = {}
+        monkeypatch.setattr(response, "save_figures", lambda figures, *_: drawn.update(figures))
+        draw_evaluation(evaluation, Path("nowhere"))
+        return drawn
+
+    return _draw
+
+
+def run(reference: Reference, episodes: int) -> Evaluation:
+    system = Tras()
+    env = ControlEnv(system, Tracking(system.signature, reference), substeps=1)
+    return evaluate(env, rest(), Scenario("short", reference, episodes, seconds=1.0))
+
+
+def rest(n_u: int = 2):
+    return lambda td: td.set("action", torch.zeros(*td.batch_size, n_u))
+
+
+@pytest.mark.parametrize("episodes", [1, 3])
+def test_many_references_add_the_spread_of_the_error(episodes: int, tmp_path: Path) -> None:
+    files = draw_evaluation(run(Step([[0.1, 0.1]]), episodes), tmp_path, formats=("png", "svg"))
+    names = {file.name for file in files}
+    assert names == {"short.png", "short.svg"} | ({"short_errors.png", "short_errors.svg"} if episodes > 1 else set())
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_steps_show_their_settling_band_and_waves_do_not(figures) -> None:
+    assert figures(run(Step([[0.1, 0.1]]), 1))["short"].axes[0].patches
+    assert not figures(run(Wave([0.3, 0.2], [0.5, 0.5]), 1))["short"].axes[0].patches
+
+
+def test_the_gust_is_shaded_in_every_panel(figures) -> None:
+    system = Tras()
+    env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.1]])), substeps=1)
+    gust = Scenario("wind", None, 2, 3.0, partial(Pushed, push={"Omega_p": 0.5}), [(1.0, 2.0)])
+    for figure in figures(evaluate(env, rest(), gust)).values():
+        for axis in figure.axes:
+            shades = [patch for patch in axis.patches if patch.get_facecolor()[:3] == to_rgb(ORANGE)]
+            assert [(shade.get_x(), shade.get_width()) for shade in shades] == [(1, 1)]
+
+
+def test_without_references_all_states_are_drawn_and_no_errors(settle, figures) -> None:
+    env = ControlEnv(Pendulum(), settle(Pendulum().signature), substeps=1)
+    drawn = figures(evaluate(env, rest(1), Scenario("task", None, 3, 1.0)))
+    assert list(drawn) == ["task"]
+    assert [len(axis.lines) for axis in drawn["task"].axes] == [1, 1, 1]
+
+
+def test_the_episode_that_begins_farthest_is_drawn_with_the_labels_of_its_plant(figures) -> None:
+    system = Pendulum()
+    task = Tracking(
+        system.signature, Step([[0.0]]), outputs=["theta"], rates=["Omega"], reward=TrackingReward((4.0,)),
+        start={"theta": [-3.0, 3.0]},
+    )  # fmt: skip
+    result = evaluate(ControlEnv(system, task, substeps=1), rest(1), Scenario("swing", None, 9, 0.5))
+    figure = figures(result)["swing"]
+    assert abs(figure.axes[0].lines[1].get_ydata()[0]) == result.outputs[:, 0, 0].abs().max()
+    assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", "$u$ [-]"]
+
+
+RIG = Signature(("theta", "level"), ("rad", "m"), ("u",), (1.0, 1.0))
+WIRING = Wiring(RIG, (True, False), 0.1)
+AT = 0.1 * np.arange(5)
+MEASURED = np.stack([np.linspace(0.0, 0.4, 5), np.full(5, np.nan)], -1)
+ENDED = FlightRecord(
+    ("theta", "level"), ("rad", "m"), AT, np.tile([0.3, 0.5], (5, 1)), MEASURED, np.full((5, 1), 0.2),
+    np.ones(5, dtype=bool), 20, "range: theta is 0.5, outside of -0.45 to 0.45",
+)  # fmt: skip
+
+
+def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planned() -> None:
+    figure = draw_flight(ENDED, WIRING, Guard(), "flight_1")
+    assert ENDED.fault in " ".join(figure.get_suptitle().split())
+    for axis in figure.axes:
+        assert axis.lines[-1].get_xdata() == pytest.approx([0.5, 0.5])
+    low, high = figure.axes[-1].get_xlim()
+    assert low == 0.0 and 2.0 <= high < 2.1
+
+
+def test_a_flight_that_did_not_end_early_has_no_line_for_it() -> None:
+    figure = draw_flight(replace(ENDED, fault="", planned=5), WIRING, Guard(), "flight_1")
+    assert len(figure.axes[0].lines) == 2
+    assert figure.axes[-1].get_xlim() == (0.0, 0.5)
+
+
+def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
+    figure = draw_flight(ENDED, WIRING, Guard(low={"theta": -5.0}, high={"theta": 0.45}), "flight_1")
+    lines = [line for line in figure.axes[0].lines if line.get_linestyle() == "-." and len(line.get_xdata())]
+    levels = [line.get_ydata()[0] for line in lines]
+    assert levels == [0.45]
+
+
+def test_an_excitation_shows_what_was_measured_and_the_range_that_ended_it() -> None:
+    guard = Guard(low={"theta": -5.0, "level": 0.1}, high={"theta": 0.45})
+    figure = draw_rig_excitation(
+        (AT, MEASURED, np.full((5, 1), 0.2)), WIRING, guard, "Excitation of the rig, ended by range"
+    )
+    theta, u = figure.axes
+    np.testing.assert_allclose(theta.lines[0].get_ydata(), MEASURED[:, 0])
+    lines = [
+        [line for line in axis.lines if line.get_linestyle() == "-." and len(line.get_xdata())] for axis in (theta, u)
+    ]
+    assert [[line.get_ydata()[0] for line in found] for found in lines] == [[0.45], []]
+    assert (
+        draw_rig_excitation((AT, MEASURED, np.full((5, 1), 0.2)), WIRING, Guard(), "Excitation").axes[0].get_legend()
+        is None
+    )
+
+
+def test_targets_are_drawn_as_they_are_held() -> None:
+    targets = np.tile([[0.3, 0.5]], (5, 1))
+    targets[3:] = -0.3
+    axis = draw_flight(replace(ENDED, references=targets), WIRING, Guard(), "flight_1").axes[0]
+    (line,) = [line for line in axis.lines if line.get_label() == "reference"]
+    assert line.get_drawstyle() == "steps-post"
+
+
+def test_samples_between_lost_ones_are_drawn_as_points() -> None:
+    """The second and the fourth of five samples were lost, so that no two of them make a line."""
+    outputs = MEASURED.copy()
+    outputs[[1, 3]] = np.nan
+    axis = draw_flight(replace(ENDED, outputs=outputs), WIRING, Guard(), "flight_1").axes[0]
+    drawn = [line for line in axis.lines if line.get_marker() == "."]
+    assert drawn[0].get_xdata() == pytest.approx([0.0, 0.2, 0.4])
+    assert drawn[0].get_color() == axis.lines[1].get_color()
+    whole = draw_flight(ENDED, WIRING, Guard(), "flight_1").axes[0]
+    assert not [line for line in whole.lines if line.get_marker() == "."]

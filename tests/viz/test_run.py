@@ -6,117 +6,103 @@ import numpy as np
 import pytest
 
 from dynasindy.systems import Pendulum
-from dynasindy.viz.run import _figures, draw_run, read_table
+from dynasindy.viz import run
+from dynasindy.viz.run import draw_run, read_table
 
 TIME = [f"{0.05 * k:.2f}" for k in range(200)]
+HEADING = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
+PREDICTION = "time,theta,Omega,predicted_theta,predicted_Omega"
+PROGRESS = "episode,return,one_step_reward_error,evaluated_return\n"
 
 
 def write(path: Path, header: str, *columns: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    lines = [",".join([t, *columns]) for t in TIME]
-    path.write_text("\n".join([header, *lines]) + "\n")
+    path.write_text("\n".join([header, *(",".join([t, *columns]) for t in TIME)]) + "\n")
 
 
-def test_every_figure_whose_data_are_there_is_drawn(tmp_path: Path) -> None:
-    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
-    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
-    write(
-        tmp_path / "data" / "step_response.csv",
-        "time,theta,Omega,u,reference_theta",
-        "0.1",
-        "0",
-        "0.3",
-        "0.5",
-    )
-    drawn = {file.name for file in draw_run(tmp_path, Pendulum().signature)}
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write(tmp_path / "data" / "excitation.csv", HEADING, "0.1", "0.2", "0.3", "0.0")
+    write(tmp_path / "data" / "step_response.csv", HEADING, "0.1", "0.7", "0.3", "0.5")
+    return tmp_path
+
+
+@pytest.fixture
+def figures(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """Draw the folder and return its figures by name."""
+
+    def _draw() -> dict:
+        drawn: dict = {}
+        monkeypatch.setattr(run, "save_figures", lambda figures, *_: drawn.update(figures))
+        draw_run(folder, Pendulum().signature)
+        return drawn
+
+    return _draw
+
+
+def test_every_figure_whose_data_are_there_is_drawn(folder: Path) -> None:
+    drawn = {file.name for file in draw_run(folder, Pendulum().signature)}
     assert drawn == {"excitation.png", "training_data.png", "step_response.png"}
-
-    names = "time,theta,Omega,predicted_theta,predicted_Omega"
-    write(tmp_path / "data" / "prediction_first_episode.csv", names, "0.1", "0.2", "0.1", "0.2")
-    (tmp_path / "progress.csv").write_text(
-        "episode,return,one_step_reward_error,evaluated_return\n1,-5,0.1,\n2,-3,0.01,-2\n"
-    )
-    files = draw_run(tmp_path, Pendulum().signature, formats=("svg",))
+    write(folder / "data" / "prediction_first_episode.csv", PREDICTION, "0.1", "0.2", "0.1", "0.2")
+    (folder / "progress.csv").write_text(f"{PROGRESS}1,-5,0.1,\n2,-3,0.01,-2\n")
+    files = draw_run(folder, Pendulum().signature, formats=("svg",))
     assert {"prediction_first_episode.svg", "learning_curve.svg", "model_error.svg"} <= {f.name for f in files}
-    assert all(file.parent == tmp_path / "figures" for file in files)
+    assert all(file.parent == folder / "figures" for file in files)
 
 
-def test_a_single_episode_shows_how_its_prediction_went(tmp_path: Path) -> None:
-    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
-    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
-    write(tmp_path / "data" / "step_response.csv", "time,theta,Omega,u,reference_theta", "0.1", "0", "0.3", "0.5")
-    names = "time,theta,Omega,predicted_theta,predicted_Omega"
-    write(tmp_path / "data" / "prediction_first_episode.csv", names, "0.1", "0.2", "0.4", "0.2")
-    (tmp_path / "progress.csv").write_text("episode,return,one_step_reward_error,evaluated_return\n1,-5,0.1,-2\n")
-    figures = _figures(tmp_path, Pendulum().signature)
-    assert "learning_curve" not in figures  # one dot is no curve
-    (axis,) = figures["model_error"].axes
+def test_a_single_episode_shows_how_its_prediction_went(folder: Path, figures) -> None:
+    write(folder / "data" / "prediction_first_episode.csv", PREDICTION, "0.1", "0.2", "0.4", "0.2")
+    (folder / "progress.csv").write_text(f"{PROGRESS}1,-5,0.1,-2\n")
+    drawn = figures()
+    assert "learning_curve" not in drawn  # one dot is no curve
+    (axis,) = drawn["model_error"].axes
     wide = Pendulum().signature.x_scale[0]
     np.testing.assert_allclose(axis.lines[0].get_ydata(), 0.3 / wide / np.sqrt(2))
 
 
-def test_the_last_row_of_a_response_is_the_state_at_its_end(tmp_path: Path) -> None:
-    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
-    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
-    response = tmp_path / "data" / "step_response.csv"
-    write(response, heading, "0.1", "0", "0.3", "0.5")
-    before = _figures(tmp_path, Pendulum().signature)["step_response"]
+def test_the_last_row_of_a_response_is_the_state_at_its_end(folder: Path, figures) -> None:
+    response = folder / "data" / "step_response.csv"
+    before = figures()["step_response"]
     start, end = before.axes[0].get_xlim()
-    response.write_text(f"{response.read_text()}{end},0.7,0,,0.5\n")
-    after = _figures(tmp_path, Pendulum().signature)["step_response"]
+    response.write_text(f"{response.read_text()}{end},0.8,0,,0.5\n")
+    after = figures()["step_response"]
     assert after.axes[0].get_xlim() == (start, end)  # no period more
     reference, output = after.axes[0].lines[:2]
-    assert (output.get_xdata()[-1], output.get_ydata()[-1]) == (end, 0.7) and reference.get_xdata()[-1] == end
+    assert (output.get_xdata()[-1], output.get_ydata()[-1]) == (end, 0.8) and reference.get_xdata()[-1] == end
     (held,) = after.axes[1].lines
     assert not np.isnan(held.get_ydata()).any() and held.get_xdata()[-1] == end
     assert before.axes[0].lines[1].get_xdata()[-1] < end  # a table of an earlier run
 
 
-def test_empty_cells_are_nan(tmp_path: Path) -> None:
+def test_empty_cells_are_nan_and_a_missing_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("a,b\n1,\n2,3.5\n")
     table = read_table(tmp_path / "t.csv")
     np.testing.assert_array_equal(table["a"], [1.0, 2.0])
     np.testing.assert_array_equal(table["b"], [np.nan, 3.5])
-
-
-def test_a_missing_file_gets_one_line(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="progress"):
         read_table(tmp_path / "progress.csv")
 
 
-def test_without_references_the_response_shows_all_states(tmp_path: Path) -> None:
-    heading = "time [s],theta [rad],Omega [rad/s],u [-]"
-    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3")
-    write(tmp_path / "data" / "step_response.csv", heading, "0.1", "0.7", "0.3")
-    (tmp_path / "metrics.json").write_text('{"drawn": {"words": "episode 3 of 9"}, "untrained": {"return": 0}}')
-    figure = _figures(tmp_path, Pendulum().signature)["step_response"]
-    assert "episode 3 of 9" in figure.get_suptitle()
-    drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figure.axes]
+def test_without_references_the_response_shows_all_states(folder: Path, figures) -> None:
+    write(folder / "data" / "step_response.csv", HEADING.rpartition(",")[0], "0.1", "0.7", "0.3")
+    drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figures()["step_response"].axes]
     assert drawn == [[0.1], [0.7], [0.3]]
 
 
-def test_a_reference_that_moves_has_no_settling_band(tmp_path: Path) -> None:
-    heading = "time [s],theta [rad],Omega [rad/s],u [-],reference_theta [rad]"
-    write(tmp_path / "data" / "excitation.csv", heading, "0.1", "0.2", "0.3", "0.0")
-    write(tmp_path / "data" / "step_response.csv", heading, "0.1", "0.7", "0.3", "0.5")
-    assert _figures(tmp_path, Pendulum().signature)["step_response"].axes[0].patches
-    rows = (tmp_path / "data" / "step_response.csv").read_text()
-    (tmp_path / "data" / "step_response.csv").write_text(rows.replace("0.5\n", "0.6\n", 1))
-    figure = _figures(tmp_path, Pendulum().signature)["step_response"]
-    assert not figure.axes[0].patches
+def test_a_reference_that_moves_has_no_settling_band(folder: Path, figures) -> None:
+    assert figures()["step_response"].axes[0].patches
+    response = folder / "data" / "step_response.csv"
+    response.write_text(response.read_text().replace("0.5\n", "0.6\n", 1))
+    assert not figures()["step_response"].axes[0].patches
 
 
-def test_what_the_fit_left_out_is_shaded_and_a_learnt_reward_has_its_own_unit(tmp_path: Path) -> None:
-    heading = "time [s],theta [rad],Omega [rad/s],u [-]"
-    for name in ("excitation", "step_response"):
-        write(tmp_path / "data" / f"{name}.csv", heading, "0.1", "0.2", "0.3")
-    (tmp_path / "data" / "left_out.json").write_text('{"at_a_stop": [[1.0, 1.5], [3.0, 3.05]]}')
+def test_what_the_fit_left_out_is_shaded_and_a_learnt_reward_has_its_own_unit(folder: Path, figures) -> None:
+    (folder / "data" / "left_out.json").write_text('{"at_a_stop": [[1.0, 1.5], [3.0, 3.05]]}')
     names = "episode,reward_error,judged_reward_error,open_below,close_above,open,"
     names += "held_out_error_before,held_out_error_after,refit_kept\n"
-    (tmp_path / "gate.csv").write_text(names + "1,0.1,0.2,0.3,0.4,1,0.1,0.1,1\n" * 2)
-    figures = _figures(tmp_path, Pendulum().signature)
-    assert [patch.get_x() for patch in figures["training_data"].axes[2].patches] == [1.0, 3.0]
-    assert figures["gate"].axes[0].get_ylabel() == "reward error\n[reward per period]"
-    (tmp_path / "metrics.json").write_text('{"reward": "cos(theta)", "excitation": "It touched a stop."}')
-    figures = _figures(tmp_path, Pendulum().signature)
-    assert figures["gate"].axes[0].get_ylabel() == "reward error\n[deviations of the reward]"
+    (folder / "gate.csv").write_text(names + "1,0.1,0.2,0.3,0.4,1,0.1,0.1,1\n" * 2)
+    drawn = figures()
+    assert [patch.get_x() for patch in drawn["training_data"].axes[2].patches] == [1.0, 3.0]
+    unit = drawn["gate"].axes[0].get_ylabel()
+    (folder / "metrics.json").write_text('{"reward": "cos(theta)", "excitation": "It touched a stop."}')
+    assert figures()["gate"].axes[0].get_ylabel() != unit

@@ -8,19 +8,24 @@ from __future__ import annotations
 import io
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import jinja2
 import matplotlib
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from dynasindy.safe_io import escape_markdown, file_name, write_text
-from dynasindy.viz.style import STYLE, save
+from dynasindy.safe_io import escape_markdown, file_name
+from dynasindy.viz.style import STYLE
+
+WIDTH = 120
+SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
+"""Letters stay text, which is smaller than outlines and can be searched."""
 
 
 class Verdict(Enum):
@@ -40,21 +45,25 @@ COLOURS = {
     "in part": "part",
 }
 """Class of a cell that begins with a verdict."""
-WIDTH = 120
-SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
-"""Letters stay text, which is smaller than outlines and can be searched."""
 
 
-@dataclass(frozen=True)
-class Text:
-    """A paragraph."""
+class Statement(NamedTuple):
+    """What a figure of the paper shows, and what the paper claims by it, if it is one of its claims."""
 
-    kind: ClassVar[str] = "text"
     words: str
+    claim: str = ""
 
 
-@dataclass(frozen=True)
-class Link:
+class Finding(NamedTuple):
+    """Ours in numbers, the verdict, the statement that it is on, and the plant and experiment it is compared in."""
+
+    ours: str = "no saved result"
+    verdict: Verdict = Verdict.UNKNOWN
+    statement: Statement = Statement("")
+    case: str = ""
+
+
+class Link(NamedTuple):
     """Words in a table that lead to a section of the page, by its title."""
 
     words: str
@@ -62,27 +71,17 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """A table of words, a row per entry of `rows`."""
 
-    kind: ClassVar[str] = "table"
     header: Sequence[str]
     rows: Sequence[Sequence[str | Link]]
-
-
-@dataclass(frozen=True)
-class Listing:
-    """Lines that keep their shape, such as equations."""
-
-    kind: ClassVar[str] = "listing"
-    lines: Sequence[str]
 
 
 @dataclass(frozen=True)
 class Picture:
     """A figure, the name of its files, what it shows, and the command and commit that it comes from."""
 
-    kind: ClassVar[str] = "picture"
     name: str
     figure: Figure
     caption: str
@@ -91,54 +90,54 @@ class Picture:
     def __post_init__(self) -> None:
         file_name(self.name, "figure")
 
-
-@dataclass(frozen=True)
-class Statement:
-    """What a figure of the paper shows, and what the paper claims by it, if it is one of its claims."""
-
-    words: str
-    claim: str = ""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A statement of the paper, the plant and experiment it is compared in, ours in numbers, and the verdict."""
-
-    statement: Statement
-    case: str
-    ours: str = "no saved result"
-    verdict: Verdict = Verdict.UNKNOWN
+    @cached_property
+    def svg(self) -> str:
+        """The figure as an SVG element on one line, without metadata, names of groups and digits below 0.1 pt."""
+        file = io.StringIO()
+        with matplotlib.rc_context({**STYLE, **SVG, "svg.hashsalt": self.name}):  # ids differ from other figures'
+            self.figure.savefig(file, format="svg", metadata={"Date": None})
+        element = file.getvalue()
+        element = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", element[element.index("<svg") :], flags=re.S)
+        element = re.sub(r'<g id="[^"]*"', "<g", element)
+        element = re.sub(r' (?:d|x|y)="[^"]+"', lambda outline: _round_digits(outline[0]), element)
+        return re.sub(r"\s*\n\s*", " ", element).strip()
 
 
-Part = Text | Table | Listing | Picture | Finding
+Part = str | TextTable | Picture
 
 
 @dataclass
 class Section:
-    """A heading and what stands under it; neighbouring findings are shown as one table."""
+    """A heading, a paragraph, a table of findings, and the parts that show them."""
 
     title: str
+    words: str = ""
+    findings: list[Finding] = field(default_factory=list)
     parts: list[Part] = field(default_factory=list)
 
     @property
-    def findings(self) -> list[Finding]:
-        """The findings among the parts."""
-        return [part for part in self.parts if isinstance(part, Finding)]
+    def content(self) -> list[Part]:
+        """What stands under the heading, from top to bottom."""
+        rows = [[one.case, one.statement.words, one.ours, one.verdict.value] for one in self.findings]
+        table = [TextTable(["plant, experiment", "the paper", "ours", "verdict"], rows)] if rows else []
+        return [*([self.words] if self.words else []), *table, *self.parts]
 
-    @property
-    def shown(self) -> list[Part]:
-        """The parts, each run of findings as one table."""
-        parts: list[Part] = []
-        rows: list[Sequence[str]] = []
-        for part in self.parts:
-            if isinstance(part, Finding):
-                if not rows:
-                    parts.append(Table(["plant, experiment", "the paper", "ours", "verdict"], rows))
-                rows.append([part.case, part.statement.words, part.ours, part.verdict.value])
-            else:
-                rows = []
-                parts.append(part)
-        return parts
+
+def render_markdown(title: str, sections: Sequence[Section], html: str = "") -> str:
+    """Return a page as Markdown, whose figures are `figures/NAME.svg`; `html` is the same page as a file beside it."""
+    blocks = [f"# {title}"] + [f"[The same as one HTML file]({html}) needs no other file."] * bool(html)
+    for section in sections:
+        blocks += [f"## {section.title}", *map(_markdown, section.content)]
+    return "\n\n".join(blocks) + "\n"
+
+
+def render_html(title: str, sections: Sequence[Section]) -> str:
+    """Return a page as HTML that needs no other file and no network, its figures inline."""
+    loader = jinja2.FileSystemLoader(Path(__file__).parent)
+    page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    page.filters |= {"inline": _inline, "anchor": _anchor}
+    page.filters["colour"] = lambda cell: COLOURS.get(cell.partition(" (")[0], "")
+    return page.get_template("template.html").render(title=title, sections=sections)
 
 
 def _anchor(title: str) -> str:
@@ -146,72 +145,9 @@ def _anchor(title: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
-def render_markdown(title: str, sections: Sequence[Section], suffix: str = "svg", html: str = "") -> str:
-    """Return a page as Markdown, whose figures are `figures/NAME.suffix`.
-
-    Args:
-        title: of the page.
-        sections: What stands on it.
-        suffix: File format of the figures.
-        html: Name of a file beside it that holds the same as HTML.
-    """
-    lines = [f"# {title}", ""]
-    if html:
-        lines += [f"[The same as one HTML file]({html}) needs no other file.", ""]
-    for section in sections:
-        lines += [f"## {section.title}", ""]
-        for part in section.shown:
-            lines += [_markdown(part, suffix), ""]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def render_html(title: str, sections: Sequence[Section]) -> str:
-    """Return a page as HTML that needs no other file and no network, its figures inline."""
-    loader = jinja2.FileSystemLoader(Path(__file__).parent)
-    page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    page.filters |= {"inline": _inline, "anchor": _anchor, "colour": _colour, "svg": _svg_markup}
-    return page.get_template("template.html").render(title=title, sections=sections)
-
-
-def write_figures(sections: Iterable[Section], folder: Path, formats: Sequence[str]) -> list[Path]:
-    """Write the figures of a page and return the files."""
-    files = []
-    pictures = [part for section in sections for part in section.parts if isinstance(part, Picture)]
-    for picture in pictures:
-        for suffix in formats:
-            file = folder / f"{picture.name}.{suffix}"
-            files.append(file)
-            if suffix == "svg":
-                write_text(file, _svg(picture.figure, picture.name) + "\n")
-            else:
-                save(picture.figure, file.with_suffix(""), [suffix])
-    return files
-
-
-def _svg(figure: Figure, name: str) -> str:
-    """Return a figure as an SVG element on one line, without metadata, names of groups and digits below 0.1 pt.
-
-    Args:
-        figure: What to draw.
-        name: Makes its ids differ from those of other figures of a page.
-    """
-    file = io.StringIO()
-    with matplotlib.rc_context({**STYLE, **SVG, "svg.hashsalt": name}):
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    element = file.getvalue()
-    element = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", element[element.index("<svg") :], flags=re.S)
-    element = re.sub(r'<g id="[^"]*"', "<g", element)
-    element = re.sub(r' (?:d|x|y)="[^"]+"', lambda outline: _rounded(outline[0]), element)
-    return re.sub(r"\s*\n\s*", " ", element).strip()
-
-
-def _rounded(outline: str) -> str:
+def _round_digits(outline: str) -> str:
     short = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), outline)
     return re.sub(r"\s*([MLQCz])\s*", r"\1", short).replace(' "', '"')
-
-
-def _svg_markup(figure: Figure, name: str) -> Markup:
-    return Markup(_svg(figure, name))  # matplotlib escapes labels
 
 
 def _inline(words: str) -> Markup:
@@ -220,29 +156,17 @@ def _inline(words: str) -> Markup:
     return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", code))
 
 
-def _colour(cell: str) -> str:
-    """Return the class of a cell; empty where it is no verdict."""
-    return COLOURS.get(cell.partition(" (")[0], "")
-
-
-def _markdown(part: Part, suffix: str) -> str:
-    if isinstance(part, Table):
+def _markdown(part: Part) -> str:
+    if isinstance(part, TextTable):
         rows = [[_cell(cell) for cell in row] for row in (part.header, ["---"] * len(part.header), *part.rows)]
         return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    if isinstance(part, Listing):
-        # A line break within a line would end the code block.
-        return "\n".join(f"    {' '.join(line.splitlines())}" for line in part.lines)
     if isinstance(part, Picture):
-        alt = part.caption.partition(". ")[0].removesuffix(".").replace("`", "").replace("[", "(").replace("]", ")")
-        words = escape_markdown(f"{part.caption} {part.source}".strip())
-        return f"![{escape_markdown(alt)}](figures/{part.name}.{suffix})\n\n{_wrapped(words)}"
-    return _wrapped(escape_markdown(part.words if isinstance(part, Text) else part.ours))
+        alt = part.caption.partition(". ")[0].removesuffix(".").translate(str.maketrans("[]", "()", "`"))
+        image = f"![{escape_markdown(alt)}](figures/{part.name}.svg)"
+        return f"{image}\n\n{_markdown(f'{part.caption} {part.source}'.strip())}"
+    return "\n".join(textwrap.wrap(escape_markdown(part), WIDTH, break_long_words=False, break_on_hyphens=False))
 
 
 def _cell(cell: str | Link) -> str:
     words = escape_markdown(cell.words if isinstance(cell, Link) else cell).replace("|", r"\|")
     return f"[{words}](#{_anchor(cell.title)})" if isinstance(cell, Link) else words
-
-
-def _wrapped(words: str) -> str:
-    return "\n".join(textwrap.wrap(words, WIDTH, break_long_words=False, break_on_hyphens=False))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from dynasindy.evaluation.ablation import Level
 from dynasindy.evaluation.statistics import FEWEST
@@ -14,8 +14,7 @@ EPISODES = 2500
 """Episodes after which the paper draws its controllers with a model."""
 
 
-@dataclass(frozen=True)
-class Threshold:
+class Threshold(NamedTuple):
     """A number that decides a verdict, its unit, and what it decides."""
 
     value: float
@@ -23,60 +22,20 @@ class Threshold:
     words: str
 
 
-LASTS = Threshold(0.1, "s", "The excitation lasts as long as the paper's 10 s if it differs by less than this.")
-SAMPLES = Threshold(1000, "samples", "The first model is fitted to as much data as the paper's: exactly this many.")
 FALL = Threshold(
     0.1,
     "of the first error",
-    "The reward error of the model has fallen if that of the last episode is less than this part of the first, and "
-    "below `gate.open_below` of the run, at which the model is trusted; one that is below it in every episode, none of "
-    "them left out, is better than the paper's.",
+    "The last reward error is less than this, and below `gate.open_below`; below that in every episode is better.",
 )
-CLOSE = Threshold(
-    5.0,
-    "% of the state's range",
-    "A state is predicted well if its RMSE is less. Where the paper's model has difficulty, one that predicts every "
-    "state well is better.",
-)
+CLOSE = Threshold(5.0, "% of the state's range", "A state is predicted well if its RMSE is less; all six are better.")
 COEFFICIENT = Threshold(1.0, "%", "A coefficient is found if its error is less; no other function may be in the model.")
 EARLY = Threshold(0.25, "of the evaluations", "The first part, over which early rewards are averaged.")
-NEAR = Threshold(
-    0.05,
-    "of the rise",
-    "Final returns are nearly the same if they differ by at most this. Settings end alike only if the 95 % intervals "
-    "of their errors at the end overlap as well.",
-)
-SEEDS = Threshold(
-    float(FEWEST),
-    "seeds",
-    "Errors at the end are told apart by their intervals if there are as many seeds of each setting; of fewer "
-    "there is no interval, and returns alone decide.",
-)
-SOON = Threshold(
-    180,
-    "real episodes",
-    "Where 800 rollouts do not reach the level sooner than 400, both are better than the paper if they reach it within "
-    "the episodes that the paper's 800 rollouts take.",
-)
-LEVEL = Threshold(
-    Level().error,
-    "rad",
-    "The required level. A statement on steps is as in the paper only if the policies with planning that it names hold "
-    "their references: steady-state errors of at most this. 400 rollouts that do, and overshoot no more than no "
-    "planning, are better.",
-)
-FINE = Threshold(
-    0.01,
-    "rad",
-    "Where 800 rollouts do not have the smallest steady-state error, it is better than the paper if 400 and 800 both "
-    "have at most this: more rollouts have nothing left to add.",
-)
-FOLLOWS = Threshold(
-    0.1,
-    "of the amplitude",
-    "A wave is followed if the RMSE, a level held if the error at its end, is less. That the error without the model "
-    "is larger is as in the paper, or better, only if with the model the levels are held.",
-)
+NEAR = Threshold(0.05, "of the rise", "Final returns are alike within this, if the intervals of final errors overlap.")
+SEEDS = Threshold(float(FEWEST), "seeds", "Final errors have intervals; of fewer seeds returns alone decide.")
+SOON = Threshold(180, "real episodes", "Within these, 800 and 400 rollouts at the level are better than the paper.")
+LEVEL = Threshold(Level().error, "rad", "The required steady-state error of policies with planning.")
+FINE = Threshold(0.01, "rad", "400 and 800 rollouts with at most this have nothing left to add: better than the paper.")
+FOLLOWS = Threshold(0.1, "of the amplitude", "A wave is followed if the RMSE, a level held if its last error, is less.")
 TRANSIENT = Threshold(10.0, "s", "Left out at the start of a sine.")
 SETTLED = Threshold(5.0, "s", "The end of each level of a square wave, at which its error is taken.")
 THRESHOLDS = [value for value in globals().values() if isinstance(value, Threshold)]
@@ -87,13 +46,15 @@ EXACT = "With planning the policy holds a reference more exactly than without."
 WAVES = "With the model, sines and square waves are followed."
 CLAIMS = (MODEL, SOONER, EXACT, WAVES)
 
-CHIRP = Statement("a chirp excites both inputs for 10 s")
-SAMPLED = Statement(f"10 s sampled every 0.01 s, {SAMPLES.value:g} samples")
-FALLS = Statement("the reward error of the model is high at first and falls to almost none", MODEL)
-ROTORS = Statement("the rotor speeds are predicted well", MODEL)
-BEAM = Statement("angles and rates are not predicted well")
-CLOSELY = Statement("all six states are predicted closely", MODEL)
-AGAIN = Statement("so they are when the chirp is applied again", MODEL)
+FALLS = (Statement("the reward error of the model is high at first and falls to almost none", MODEL),)
+BEFORE = (
+    Statement("the rotor speeds are predicted well", MODEL),
+    Statement("angles and rates are not predicted well"),
+)
+AFTER = (
+    Statement("all six states are predicted closely", MODEL),
+    Statement("so they are when the chirp is applied again", MODEL),
+)
 REWARDS = (
     Statement("rewards are low at first and rise"),
     Statement("planning has the greater rewards early", SOONER),
@@ -101,28 +62,25 @@ REWARDS = (
     Statement(f"800 rollouts converge sooner than 400, there in about {SOON.value:g} episodes", SOONER),
     Statement(f"all settings end nearly the same (returns within {100 * NEAR.value:g} % of the rise, errors alike)"),
 )
-STEPS = {
-    axis: (
-        Statement(f"{axis}: without planning it settles further from the reference than with it{offset}", EXACT),
-        Statement(f"{axis}: 400 rollouts overshoot more than no planning"),
-        Statement(f"{axis}: 800 rollouts have the smallest steady-state error", EXACT),
-    )
-    for axis, offset in (("azimuth", " (there by about 0.08 rad)"), ("pitch", ""))
-}
-SINE = {
-    axis: (
-        Statement(f"{axis}: with the model the sine is followed (RMSE under {100 * FOLLOWS.value:g} % of it)", WAVES),
-        Statement(f"{axis}: without the model the sine is followed too, with more oscillation"),
-    )
-    for axis in AXES.values()
-}
-SQUARE = {
-    axis: (
-        Statement(f"{axis}: with the model each level is held with little steady-state error", WAVES),
-        Statement(f"{axis}: without the model the steady-state error is larger, and the spikes are smaller"),
-    )
-    for axis in AXES.values()
-}
+
+
+def _on_each_axis(*statements: Statement) -> tuple[Statement, ...]:
+    return tuple(one._replace(words=f"{axis}: {one.words}") for axis in AXES.values() for one in statements)
+
+
+STEPS = _on_each_axis(
+    Statement("without planning it settles further from the reference than with it", EXACT),
+    Statement("400 rollouts overshoot more than no planning"),
+    Statement("800 rollouts have the smallest steady-state error", EXACT),
+)
+SINE = _on_each_axis(
+    Statement(f"with the model the sine is followed (RMSE under {100 * FOLLOWS.value:g} % of it)", WAVES),
+    Statement("without the model the sine is followed too, with more oscillation"),
+)
+SQUARE = _on_each_axis(
+    Statement("with the model each level is held with little steady-state error", WAVES),
+    Statement("without the model the steady-state error is larger, and the spikes are smaller"),
+)
 
 HYPERPARAMETERS: tuple[tuple[str, str, float, str], ...] = (
     ("Sampling Time [s]", "t_s", 0.05, "env.dt"),
@@ -138,7 +96,6 @@ HYPERPARAMETERS: tuple[tuple[str, str, float, str], ...] = (
     ("Target Update Frequency", "-", 10, "agent.target_update_interval"),
 )
 """Rows of the paper's table "Agent Training Hyperparameters": words, symbol, value, our key."""
-TABLE_1 = Statement(f"{len(HYPERPARAMETERS)} hyperparameters")
 
 XI: Mapping[str, Mapping[str, float]] = {
     "alpha_a": {"Omega_a": 1.0},
@@ -162,4 +119,4 @@ XI: Mapping[str, Mapping[str, float]] = {
     "omega_p": {"1": -8.54, "omega_p": -1.4193, "u_p": 6.1e3},
 }
 """Non-zero coefficients of the paper's table "SINDY model Xi matrix", by equation and function."""
-TABLE_2 = Statement(f"{sum(map(len, XI.values()))} coefficients are not zero", MODEL)
+TABLE_2 = (Statement(f"{sum(map(len, XI.values()))} coefficients are not zero", MODEL),)

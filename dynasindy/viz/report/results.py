@@ -9,7 +9,7 @@ from typing import Any
 
 from dynasindy.safe_io import read_json, read_rows, reading
 from dynasindy.viz.controllers import controller_name
-from dynasindy.viz.report.document import Finding, Part, Statement, Text
+from dynasindy.viz.report.document import Finding, Part, Section, Statement
 from dynasindy.viz.run import Table, read_table
 
 REPORT = "python scripts/report.py"
@@ -35,19 +35,11 @@ class Run:
     make: str
 
     def table(self, name: str) -> Table:
-        """Read one of its CSV files.
-
-        Raises:
-            MissingResult: The run does not have it.
-        """
+        """Read one of its CSV files, or raise `MissingResult`."""
         return read_table(self._file(name))
 
     def record(self, name: str) -> dict[str, Any]:
-        """Read one of its JSON files.
-
-        Raises:
-            MissingResult: The run does not have it.
-        """
+        """Read one of its JSON files, or raise `MissingResult`."""
         return read_json(self._file(name))
 
     def setting(self, key: str) -> Any:
@@ -56,11 +48,6 @@ class Run:
         for step in key.split("."):
             value = value.get(step) if isinstance(value, Mapping) else None
         return value
-
-    @property
-    def episodes(self) -> int:
-        """Real episodes after which it ended."""
-        return int(self.setting("train.episodes") or 0)
 
     @property
     def source(self) -> str:
@@ -89,36 +76,23 @@ class Results:
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     requested: set[str] = field(default_factory=set, compare=False)
 
-    def ablation_run(self, system: str, experiment: str, setting: str) -> Run:
-        """Return the saved run of an ablation's setting.
+    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> Run:
+        """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
 
         Raises:
             MissingResult: It is not saved.
         """
-        train = f"{ABLATION.format(system, experiment)} setting={setting} seed=0"
-        return self.run(f"{system}_{experiment}_{setting}", f"`{train}`, then `{REPORT} save=runs/ablation`")
-
-    def main_run(self, system: str) -> Run:
-        """Return the saved run of the main job on a plant.
-
-        Raises:
-            MissingResult: It is not saved.
-        """
-        folder = f"runs/{system}_gradient"
-        train = f"python scripts/train.py system={system} folder={folder}"
-        return self.run(f"{system}_gradient", f"`{train}`, then `{REPORT} save={folder}`")
-
-    def run(self, name: str, make: str) -> Run:
-        """Return a saved run by name.
-
-        Raises:
-            MissingResult: It is not saved; `make` is what makes it.
-        """
-        folder = self.folder / "runs" / name
+        if experiment == "gradient":
+            name = f"{system}_gradient"
+            make, save = f"python scripts/train.py system={system} folder=runs/{name}", f"runs/{name}"
+        else:
+            name = f"{system}_{experiment}_{setting}"
+            make, save = f"{ABLATION.format(system, experiment)} setting={setting} seed=0", "runs/ablation"
         self.requested.add(name)
-        if name not in self.settings or not folder.is_dir():
-            raise MissingResult(f"Not measured: no saved run `{name}`; {make} makes it.")
-        return Run(folder, self.settings[name], make)
+        words = f"`{make}`, then `{REPORT} save={save}`"
+        if name not in self.settings or not (self.folder / "runs" / name).is_dir():
+            raise MissingResult(f"Not measured: no saved run `{name}`; {words} makes it.")
+        return Run(self.folder / "runs" / name, self.settings[name], words)
 
     def rows(self, name: str, make: str) -> list[dict[str, str]]:
         """Read a table of words and numbers, cell by cell as it stands.
@@ -136,12 +110,65 @@ class Results:
         commits = listed(dict.fromkeys(row.get("commit") or "" for row in rows))
         return f"Table `{_path(self.folder / name)}`, made by `{make}`{f' at commit {commits}' if commits else ''}."
 
-    def lengths(self, system: str, experiment: str) -> list[int]:
-        """Return after how many real episodes the runs behind the curves of the paper's settings ended."""
+    def episodes(self, system: str, experiment: str, settings: Iterable[str] = ("rollouts_800",)) -> str:
+        """Return after how many real episodes saved runs of settings ended, and where they differ those of figure 11.
+
+        Raises:
+            MissingResult: One is not saved.
+        """
+        runs = [self.run(system, experiment, name) for name in settings]
+        saved = sorted({int(run.setting("train.episodes") or 0) for run in runs})
         file = self.folder / "ablation.csv"
         rows = read_rows(file) if file.is_file() else []
         own = [row for row in rows if (row["system"], row["experiment"]) == (system, experiment)]
-        return sorted({int(float(row["episodes"])) for row in own if row["setting"] in SETTINGS})
+        curves = sorted({int(float(row["episodes"])) for row in own if row["setting"] in SETTINGS})
+        return f"{listed(saved)} episodes" + (f", {listed(curves)} in figure 11" if set(curves) - set(saved) else "")
+
+
+Case = tuple[str, ...]
+Builder = Callable[..., Iterable[Part | Finding]]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A section as the list of sections has it.
+
+    Attributes:
+        title: Its heading.
+        words: What the paper shows and how it is shown here.
+        builders: What makes its parts of the results, and the cases it does so for: the further arguments.
+        statements: What the first builder judges by plant and experiment, each in its place.
+    """
+
+    title: str
+    words: str
+    builders: Sequence[tuple[Builder, Sequence[Case]]] = ()
+    statements: Sequence[Statement] = ()
+
+    def section(self, results: Results) -> Section:
+        """Build the section; where a result or a column of it is missing, a line says what makes it.
+
+        Raises:
+            DamagedFileError: What is saved is not what the section expects.
+        """
+        section = Section(self.title, self.words)
+        for build, cases in self.builders:
+            for case in cases:
+                words = " ".join(case) or self.title
+                with reading(f"what is saved of {words}"):
+                    try:
+                        made = list(build(results, *case))
+                    except MissingResult as missing:
+                        made = [str(missing)]
+                    except KeyError as column:
+                        again = f"run their commands again, then `{REPORT} save=runs/ablation`"
+                        made = [f"Not measured: saved results of {words} are older and have no {column}; {again}."]
+                section.parts += [part for part in made if not isinstance(part, Finding)]
+                if build is self.builders[0][0]:
+                    judged = [part for part in made if isinstance(part, Finding)] or [Finding()] * len(self.statements)
+                    pairs = zip(self.statements, judged, strict=True)
+                    section.findings += [one._replace(statement=what, case=case_name(*case)) for what, one in pairs]
+        return section
 
 
 def listed(words: Iterable[object]) -> str:
@@ -150,38 +177,9 @@ def listed(words: Iterable[object]) -> str:
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def case_name(plant: str, experiment: str) -> str:
+def case_name(plant: str, experiment: str, *_: str) -> str:
     """Return a case in words."""
     return f"{plant}, `{experiment}`"
-
-
-def each(build: Callable[..., list[Part]], *cases: tuple[str, ...], statements: Sequence[Statement] = ()) -> list[Part]:
-    """Return the parts of every case, findings first.
-
-    Args:
-        build: Makes the parts of a case; where a result, or a column of it, is missing, a line stands for them that
-            says what makes it.
-        cases: Arguments of `build`; a plant and an experiment where there are statements.
-        statements: What `build` judges; not measured where it cannot.
-
-    Raises:
-        DamagedFileError: What is saved is not what the section expects.
-    """
-    parts: list[Part] = []
-    for case in cases:
-        with reading(f"what is saved of {' '.join(case) or build.__name__.strip('_')}"):
-            try:
-                parts += build(*case)
-                continue
-            except MissingResult as missing:
-                words = str(missing)
-            except KeyError as column:
-                words = (
-                    f"Not measured: saved results of {' '.join(case)} have no {column}; they are older than this "
-                    f"report. Run their commands again, then `{REPORT} save=runs/ablation`."
-                )
-        parts += [Text(words), *(Finding(statement, case_name(*case)) for statement in statements)]
-    return sorted(parts, key=lambda part: not isinstance(part, Finding))
 
 
 def _path(path: Path) -> str:
