@@ -99,11 +99,6 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool) -> ctyp
     return code
 
 
-def forget() -> None:
-    """Forget what was compiled so far, such that whatever is asked for next costs what it costs at first."""
-    load_library.cache_clear()
-
-
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:
     if (found := compiler()) is None:
         raise FileNotFoundError("no C compiler was found; install gcc or clang, or leave out what is compiled")

@@ -13,7 +13,7 @@ from dynasindy.agents.machine import _MachineSteps, _readable
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems import compiler as compiling
-from dynasindy.systems.compiler import compiler, forget
+from dynasindy.systems.compiler import compiler, load_library
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 pytestmark = pytest.mark.filterwarnings("error")
@@ -140,7 +140,7 @@ def test_moments_that_were_forgotten_begin_anew_as_those_of_torch():
 def test_the_room_holds_many_layers_of_odd_width_on_any_processor(monkeypatch, lanes):
     run = compiling._run
     monkeypatch.setattr(compiling, "_run", lambda words, *files: run([*words, *([lanes] * ("-c" in words))], *files))
-    forget()
+    load_library.cache_clear()
     agent = TD3(1, 1, hidden=(1,) * 40, policy_delay=1)
     agent._steps._place(1)
     size = len(agent._steps._room)
@@ -148,7 +148,7 @@ def test_the_room_holds_many_layers_of_odd_width_on_any_processor(monkeypatch, l
     agent._steps._room = guarded
     agent.update(transitions(1, 1, 1))
     assert (guarded[size:] == 7.0).all()
-    forget()
+    load_library.cache_clear()
 
 
 @needs_compiler
@@ -207,7 +207,7 @@ def test_networks_that_it_does_not_know_are_left_to_torch():
 def test_without_a_compiler_torch_learns_without_a_word(monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
-    forget()
+    load_library.cache_clear()
     agent = pair()[0]
     assert math.isfinite(agent.update(transitions(10))["critic_loss"]) and type(agent._steps) is GradientSteps
 

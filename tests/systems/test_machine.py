@@ -14,7 +14,7 @@ import torch
 
 from dynasindy.systems import compiler as compiling
 from dynasindy.systems import machine as module
-from dynasindy.systems.compiler import compile_library, compiler, forget
+from dynasindy.systems.compiler import compile_library, compiler, load_library
 from dynasindy.systems.machine import Machine, Program
 from dynasindy.systems.steps import Stops
 
@@ -212,7 +212,7 @@ def test_what_nothing_changes_has_derivatives():
 
 def test_threads_that_need_the_same_code_at_once_all_get_it_and_no_file_stays(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    forget()
+    load_library.cache_clear()
     made, together = [], threading.Barrier(3)
 
     def make():

@@ -10,7 +10,7 @@ from torch.autograd import forward_ad
 
 from dynasindy.systems import Pendulum, Tras, Trms33, Xi, integrate, rk4
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.compiler import compiler, forget
+from dynasindy.systems.compiler import compiler, load_library
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.tracing import program
 from dynasindy.systems.tras import TrasConstants
@@ -202,7 +202,7 @@ def test_a_compiler_that_is_none_leaves_plants_to_torch(tmp_path, monkeypatch):
     system = Pendulum(mass=1.0625)
     system.damping_term, system.more = 0.123456, 0.0
     x, u = drawn(system, 3)
-    forget()
+    load_library.cache_clear()
     with pytest.warns(UserWarning, match="slower"):
         samples = integrate(system, x, u, 0.1, 2)[0]
     assert torch.equal(samples, steps(system, x, u, 0.1, 2)[0])
