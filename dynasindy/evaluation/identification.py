@@ -26,9 +26,8 @@ from dynasindy.excitation import Excitation
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.actuators import ActuatorFit, find_actuator
+from dynasindy.sindy.actuators import ActuatorFit, InputNonlinearity, find_actuator, find_missing_nonlinearity
 from dynasindy.sindy.delay import delay_and_trim, delay_inputs
-from dynasindy.sindy.input_nonlinearity import InputNonlinearity, find_missing_nonlinearity
 from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import Signature, System

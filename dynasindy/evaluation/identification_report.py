@@ -13,7 +13,7 @@ from dynasindy.evaluation.source import Source
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.actuators import add_actuator
-from dynasindy.sindy.equations import coefficient_lines, to_csv, to_latex, to_table
+from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
 from dynasindy.systems.transitions import Transitions
 
 BEHIND = "model_with_actuator.json"
@@ -95,12 +95,10 @@ def write_identification(found: Identified, source: Source, folder: Path, before
         folder: where; made if missing.
         before: lines with which the report begins.
     """
-    library, coefficients = found.model.library, found.model.coefficients
     found.model.save(folder / "model.json")
     if found.found is not None and found.found.actuator:
         add_actuator(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
     write_json(folder / "metrics.json", found.metrics, indent=1, finite=False)
     write_text(folder / "report.txt", "\n".join([*before, to_words(found, source)]) + "\n")
-    write_text(folder / "coefficients.txt", to_table(library, coefficients) + "\n")
-    write_text(folder / "coefficients.tex", to_latex(library, coefficients))
-    write_text(folder / "coefficients.csv", to_csv(library, coefficients))
+    for ending, text in coefficient_tables(found.model.library, found.model.coefficients).items():
+        write_text(folder / f"coefficients.{ending}", text)

@@ -84,13 +84,13 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     kind, result = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
     each = "" if model.step is None else f"A step takes {model.step!r} s, in which the inputs are held."
     late = f"Inputs act {model.delay!r} s after they are given: u is what acts." if model.delay else ""
-    told = block([*_signature_words(signature), *filter(None, [each, late])])
+    told = _block([*_signature_words(signature), *filter(None, [each, late])])
     n_x, n_u = signature.n_x, max(1, signature.n_u)
     arguments = f"const double x[{n_x}], const double u[{n_u}], double {result}[{n_x}]"
     header = (
         f"/* The identified model, {kind}.\n *\n{told}\n */\n#ifndef {name.upper()}_H\n"
         f'#define {name.upper()}_H\n\n#ifdef __cplusplus\nextern "C" {{\n#endif\n\n'
-        f"/* Places in the arrays, by name. */\nenum {{\n{places(signature, name)}\n}};\n\n"
+        f"/* Places in the arrays, by name. */\nenum {{\n{_places(signature, name)}\n}};\n\n"
         f"void {name}_{result}({arguments});\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
     )
     source = f'#include "{name}.h"\n\n#include <math.h>\n\n{_helpers(found)}{_equations(model)}'
@@ -108,7 +108,7 @@ def _helpers(found: Formulas) -> str:
     return "".join(f"{text}\n" for name, text in _HELPERS.items() if name in found.calls)
 
 
-def places(signature: Signature, name: str) -> str:
+def _places(signature: Signature, name: str) -> str:
     """Return enumerators of the places of states and inputs in their arrays."""
     lines = [
         f"    {name}_{kind}_{word} = {place},"
@@ -139,7 +139,7 @@ def _signature_words(signature: Signature, limits: Sequence[Sequence[float]] = (
     ]
 
 
-def block(lines: Sequence[str]) -> str:
+def _block(lines: Sequence[str]) -> str:
     """Return lines of any words as lines within a comment of C."""
     wrapped = [
         part
@@ -150,7 +150,7 @@ def block(lines: Sequence[str]) -> str:
 
 
 def _equations(model: SindyModel) -> str:
-    return "/* The identified equations, rounded:\n *\n" + block(model.equations()) + "\n */\n"
+    return "/* The identified equations, rounded:\n *\n" + _block(model.equations()) + "\n */\n"
 
 
 def _function(found: Formulas, head: str, result: str = "dx") -> str:
@@ -219,7 +219,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     words |= _policy(weights) | {"widest": max(max(w.shape) for w, _ in weights)}
     text += fill("policy.c", words, flags) + fill("controller.c", words, flags)
     shape = signature.n_x, signature.n_u, task.n_r
-    words |= {"words": block(_told(controller)), **_watching_words(controller)}
+    words |= {"words": _block(_told(controller)), **_watching_words(controller)}
     return ControllerSources(name, fill("controller.h", words, flags), text, measured(controller), shape)
 
 
@@ -235,7 +235,7 @@ def _watching_words(controller: Controller) -> dict[str, str]:
     if controller.observer is None:
         return {"measured": "all states"}
     seen = ", ".join(measured(controller))
-    return {"measured": block([f"NaN where nothing was; the sensors are those of {seen}"])[3:].replace("\n", "\n ")}
+    return {"measured": _block([f"NaN where nothing was; the sensors are those of {seen}"])[3:].replace("\n", "\n ")}
 
 
 def _flags(controller: Controller) -> set[str]:
@@ -261,7 +261,7 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
         "n_r": task.n_r,
         "error_scale": number(task.error_scale),
         "rates_word": ", rates of the reference" if task.observe_rate else "",
-        "places": places(signature, name)
+        "places": _places(signature, name)
         + "".join(f",\n    {name}_r_{word} = {i}" for i, word in enumerate(identifiers(controller.outputs))),
         "of_rate": "const double rate[NR], " if task.observe_rate else "",
         "give_rate": "slope, " if task.observe_rate else "",
@@ -292,12 +292,12 @@ def enumerators(sizes: Mapping[str, object]) -> str:
 def _tables(controller: Controller) -> str:
     task = controller.setup.task
     tables = [
-        f"/* Ranges of the states. */\nstatic const double scale[NX] = {{{joined(controller.signature.x_scale)}}};",
+        f"/* Ranges of the states. */\nstatic const double scale[NX] = {{{_joined(controller.signature.x_scale)}}};",
         f"/* Places of the tracked states. */\nstatic const int output[NR] = {{{', '.join(map(str, task.outputs))}}};",
-        f"/* Extents of their targets. */\nstatic const double box[NR] = {{{joined(task.boxes().tolist())}}};",
+        f"/* Extents of their targets. */\nstatic const double box[NR] = {{{_joined(task.boxes().tolist())}}};",
     ]
     names = zip(("least", "most"), task.input_limits.tolist(), strict=True)
-    tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{joined(v)}}};" for name, v in names]
+    tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{_joined(v)}}};" for name, v in names]
     if controller.integral is not None and task.rates:
         of_output = dict(zip(task.rated, task.rates, strict=True))
         places = ", ".join(str(of_output.get(k, -1)) for k in range(task.n_r))
@@ -306,9 +306,9 @@ def _tables(controller: Controller) -> str:
     return "\n".join(tables) + "\n"
 
 
-def joined(values: Sequence[float]) -> str:
+def _joined(values: Sequence[float] | torch.Tensor) -> str:
     """Return numbers as the elements of an array."""
-    return ", ".join(number(value) for value in values)
+    return ", ".join(number(float(value)) for value in values)
 
 
 def _weights(mlp: MLP) -> list[tuple[torch.Tensor, torch.Tensor]]:
@@ -424,10 +424,6 @@ def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
     }, len(stops.positions)
 
 
-def _joined(values: torch.Tensor) -> str:
-    return joined(values.tolist())
-
-
 class Native:
     """A controller in C that this computer has compiled, called as the one in Python.
 
@@ -440,15 +436,8 @@ class Native:
     """
 
     def __init__(self, sources: ControllerSources) -> None:
-        # A folder of its own each time: a library that is loaded must not be overwritten.
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
-            folder = Path(place)
-            size = f"unsigned long size(void);\nunsigned long size(void) {{ return sizeof({sources.name}_state); }}\n"
-            texts = {**sources.files(), "size.c": f'#include "{sources.name}.h"\n{size}'}
-            for name, text in texts.items():
-                (folder / name).write_text(text, encoding="utf-8")
-            units = [folder / f"{sources.name}.c", folder / "size.c"]
-            loaded = ctypes.CDLL(str(compile_library(units, folder / f"{sources.name}{SUFFIX}")))
+        size = f"unsigned long size(void);\nunsigned long size(void) {{ return sizeof({sources.name}_state); }}\n"
+        loaded = _loaded(sources, size)
         self.shape = sources.shape
         self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
         numbers = ctypes.POINTER(ctypes.c_double)
@@ -489,15 +478,11 @@ def microseconds(sources: ControllerSources) -> float:
         ValueError: The compiler refuses the sources.
     """
     many = (
-        f'#include "{sources.name}.h"\n\nstatic {sources.name}_state state;\n\n'
+        f"static {sources.name}_state state;\n\n"
         "void many(const double *y, double *u, int n);\n\nvoid many(const double *y, double *u, int n)\n{\n"
         f"    while (n--)\n        {sources.name}_act(&state, y, y, y, u);\n}}\n"
     )
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
-        for name, text in {**sources.files(), "many.c": many}.items():
-            (Path(place) / name).write_text(text, encoding="utf-8")
-        units = [Path(place) / f"{sources.name}.c", Path(place) / "many.c"]
-        call = ctypes.CDLL(str(compile_library(units, Path(place) / f"many{SUFFIX}"))).many
+    call = _loaded(sources, many).many
     # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
     n = max(sources.shape)
     rest = (ctypes.c_double * n)(*[0.1] * n)
@@ -506,6 +491,16 @@ def microseconds(sources: ControllerSources) -> float:
         calls *= 4
         best = min(_timed(call, rest, u, ctypes.c_int(calls)) for _ in range(5))
     return 1e6 * best / calls
+
+
+def _loaded(sources: ControllerSources, more: str) -> ctypes.CDLL:
+    """Compile and load a controller with more lines of C."""
+    # A folder of its own each time: a library that is loaded must not be overwritten.
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+        for name, text in {**sources.files(), "more.c": f'#include "{sources.name}.h"\n\n{more}'}.items():
+            (Path(place) / name).write_text(text, encoding="utf-8")
+        units = [Path(place) / f"{sources.name}.c", Path(place) / "more.c"]
+        return ctypes.CDLL(str(compile_library(units, Path(place) / f"loaded{SUFFIX}")))
 
 
 def _timed(call: Callable[..., object], *arguments: object) -> float:

@@ -164,7 +164,7 @@ def right_sides(model: SindyModel) -> Formulas:
 
 
 def _written(library: Library, coefficients: Tensor) -> Formulas:
-    writer = _FormulaWriter.of(library, coefficients)
+    writer = _FormulaWriter(library, coefficients)
     lines = writer.named
     written = [*(text for _, text in lines), *writer.results]
     calls = frozenset(name for text in written for name in _CALL.findall(text))

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from dynasindy import __version__
 from dynasindy.control import Controller
 from dynasindy.export.c_code import controller_sources, enumerators, field, measured, stop_words
-from dynasindy.export.expressions import fill, formulas, module_name, number
+from dynasindy.export.expressions import fill, formulas, number
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Stops
@@ -60,13 +60,7 @@ ABSENT = {
 
 @dataclass(frozen=True)
 class _Variable:
-    """A variable of an FMU.
-
-    Attributes:
-        name: Its name.
-        unit: Its unit.
-        output: Whether it is an output, or an input.
-    """
+    """A variable of an FMU: its name, its unit, and whether it is an output, or an input."""
 
     name: str
     unit: str
@@ -83,13 +77,12 @@ class _Unit:
     sources: Mapping[str, str]
 
 
-def controller_fmu(controller: Controller, path: Path, name: str = "controller", version: int = 3) -> bool:
+def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool:
     """Write an FMU of a controller: measurements `y_`, references `r_` and their rates `rate_` in, inputs `u_` out.
 
     Args:
         controller: The controller.
         path: File to write.
-        name: Its model identifier.
         version: Of FMI, 2 or 3.
 
     Returns:
@@ -98,7 +91,8 @@ def controller_fmu(controller: Controller, path: Path, name: str = "controller",
     Raises:
         ValueError: The controller cannot be written in C, or the version is another.
     """
-    sources = controller_sources(controller, name)
+    sources = controller_sources(controller)
+    name = sources.name
     signature, seen = controller.signature, measured(controller)
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     variables = (
@@ -119,9 +113,7 @@ def controller_fmu(controller: Controller, path: Path, name: str = "controller",
     return _write(_Unit(name, controller.dt, variables, {**sources.files(), f"{name}_fmi.c": text}), path, version)
 
 
-def plant_fmu(
-    model: SindyModel, path: Path, step: float, stops: Stops | None = None, name: str = "plant", version: int = 3
-) -> bool:
+def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = None, version: int = 3) -> bool:
     """Write an FMU of a plant as its model knows it: inputs `u_` in, states `x_` out, which may be set at the start.
 
     Inputs act as late as the model says.
@@ -131,7 +123,6 @@ def plant_fmu(
         path: File to write.
         step: Longest step of the Runge-Kutta method [s]; a difference equation has its own, and moves by whole steps.
         stops: Mechanical stops, if any.
-        name: Its model identifier.
         version: Of FMI, 2 or 3.
 
     Returns:
@@ -140,7 +131,7 @@ def plant_fmu(
     Raises:
         ValueError: The model cannot be written in C, has no inputs, or the version is another.
     """
-    name, signature, found = module_name(name), model.signature, formulas(model)
+    name, signature, found = "plant", model.signature, formulas(model)
     if not signature.n_u:
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
     stopped, n_stops = stop_words(stops, signature.n_x)

@@ -11,24 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.export.expressions import Formulas, comment, formulas, identifiers, module_name, right_sides
+from dynasindy.export.expressions import Formulas, comment, formulas, identifiers, right_sides
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import equations_to_latex
 
 NumpyField = Callable[[Any, Any], NDArray[np.float64]]
 
 
-def casadi_source(model: SindyModel, name: str = "model") -> str:
+def casadi_source(model: SindyModel) -> str:
     """Write a model as a Python file that needs CasADi alone: `field(x, u)`, and `function()` of CasADi.
 
-    Args:
-        model: The model.
-        name: Name of the function in CasADi.
-
     Raises:
-        ValueError: The name is none, or the model has a function without a formula.
+        ValueError: The model has a function without a formula.
     """
-    name, signature = module_name(name), model.signature
+    signature = model.signature
     kind, word = ("dx/dt = f(x, u)", "dx") if model.step is None else ("x[k+1] = F(x[k], u[k])", "next")
     step = "" if model.step is None else f"STEP = {model.step!r}  # seconds from x[k] to x[k+1]\n"
     equations = "\n".join(comment(line) for line in model.equations())
@@ -42,19 +38,14 @@ def casadi_source(model: SindyModel, name: str = "model") -> str:
         f"{_python(right_sides(model), word)}\n\n"
         f'def function():\n    """Return {word} as a casadi.Function of x and u."""\n'
         f'    x, u = casadi.SX.sym("x", {signature.n_x}), casadi.SX.sym("u", {signature.n_u})\n'
-        f'    return casadi.Function("{name}", [x, u], [casadi.vertcat(*field(x, u))], ["x", "u"], ["{word}"])\n'
+        f'    return casadi.Function("model", [x, u], [casadi.vertcat(*field(x, u))], ["x", "u"], ["{word}"])\n'
     )
 
 
-def latex_source(model: SindyModel, digits: int = 5) -> str:
-    """Write the equations of a model as LaTeX, for a document with amsmath.
-
-    Args:
-        model: The model.
-        digits: Significant digits.
-    """
+def latex_source(model: SindyModel) -> str:
+    """Write the equations of a model as LaTeX, for a document with amsmath."""
     late = f"% Inputs act {model.delay!r} s after they are given.\n" if model.delay else ""
-    return late + equations_to_latex(model.library, model.coefficients, digits)
+    return late + equations_to_latex(model.library, model.coefficients)
 
 
 def numpy_field(model: SindyModel) -> NumpyField:

@@ -62,7 +62,6 @@ def controller_onnx(controller: Controller, path: Path) -> None:
         ModuleNotFoundError: onnx is not installed.
         ValueError: The policy is of another kind.
     """
-    _require_onnx()
     step, signature = _ControlStep(controller), controller.signature
     n_r = len(controller.outputs)
     given = [torch.zeros(n, dtype=torch.float64) for n in (step.numbers, signature.n_x, n_r, n_r)]
@@ -87,34 +86,18 @@ def policy_onnx(controller: Controller, path: Path) -> None:
         ModuleNotFoundError: onnx is not installed.
         ValueError: The policy is of another kind.
     """
-    _require_onnx()
-    told = columns(controller)
-    given = [torch.zeros(2, len(told["observation"]))]
-    words = {name: ", ".join(names) for name, names in told.items()}
-    _save(Policy(controller), given, ("observation",), ("action",), words, path, rows=True)
-
-
-def columns(controller: Controller) -> dict[str, list[str]]:
-    """Return what each column of the observation and of the action is."""
     signature, task = controller.signature, controller.setup.task
-    scaled = zip(signature.state_names, signature.x_scale, strict=True)
-    observation = [f"{name} / {scale!r}" for name, scale in scaled]
+    told = [f"{name} / {scale!r}" for name, scale in zip(signature.state_names, signature.x_scale, strict=True)]
     boxes = dict(zip(controller.outputs, task.boxes().tolist(), strict=True))
-    observation += [f"({name} wanted - {name}) / {task.error_scale * box!r}" for name, box in boxes.items()]
+    told += [f"({name} wanted - {name}) / {task.error_scale * box!r}" for name, box in boxes.items()]
     if task.observe_rate:
-        observation += [f"rate of {name} wanted / {box!r}" for name, box in boxes.items()]
-    return {"observation": observation, "action": list(signature.input_names)}
+        told += [f"rate of {name} wanted / {box!r}" for name, box in boxes.items()]
+    words = {"observation": ", ".join(told), "action": ", ".join(signature.input_names)}
+    _save(_Policy(controller), [torch.zeros(2, len(told))], ("observation",), ("action",), words, path, rows=True)
 
 
-class Policy(nn.Module):
-    """The policy of a controller: observations `(*batch, n_o)` to actions `(*batch, n_u)`, single precision.
-
-    Args:
-        controller: Its policy is an actor of `dynasindy.agents`.
-
-    Raises:
-        ValueError: The policy is of another kind.
-    """
+class _Policy(nn.Module):
+    """The policy of a controller: observations `(*batch, n_o)` to actions `(*batch, n_u)`, single precision."""
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
@@ -141,7 +124,7 @@ class _ControlStep(nn.Module):
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
-        self.policy, self.task, self.signature = Policy(controller), controller.setup.task, controller.signature
+        self.policy, self.task, self.signature = _Policy(controller), controller.setup.task, controller.signature
         n_x, n_u = self.signature.n_x, self.signature.n_u
         self.sizes = {"begun": 1, "u": n_u}
         self.observer: Observer | None = None
@@ -301,15 +284,6 @@ def _solved(a: Tensor, b: Tensor) -> Tensor:
     return whole[:, n:]
 
 
-def _require_onnx() -> None:
-    try:
-        import onnx  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "ONNX needs the package onnx, which is not installed; install it by pip install 'dynasindy[export]'"
-        ) from error
-
-
 @torch.no_grad()
 def _save(
     module: nn.Module,
@@ -321,8 +295,12 @@ def _save(
     rows: bool = False,
 ) -> None:
     """Write a module with what is told of it; of one input whose rows are a batch, any number of them is taken."""
-    import onnx
-
+    try:
+        import onnx
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "ONNX needs the package onnx, which is not installed; install it by pip install 'dynasindy[export]'"
+        ) from error
     module.eval()
     written: Any = io.BytesIO()
     before = torch.get_default_dtype()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,7 +79,7 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
     found: list[str] = []
     missing: list[str] = []
     if controller is not None and "c" in formats:
-        found += _c(controller_sources(controller), folder)
+        found.append(_c(controller_sources(controller), folder))
     if controller is not None and "onnx" in formats:
         try:
             controller_onnx(controller, folder / "controller.onnx")
@@ -90,13 +90,18 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
             missing.append(f"controller.onnx and policy.onnx are not written: {error}")
     if "fmu" in formats:
         if controller is not None:
-            found.append(_fmu(folder / "controller.fmu", lambda path: controller_fmu(controller, path, version=fmi)))
+            path = folder / "controller.fmu"
+            found.append(_fmu(path, controller_fmu(controller, path, fmi)))
         if model is not None and model.signature.n_u:
-            found.append(
-                _fmu(folder / "plant.fmu", lambda path: plant_fmu(model, path, what.step, what.stops, version=fmi))
-            )
+            path = folder / "plant.fmu"
+            found.append(_fmu(path, plant_fmu(model, path, what.step, what.stops, fmi)))
     if "model" in formats and model is not None:
-        found += _model(model, folder)
+        texts = {"model.tex": ("the equations as LaTeX", latex_source(model))}
+        texts |= {"model.py": ("the equations for CasADi", casadi_source(model))}
+        sources = {name: ("the equations in C", text) for name, text in model_sources(model).files().items()}
+        for name, (words, text) in (sources | texts).items():
+            write_text(folder / name, text)
+            found.append(_size(folder / name, words))
     if controller is None:
         missing.append("nothing of a controller is written: a model was given, and no controller.json is there")
     if model is None:
@@ -106,24 +111,16 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
     return found + missing
 
 
-def _c(sources: ControllerSources, folder: Path) -> list[str]:
+def _c(sources: ControllerSources, folder: Path) -> str:
     for name, text in sources.files().items():
         write_text(folder / name, text)
-    timed = f"{microseconds(sources):.3g} us per call on this computer, compiled with -O2" if compiler() else ""
-    untimed = "not timed, as there is no C compiler on this computer"
-    return [f"{' and '.join(sources.files())}: {timed or untimed}"]
+    timed = "not timed, as there is no C compiler on this computer"
+    if compiler():
+        timed = f"{microseconds(sources):.3g} us per call on this computer, compiled with -O2"
+    return f"{' and '.join(sources.files())}: {timed}"
 
 
-def _model(model: SindyModel, folder: Path) -> list[str]:
-    files = model_sources(model).files() | {"model.tex": latex_source(model), "model.py": casadi_source(model)}
-    told = {"model.tex": "the equations as LaTeX", "model.py": "the equations for CasADi"}
-    for name, text in files.items():
-        write_text(folder / name, text)
-    return [_size(folder / name, told.get(name, "the equations in C")) for name in files]
-
-
-def _fmu(path: Path, written: Callable[[Path], bool]) -> str:
-    built = written(path)
+def _fmu(path: Path, built: bool) -> str:
     more = "with a library for this computer" if built else "sources alone, as there is no C compiler on this computer"
     return _size(path, f"an FMU, {more}")
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Literal, get_args
+from itertools import chain, combinations
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -22,17 +22,25 @@ from torch import Tensor
 from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import delay_inputs, unexplained
-from dynasindy.sindy.library import Feature, Library, of, variable
+from dynasindy.sindy.library import CONSTANT, Feature, Library, of, variable
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct, simulate_hidden_states
+from dynasindy.sindy.reconstruction import (
+    DelayedRecording,
+    RegressionData,
+    has_gaps,
+    rate_states,
+    reconstruct,
+    settle_lag_states,
+    simulate_hidden_states,
+)
 from dynasindy.sindy.refinement import STEPS
+from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import Descent, Estimate, RunsAway, choose_stretches
 from dynasindy.sindy.trajectory_fit import few_steps
 from dynasindy.systems.transitions import Transitions
 
 Kind = Literal["rate limit", "play", "dead zone", "lag"]
-KINDS = get_args(Kind)
 MET = 1e-3
 """Part of the range of its commands by which two outputs may differ that are one."""
 
@@ -44,22 +52,12 @@ class Actuator:
     Attributes:
         place: which input.
         kind: what holds its effect back.
-        size: by how much, see above.
-
-    Raises:
-        ValueError: the kind does not exist, or the size is not positive.
+        size: by how much, above 0, see above.
     """
 
     place: int
     kind: Kind
     size: float
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS or not 0 < self.size < math.inf:
-            raise ValueError(
-                f"an actuator got kind {self.kind!r} and size {self.size}; allowed are {', '.join(KINDS)} and a size "
-                "above 0: correct them"
-            )
 
     def acts(self, data: Transitions) -> tuple[Transitions, Tensor]:
         """Return a recording whose input is what acts, its mean over each interval, and where that is known.
@@ -167,9 +165,7 @@ def find_actuator(model: SindyModel, data: Transitions) -> ActuatorFit:
     bench = _Bench.of(model, data)
     if bench is None:
         return ActuatorFit.none(model, "the recording is too short")
-    library, support = model.library, (model.coefficients != 0) & model.constraints.free
-    names = model.signature.input_names
-    plain = bench.judged(library, support, None)
+    names, plain = model.signature.input_names, bench.judged(None)
     if plain is None:  # there is nothing to be better than
         return ActuatorFit.none(model, f"the equations alone run away in windows of {ALONE} samples")
     best: tuple[Tensor, Actuator, Estimate] | None = None
@@ -177,13 +173,13 @@ def find_actuator(model: SindyModel, data: Transitions) -> ActuatorFit:
         for kind in WANTED:
             report_progress("actuators", note=f"{kind} of {name}")
             actuator = bench.size(place, kind)
-            judged = None if actuator is None else bench.judged(library, support, actuator)
+            judged = None if actuator is None else bench.judged(actuator)
             if actuator and judged and (best is None or float(judged[0].sum()) < float(best[0].sum())):
                 best = judged[0], actuator, judged[1]
     if best is None:
         return ActuatorFit.none(model)
     gain = math.inf
-    for rival in chain([plain[0]], bench.rivals(library, support, best[1].place)):
+    for rival in chain([plain[0]], bench.rivals(best[1].place)):
         gain = min(gain, _gain(rival, best[0]))
         if gain < MARGIN:
             return ActuatorFit.none(model)
@@ -234,6 +230,8 @@ class _Bench:
     """Fit equations behind an actuator to the first part of a recording, and judge them by the rest."""
 
     model: SindyModel
+    library: Library
+    support: Tensor
     whole: Transitions
     rows: Tensor
     data: Transitions
@@ -252,20 +250,19 @@ class _Bench:
         guess = reconstruct(data, rates, True) if noisy else guess
         first = torch.arange(len(data)) < FITTED * len(data)
         enough = len(data) * (1 - FITTED) >= FEWEST * ALONE
-        return cls(model, whole, rows, data, guess, noisy, first) if enough else None
+        support = (model.coefficients != 0) & model.constraints.free
+        return cls(model, model.library, support, whole, rows, data, guess, noisy, first) if enough else None
 
     def size(self, place: int, kind: Kind) -> Actuator | None:
         """Return the actuator of a kind that explains the first part best, None where the equations alone do."""
-        library, support = self.model.library, (self.model.coefficients != 0) & self.model.constraints.free
-        rough = self.rough(place, kind)
-        if rough is None or kind not in WANTED:
-            return rough
-        costs = {}
+        rough, costs = self.rough(place, kind), dict[float, float]()
+        if rough is None:
+            return None
 
         def _at(size: float) -> float:
             if size not in costs:
                 try:
-                    costs[size] = self._fit(library, support, replace(rough, size=size))[0]
+                    costs[size] = self._fit(replace(rough, size=size))[0]
                 except RunsAway:
                     costs[size] = math.inf
             return costs[size]
@@ -290,7 +287,7 @@ class _Bench:
         worth = math.log(len(self.data)) / int(self.fitted.sum())
         return trials[costs.index(min(costs))] if min(costs) < self._explained(None) - worth else None
 
-    def judged(self, library: Library, support: Tensor, actuator: Actuator | None) -> tuple[Tensor, Estimate] | None:
+    def judged(self, actuator: Actuator | None) -> tuple[Tensor, Estimate] | None:
         """Return squared errors of windows that no fit has seen, `(W, n_x)`, and the fit.
 
         None where too little is known of what acts, or where the model runs away in windows as long as they are for
@@ -300,61 +297,56 @@ class _Bench:
         if not bool(known[~self.fitted].all()):
             return None
         try:
-            estimate = self._fit(library, support, actuator)[1]
-            free, start = torch.zeros_like(support), self.guess.x[~self.fitted]
+            estimate = self._fit(actuator)[1]
+            free, start = torch.zeros_like(self.support), self.guess.x[~self.fitted]
             last = rest.select(~self.fitted)
             errors = few_steps(_frozen(estimate.library), estimate.xi, free, last, FEW, start)[2]
         except RunsAway:
             return None
         return None if errors is None else (errors, estimate)
 
-    def rivals(self, library: Library, support: Tensor, place: int) -> Iterator[Tensor]:
+    def rivals(self, place: int) -> Iterator[Tensor]:
         """Yield the errors of the equations with what looks like an actuator."""
         for kind in RIVALS:
             actuator = self.rough(place, kind)
-            if actuator and (found := self.judged(library, support, actuator)):
+            if actuator and (found := self.judged(actuator)):
                 yield found[0]
-        signature = library.signature
-        dry = [
-            of("tanh", name, frequency=FULL / scale)
-            for name, scale in zip(signature.state_names, signature.x_scale, strict=True)
-        ]
-        wider = Library(signature, [*library.features, *dry])
+        signature = self.library.signature
+        ranges = zip(signature.state_names, signature.x_scale, strict=True)
+        wider = Library(signature, [*self.library.features, *(of("tanh", n, frequency=FULL / s) for n, s in ranges)])
         more = torch.zeros(len(wider), signature.n_x, dtype=torch.bool)
-        more[: len(library)] = support
-        more[len(library) :] = support.any(0)
-        if found := self.judged(wider, more, None):
+        more[: len(self.library)] = self.support
+        more[len(self.library) :] = self.support.any(0)
+        if found := replace(self, library=wider, support=more).judged(None):
             yield found[0]
 
-    def _fit(self, library: Library, support: Tensor, actuator: Actuator | None) -> tuple[float, Estimate]:
+    def _fit(self, actuator: Actuator | None) -> tuple[float, Estimate]:
         """Return the logarithm of the errors that a few steps on the first part leave over, and the estimate.
 
         Raises:
             RunsAway: too little is known of what acts, or the model runs away.
         """
-        xi = torch.zeros(support.shape, dtype=torch.float64)
+        xi = torch.zeros(self.support.shape, dtype=torch.float64)
         xi[: len(self.model.library)] = self.model.coefficients
-        xi = torch.where(support & (xi == 0), 1e-9, xi)  # what is zero is no part of a model
+        xi = torch.where(self.support & (xi == 0), 1e-9, xi)  # what is zero is no part of a model
         data, known = self._acts(self.data, actuator)
         rows = known & self.fitted
         if 2 * int(rows.sum()) < int(self.fitted.sum()):
             raise RunsAway("too little is known of what acts")
-        cost, estimate, errors = few_steps(library, xi, support, data.select(rows), FEW, self.guess.x[rows])
+        cost, estimate, errors = few_steps(self.library, xi, self.support, data.select(rows), FEW, self.guess.x[rows])
         if errors is None:
             raise RunsAway(f"the model runs away in windows of {ALONE} samples")
         return cost / int(rows.sum()), estimate
 
     def _explained(self, actuator: Actuator | None) -> float:
         """Return the logarithm of what the regression of the first part leaves over; infinite if little is known."""
-        model = self.model
-        support = (model.coefficients != 0) & model.constraints.free
+        model, support = self.model, self.support
         (guess, known), (data, _) = (self._acts(part, actuator) for part in (self.guess, self.data))
         rows = known & self.fitted
         if 2 * int(rows.sum()) < int(self.fitted.sum()):
             return math.inf
-        seen = RegressionData.of(
-            guess.select(rows), data.select(rows), rate_states(model.library, model.constraints), self.noisy
-        )
+        rates = rate_states(model.library, model.constraints)
+        seen = RegressionData.of(guess.select(rows), data.select(rows), rates, self.noisy)
         theta, dx = seen.rows(model.library, generate(model.library, model.coefficients))
         fixed = torch.where(model.constraints.free, 0.0, model.coefficients)
         n, states = len(dx), int(support.any(0).sum())
@@ -386,3 +378,139 @@ def _frozen(library: Library) -> Library:
     """Return a library whose numbers inside functions stay as they are."""
     features = [Feature(tuple(replace(f, fitted=0.0) for f in feature.factors)) for feature in library.features]
     return Library(library.signature, features)
+
+
+FLAT = 0.1
+"""Slope in a part of the range of an input below which it does nothing there [largest slope]."""
+ROUGHLY = 0.25
+"""The same where slopes are a first guess."""
+HALF = 0.5
+"""Part of the squared errors that bends may leave over."""
+PLACES = tuple(0.05 * k for k in range(2, 19))
+"""Parts of the samples of an input below the bends that are tried."""
+NARROW = 0.1
+"""Part of the range of an input, at least, that a bend leaves between its ends: a jump is neither of the two."""
+LEVELS = 10
+"""Values of an input from which on its bends can be told."""
+
+
+@dataclass(frozen=True)
+class InputNonlinearity:
+    """Hold where an input does nothing.
+
+    Attributes:
+        input: the input.
+        kind: what it is.
+        low: lower end of a dead zone, and of what lies between two ends of a saturation [of the model's input].
+        high: upper end, likewise; a saturation may lack either, which is infinite then.
+    """
+
+    input: str
+    kind: Literal["dead zone", "saturation"]
+    low: float
+    high: float
+
+
+def _classify_nonlinearity(
+    name: str, edges: Sequence[float], slopes: Sequence[float], flat: float = FLAT
+) -> InputNonlinearity | None:
+    """Return what a piecewise linear function of an input is, None where it is neither.
+
+    It bends at `edges`, which rise; `slopes` are below the first, between them, and above the last one. A slope is none
+    that is below `flat` times the largest one.
+    """
+    still = [abs(slope) <= flat * max(map(abs, slopes)) for slope in slopes]
+    if not edges or all(still):
+        return None
+    if still[0] or still[-1]:
+        ends = (edges[0] if still[0] else -math.inf), (edges[-1] if still[-1] else math.inf)
+        return InputNonlinearity(name, "saturation", *ends)
+    if True in still:
+        k = still.index(True)
+        return InputNonlinearity(name, "dead zone", edges[k - 1], edges[k])
+    return None
+
+
+def read_nonlinearity(model: SindyModel, state: int, name: str) -> InputNonlinearity | None:
+    """Return the dead zone or the saturation of an input in an equation, None where it has neither.
+
+    Args:
+        model: a fitted model.
+        state: whose equation it is.
+        name: the input, or the state that stands for it.
+    """
+    edges: dict[float, float] = {}
+    slope = 0.0
+    for k in model.coefficients[:, state].nonzero().flatten().tolist():
+        feature, size = model.library.features[k], float(model.coefficients[k, state])
+        if name not in feature.variables:
+            continue
+        (first, *others) = feature.factors
+        if others or first.power != 1 or first.variables != (name,) or first.function not in ("id", "hinge"):
+            return None
+        if first.function == "id":
+            slope += size
+        else:
+            edges[first.frequency] = edges.get(first.frequency, 0.0) + size
+    slopes, rising = [slope], sorted(edges)
+    for edge in rising:
+        slopes.append(slopes[-1] + edges[edge])
+    return _classify_nonlinearity(name, rising, slopes) if any(slopes) else None
+
+
+def find_missing_nonlinearity(model: SindyModel, data: Transitions) -> InputNonlinearity | None:
+    """Return the dead zone or the saturation that what the equations leave over looks like most, None if neither.
+
+    Two bends of each input are tried beside the functions of each equation that reads it, by regressions of the rates
+    of change.
+
+    Args:
+        model: a fitted model.
+        data: the log that it was fitted to, NaN where a state was not measured.
+    """
+    data = data.to(torch.float64)
+    rates = rate_states(model.library, model.constraints)
+    guess = settle_lag_states(reconstruct(data, rates), model.followers)
+    seen = DelayedRecording.of(data, guess, rates, model.delay).brief(model.delay).seen(model.delay)
+    found: InputNonlinearity | None = None
+    least = HALF
+    for place, name in enumerate(model.signature.input_names):
+        u = seen.guess.u[:, place]
+        edges = sorted({*torch.quantile(u, torch.tensor(PLACES, dtype=u.dtype)).tolist()})
+        if len(u.unique()) < LEVELS or len(edges) < 2 or name in model.followed.values():
+            continue
+        for part, ends, slopes in _bent(model, seen, name, edges):
+            bend = _classify_nonlinearity(name, ends, slopes, ROUGHLY)
+            if part < least and bend is not None and ends[-1] - ends[0] >= NARROW * float(u.max() - u.min()):
+                found, least = bend, part
+    return found
+
+
+def _bent(
+    model: SindyModel, seen: RegressionData, name: str, edges: Sequence[float]
+) -> Iterator[tuple[float, Sequence[float], list[float]]]:
+    """Yield, of each equation that reads an input, what its two best bends leave over, where they are, and slopes."""
+    straight, bent = [CONSTANT, variable(name)], [of("hinge", name, frequency=edge) for edge in edges]
+    library = Library(model.signature, [*straight, *bent, *model.library.features])
+    places = {feature.key: k for k, feature in enumerate(library.features)}
+    theta, dx = seen.rows(library, generate(model.library, model.coefficients))
+    for column, target in zip(model.coefficients.unbind(-1), dx.unbind(-1), strict=True):
+        own = [model.library.features[k].key for k in column.nonzero().flatten().tolist()]
+        if variable(name).key not in own:
+            continue
+        base = theta[:, [places[key] for key in dict.fromkeys([variable(name).key, CONSTANT.key, *own])]]
+        tried = []
+        for pair in combinations(zip(edges, bent, strict=True), 2):
+            more = theta[:, [places[feature.key] for _, feature in pair]]
+            tried.append((*_left(torch.cat([base, more], -1), target), [edge for edge, _ in pair]))
+        after, xi, ends = min(tried, key=lambda trial: (math.isnan(trial[0]), trial[0]))
+        before = _left(base, target)[0]
+        if before > 0:
+            yield after / before, ends, torch.stack([xi[0], xi[-2], xi[-1]]).cumsum(0).tolist()
+
+
+def _left(columns: Tensor, target: Tensor) -> tuple[float, Tensor]:
+    """Return the squares that least squares leave over, and the coefficients."""
+    scale = columns.norm(dim=0).clamp_min(1e-300)
+    xi = least_squares(columns / scale, target) / scale
+    return float((target - columns @ xi).square().sum()), xi

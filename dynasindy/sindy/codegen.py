@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable
-from functools import lru_cache
-from typing import NamedTuple, Self
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from dynasindy.sindy.equations import require_finite
 from dynasindy.sindy.functions import function
-from dynasindy.sindy.library import Factor, Feature, Library
+from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.base import Signature
 from dynasindy.systems.machine import Machine, Program
 
@@ -30,39 +29,17 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         `(x, u) -> dx`, `(*batch, n_x)`, with the library's `step` as an attribute.
 
     Raises:
-        ValueError: a coefficient is not finite, or the model has more functions than can be written.
+        Diverged: a coefficient is not finite.
+        ValueError: the model has more functions than can be written.
     """
-    refuse_not_finite(library, coefficients)
-    try:
-        writer = _FieldWriter(library, coefficients)
-    except RecursionError as error:
-        raise ValueError(f"the model has too many terms of {len(library)}; remove some: raise the threshold") from error
-    scope: dict[str, object] = {"torch": torch, "constants": Constants(writer.constants), **writer.functions}
-    exec(compile(writer.source(), "<sparse model>", "exec"), scope)
-    field: Field = scope["field"]  # type: ignore[assignment]
+    writer = _FieldWriter(library, require_finite(library, coefficients))
+    field: Field = writer.compiled("field", writer.source())
     field.__doc__ = writer.source()
     field.__dict__["step"] = library.step
     return field
 
 
-def refuse_not_finite(library: Library, coefficients: Tensor) -> None:
-    """Refuse to write a model whose coefficients, `(n_features, n_x)`, are not all finite.
-
-    Raises:
-        ValueError: one is not.
-    """
-    if bool(coefficients.isfinite().all()):
-        return
-    wrong = (~coefficients.isfinite()).nonzero()
-    k, i = wrong[0].tolist()
-    raise ValueError(
-        f"{len(wrong)} coefficients are not finite, such as {coefficients[k, i].item()} of {library.names[k]} in "
-        f"{library.signature.state_names[i]}'; allowed are finite ones: fit on data that excite this function, or "
-        "leave it out of the library"
-    )
-
-
-class Constants:
+class _Constants:
     """Keep numbers as tensors of the dtype and device in use: an operation then need not make them each time."""
 
     def __init__(self, values: list[float]) -> None:
@@ -88,12 +65,18 @@ class Writer:
     """
 
     def __init__(self, signature: Signature) -> None:
-        self.lines: list[str] = []
+        self._n_x, self.lines = signature.n_x, list[str]()
         self.written: dict[object, str] = {}
         self.functions: dict[str, object] = {}
         self.constants: list[float] = []
         names = (*signature.state_names, *signature.input_names)
         self.variable = {name: self._variable(place) for place, name in enumerate(names)}
+
+    def compiled(self, name: str, source: str) -> Any:
+        """Return the function of that name, compiled."""
+        scope: dict[str, Any] = {"torch": torch, "constants": _Constants(self.constants), **self.functions}
+        exec(compile(source, f"<{name} of a sparse model>", "exec"), scope)
+        return scope[name]
 
     def _variable(self, place: int) -> str:
         return f"z[{place}]"
@@ -166,7 +149,12 @@ class _FieldWriter(Writer):
         table = coefficients.tolist()
         powers = [{f.base: f.power for f in feature.factors} for feature in library.features]
         rows = [[(p, table[k][i]) for k, p in enumerate(powers) if table[k][i]] for i in range(signature.n_x)]
-        self.results = [self._sum(row) if row else self._zero() for row in rows]
+        try:
+            self.results = [self._sum(row) if row else self._zero() for row in rows]
+        except RecursionError as error:
+            raise ValueError(
+                f"the model has too many terms of {len(library)}; remove some: raise the threshold"
+            ) from error
 
     def source(self) -> str:
         """Return the text of the function."""
@@ -244,28 +232,6 @@ class InfixWriter(_FieldWriter):
         ValueError: a function has no formula.
     """
 
-    def __init__(self, library: Library, coefficients: Tensor) -> None:
-        self._n_x = library.signature.n_x
-        super().__init__(library, coefficients)
-
-    @classmethod
-    def of(cls, library: Library, coefficients: Tensor) -> Self:
-        """Write a model.
-
-        Args:
-            library: candidate functions.
-            coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
-
-        Raises:
-            ValueError: a function has no formula, or the model has too many terms.
-        """
-        try:
-            return cls(library, coefficients)
-        except RecursionError as error:
-            raise ValueError(
-                f"the model has too many terms of {len(library)}; remove some: raise the threshold"
-            ) from error
-
     @property
     def named(self) -> tuple[tuple[str, str], ...]:
         """Name and formula of each value, in the order in which they are computed."""
@@ -301,55 +267,9 @@ def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.f
         ValueError: a function has no formula, the model has too many terms, or the compiler refuses the text.
         FileNotFoundError: there is no compiler.
     """
-    values = coefficients.flatten().tolist()
-    kinds = tuple(value if value in (0.0, 1.0) else None for value in values)
-    # A name may be registered anew, for another function.
-    names = {factor.function for feature in library.features for factor in feature.factors}
-    formulas = tuple((name, function(name).formula) for name in sorted(names))
-    written = _written(library.signature, library.features, formulas, kinds)
-    constants = (number if place is None else values[place] for place, number in written.constants)
-    n_x, n_u = library.signature.n_x, library.signature.n_u
-    program = Program(n_x, n_u, written.lines, written.results, tuple(constants), library.step)
-    return Machine(program, dtype)
-
-
-class _Written(NamedTuple):
-    """Formulas of all models that have the same functions in their equations.
-
-    Attributes:
-        lines: see `Program`.
-        results: see `Program`.
-        constants: of each constant its place among the coefficients, or None and the number itself.
-    """
-
-    lines: tuple[tuple[str, str], ...]
-    results: tuple[str, ...]
-    constants: tuple[tuple[int | None, float], ...]
-
-
-@lru_cache(maxsize=128)
-def _written(
-    signature: Signature,
-    features: tuple[Feature, ...],
-    formulas: tuple[tuple[str, str | None], ...],
-    kinds: tuple[float | None, ...],
-) -> _Written:
-    """Write models of some features, of whose coefficients those are told that are zero or one.
-
-    Args:
-        signature: names of states and inputs.
-        features: candidate functions.
-        formulas: those of their elementary functions, by name.
-        kinds: zero, one, or None for another number, of each coefficient, feature by feature.
-    """
-    # Every coefficient is written as a number of its own, by which its constant is found again.
-    first = 2.0 + math.ceil(max((abs(f.frequency) for feature in features for f in feature.factors), default=0.0))
-    told = [first + place if kind is None else kind for place, kind in enumerate(kinds)]
-    places = {number: place for place, number in enumerate(told) if kinds[place] is None}
-    table = torch.tensor(told, dtype=torch.float64).reshape(len(features), signature.n_x)
-    writer = _MachineWriter.of(Library(signature, features), table)
-    constants = tuple((places.get(number), number) for number in writer.constants)
-    return _Written(writer.named, tuple(writer.results), constants)
+    writer, signature = _MachineWriter(library, coefficients), library.signature
+    text = writer.named, tuple(writer.results)
+    return Machine(Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step), dtype)
 
 
 class _MachineWriter(InfixWriter):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import torch
@@ -42,14 +42,14 @@ def delay_inputs(data: Transitions, delay: float) -> Transitions:
     whole, part = divmod(delay / data.dt, 1.0)
     if delay == 0:
         return data
-    places, begin = torch.arange(len(data)), _begin(data)
+    places, begin = torch.arange(len(data)), segment_starts(data)
     late, later = (data.u[torch.maximum(places - int(whole) - more, begin)] for more in (0, 1))
     return replace(data, u=(1 - part) * late + part * later)
 
 
 def rows_after_delay(data: Transitions, longest: float) -> Tensor:
     """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
-    return torch.arange(len(data)) - _begin(data) >= math.ceil(longest / data.dt - 1e-9)
+    return torch.arange(len(data)) - segment_starts(data) >= math.ceil(longest / data.dt - 1e-9)
 
 
 def delay_and_trim(data: Transitions, delay: float) -> Transitions:
@@ -58,13 +58,9 @@ def delay_and_trim(data: Transitions, delay: float) -> Transitions:
 
 
 def estimate_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
-    """Return the delay of whole samples with which all functions explain the rates of change best [s].
+    """Return the delay of whole samples, `longest` [s] at most, with which all functions explain the rates best [s].
 
-    Args:
-        free: functions that each equation may have, bool `(n_features, n_x)`.
-        rows: averaged functions and rates of change of the recording under inputs delayed by so much [s].
-        dt: length of a sample [s].
-        longest: longest delay that is tried [s].
+    `rows` are those of the recording under inputs delayed by so much [s].
     """
     most = math.floor(longest / dt + 1e-9)
     costs = [unexplained(free, *rows(k * dt)) for k in range(most + 1)]
@@ -76,13 +72,8 @@ def search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> 
 
     Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
     and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
-    the best one, it is looked for twice as far, as long as enough rows know their inputs.
-
-    Args:
-        free: functions that each equation may have, bool `(n_features, n_x)`.
-        rows: averaged functions and rates of change under inputs delayed by so many samples, the first argument, of
-            those rows whose inputs are known for as many samples as the second one says.
-        least: samples within which a delay is looked for in any case, as it may hide in the noise; 0 without noise.
+    the best one, it is looked for twice as far, as long as enough rows know their inputs. `rows` are those under inputs
+    delayed by so many samples, its first argument, whose inputs are known for as many samples as the second one says.
     """
     if not least and _exact(free, *rows(0, 0)):
         return 0, 0
@@ -140,36 +131,27 @@ def refine_delay(rough: float, dt: float, longest: float, worth: float, cost: Co
 
 
 def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:
-    """Return N/2 log of what the regression of the rates of change leaves over, summed over the states.
+    """Return N/2 log of what the regression of rates on supported functions leaves over, summed over the states."""
+    return sum(
+        (0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300) for _, error in _errors(support, theta, dx)),
+        0.0,
+    )
 
-    Args:
-        support: functions in each equation, bool `(n_features, n_x)`.
-        theta: averaged functions, `(N, n_features)`.
-        dx: averaged rates of change, `(N, n_x)`.
-    """
-    cost = 0.0
+
+def _errors(support: Tensor, theta: Tensor, dx: Tensor) -> Iterator[tuple[int, Tensor]]:
+    """Yield, of each equation that has functions, its place, and what their regression leaves over, `(N,)`."""
     for i in range(dx.shape[1]):
-        if not bool(support[:, i].any()):
-            continue
-        columns = theta[:, support[:, i]]
-        columns = columns / columns.norm(dim=0).clamp_min(1e-300)
-        error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
-        cost += 0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300)
-    return cost
+        if bool(support[:, i].any()):
+            columns = theta[:, support[:, i]]
+            columns = columns / columns.norm(dim=0).clamp_min(1e-300)
+            yield i, dx[:, i] - columns @ least_squares(columns, dx[:, i])
 
 
 def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
     """Tell whether the functions explain the rates of change but for errors of the regression itself."""
-    for i in range(dx.shape[1]):
-        if bool(free[:, i].any()):
-            columns = theta[:, free[:, i]]
-            columns = columns / columns.norm(dim=0).clamp_min(1e-300)
-            error = dx[:, i] - columns @ least_squares(columns, dx[:, i])
-            if float(error.norm()) > EXACT * float(dx[:, i].norm()):
-                return False
-    return True
+    return not any(float(error.norm()) > EXACT * float(dx[:, i].norm()) for i, error in _errors(free, theta, dx))
 
 
-def _begin(data: Transitions) -> Tensor:
+def segment_starts(data: Transitions) -> Tensor:
     """Return the row at which the segment of each row begins, `(N,)`."""
     return torch.where(data.begins(), torch.arange(len(data)), 0).cummax(0).values

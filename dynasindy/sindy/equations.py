@@ -138,78 +138,65 @@ def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
     return written
 
 
-def _rows(library: Library, coefficients: Tensor, digits: int, latex: bool, active_only: bool) -> list[list[str]]:
-    rows = []
-    for feature, values in zip(library.features, coefficients.tolist(), strict=True):
-        if active_only and not any(values):
-            continue
-        name = f"${feature.latex()}$" if latex else feature.name()
-        rows.append([name, *(_number(v, digits, latex) for v in values)])
-    return rows
-
-
-def _number(value: float, digits: int, latex: bool) -> str:
-    written = f"{value:.{digits}g}"
-    if latex and "e" in written:
+def _number(value: float) -> str:
+    """Write a number as LaTeX."""
+    written = f"{value:.5g}"
+    if "e" in written:
         mantissa, exponent = written.split("e")
         return rf"${mantissa}\times10^{{{int(exponent)}}}$"
-    return f"${written}$" if latex and value < 0 else written
+    return f"${written}$" if value < 0 else written
 
 
-def to_table(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
-    """Write the Xi table with aligned columns.
+def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]:
+    """Write the Xi table, a row for each function, as text, as a LaTeX tabular as in the paper, and as CSV.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`.
-        digits: significant digits.
-        active_only: whether functions without any coefficient are left out.
+
+    Returns:
+        The three texts, of 5, 5 and all digits, by the endings of their files: `txt`, `tex` and `csv`.
     """
     library, coefficients = mapping(library, coefficients)
-    header = ["function", *(_left_side(library, s) for s in library.signature.state_names)]
-    rows = [header, *_rows(library, coefficients, digits, False, active_only)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
+    table, states = coefficients.tolist(), library.signature.state_names
+    left = [_left_side(library, state) for state in states]
+    cells = [["function", *left]]
+    cells += [[name, *(f"{value:.5g}" for value in row)] for name, row in zip(library.names, table, strict=True)]
+    first, *widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [
+        "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(row, widths, strict=True))])
+        for name, *row in cells
+    ]
+    rows = [["Library function", *(f"${_latex_moved_on(library, state)}$" for state in states)]]
+    rows += [
+        [f"${feature.latex()}$", *(_number(value) for value in row)]
+        for feature, row in zip(library.features, table, strict=True)
+    ]
+    latex = [rf"\begin{{tabular}}{{|{'c|' * len(rows[0])}}}", r"\hline"]
+    latex += [" & ".join(row) + r" \\ \hline" for row in rows]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    units = zip(left, states, library.signature.state_units, strict=True)
+    heads = [f"d({s})/dt [{unit}/s]" if library.step is None else f"{side} [{unit}]" for side, s, unit in units]
+    writer.writerows(
+        [["function", *heads], *([n, *map(repr, row)] for n, row in zip(library.names, table, strict=True))]
     )
+    return {
+        "txt": "\n".join(lines) + "\n",
+        "tex": "\n".join([*latex, r"\end{tabular}"]) + "\n",
+        "csv": out.getvalue(),
+    }
 
 
-def to_latex(library: Library, coefficients: Tensor, digits: int = 5, active_only: bool = False) -> str:
-    """Write the Xi table as a LaTeX tabular, as in the paper.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`.
-        digits: significant digits.
-        active_only: whether functions without any coefficient are left out.
-    """
-    library, coefficients = mapping(library, coefficients)
-    states = [f"${_latex_moved_on(library, s)}$" for s in library.signature.state_names]
-    rows = _rows(library, coefficients, digits, True, active_only)
-    lines = [r"\begin{tabular}{|" + "c|" * (len(states) + 1) + "}", r"\hline"]
-    lines += [" & ".join(["Library function", *states]) + r" \\ \hline"]
-    lines += [" & ".join(row) + r" \\ \hline" for row in rows]
-    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
-
-
-def equations_to_latex(library: Library, coefficients: Tensor, digits: int = 5) -> str:
-    """Write one equation per state as LaTeX, an `align*` of amsmath, three terms to a line.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`.
-        digits: significant digits.
-    """
+def equations_to_latex(library: Library, coefficients: Tensor) -> str:
+    """Write one equation per state as LaTeX, an `align*` of amsmath, three terms to a line, numbers of five digits."""
     library, coefficients = mapping(library, coefficients)
     written = []
     for i, state in enumerate(library.signature.state_names):
         terms = []
         for feature, value in zip(library.features, coefficients[:, i].tolist(), strict=True):
             if value:
-                size = _number(abs(value), digits, True).strip("$")
+                size = _number(abs(value)).strip("$")
                 name = feature.latex()
                 terms.append(
                     ("-" if value < 0 else "+", size if name == "1" else name if size == "1" else rf"{size} \, {name}")
@@ -225,27 +212,8 @@ def _latex_moved_on(library: Library, state: str) -> str:
     return rf"\dot{{{name}}}" if library.step is None else f"{{{name}}}[k+1]"
 
 
-def to_csv(library: Library, coefficients: Tensor) -> str:
-    """Write the Xi table as CSV at full precision: one row per function, one column per state."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    library, coefficients = mapping(library, coefficients)
-    units = zip(library.signature.state_names, library.signature.state_units, strict=True)
-    heads = (f"d({s})/dt [{u}/s]" if library.step is None else f"{_left_side(library, s)} [{u}]" for s, u in units)
-    writer.writerow(["function", *heads])
-    for name, values in zip(library.names, coefficients.tolist(), strict=True):
-        writer.writerow([name, *(repr(v) for v in values)])
-    return out.getvalue()
-
-
-def require_finite_coefficients(coefficients: Tensor, library: Library, source: str, samples: int) -> Tensor:
-    """Return coefficients as they are.
-
-    Args:
-        coefficients: Xi, `(n_features, n_x)`.
-        library: its functions.
-        source: what found them, for the message.
-        samples: how many samples it had.
+def require_finite(library: Library, coefficients: Tensor, source: str = "model") -> Tensor:
+    """Return coefficients, `(n_features, n_x)`, as they are; `source` is what found them, for the message.
 
     Raises:
         Diverged: one of them is not finite.
@@ -254,8 +222,7 @@ def require_finite_coefficients(coefficients: Tensor, library: Library, source: 
         k, i = wrong[0].tolist()
         place = f"{library.names[k]} in {change_of(library, library.signature.state_names[i])}"
         raise Diverged(
-            f"model learning: the {source} on {samples} samples left {len(wrong)} coefficients that are not finite, "
-            f"such as {coefficients[k, i].item()} of {place}; leave that function out of the library, or check the "
-            "data's units"
+            f"model learning: the {source} has {len(wrong)} coefficients that are not finite, such as "
+            f"{coefficients[k, i].item()} of {place}; leave that function out of the library, or check the data's units"
         )
     return coefficients

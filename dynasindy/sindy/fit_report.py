@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,7 +14,6 @@ from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import change_of
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.regression import RunningSums
-from dynasindy.systems.transitions import Transitions
 
 CLEAR = 1e6
 """Condition number below which functions are well apart."""
@@ -191,11 +190,9 @@ class FitReport:
         dt: time that a transition takes [s].
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
-        in_pieces: whether simulations meet the log in pieces only, which begin anew: something is lacking.
+        in_pieces, delay_at_end, aside: see `Refined`.
         told: how well the coefficients are known, or what computes it; None where that is not told.
-        delay_at_end: whether the delay of the inputs is the longest that was tried.
         unscaled: states that no sensor sees and of which nothing tells the unit.
-        aside: what the fit by one simulation through all samples found, where it was set aside for one in pieces.
     """
 
     samples: int
@@ -213,27 +210,16 @@ class FitReport:
     aside: Refined | None = field(default=None, repr=False)
 
     @classmethod
-    def of(
-        cls,
-        library: Library,
-        coefficients: Tensor,
-        sums: RunningSums,
-        seconds: float,
-        notes: Sequence[str] = (),
-        dt: float | None = None,
-    ) -> FitReport:
-        """Summarise the coefficients of a fit against the sums it was made from."""
+    def of(cls, library: Library, coefficients: Tensor, sums: RunningSums, seconds: float, **more: Any) -> FitReport:
+        """Summarise the coefficients of a fit against the sums it was made from; `more` are other attributes."""
         relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
         names = library.signature.state_names
-        return cls(
-            samples=sums.count,
-            seconds=seconds,
-            terms=dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True)),
-            residual=dict(zip(names, relative.tolist(), strict=True)),
-            _source=(library, coefficients.clone(), sums.copy()),
-            notes=tuple(notes),
-            dt=dt,
-        )
+        found: dict[str, Any] = {
+            "samples": sums.count,
+            "terms": dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True)),
+            "residual": dict(zip(names, relative.tolist(), strict=True)),
+        }
+        return cls(seconds=seconds, _source=(library, coefficients.clone(), sums.copy()), **found | more)
 
     def told_apart(self) -> Tensor:
         """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
@@ -324,22 +310,3 @@ class FitReport:
         notes = [*filter(None, [self.units]), *self.notes]
         told = [*filter(None, [self.known]), *(f"note: {note}" for note in notes)]
         return "\n".join([*lines, *told, self.identifiability.to_text()])
-
-
-def unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
-    """Return the states that no sensor saw, and those whose equations read one.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`.
-        data: the log, NaN where a state was not measured.
-    """
-    names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
-    unseen = {name for name, never in zip(names, blind, strict=True) if never}
-    if not unseen:
-        return frozenset()
-    read = [
-        {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
-        for column in coefficients.unbind(-1)
-    ]
-    return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)

@@ -7,7 +7,7 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
@@ -206,11 +206,7 @@ def _of_one(name: str) -> str:
 
 
 def of_two(name: str, sign: str) -> str:
-    """Return the name of the function that has the sum or the difference of two variables for its argument.
-
-    Args:
-        name: function of one variable.
-        sign: `+` or `-`.
+    """Return the name of the function that has the sum (sign `+`) or the difference of two variables for its argument.
 
     Raises:
         ValueError: the function is not known, or takes no sum and no difference.
@@ -252,17 +248,10 @@ def register_function(
     if not name.isidentifier():
         raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
     default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
-    if other := sorted(set(re.findall(r"[A-Za-z_]\w*", re.sub(r"\d[\w.]*", "", formula))) - {*FORMULA_FUNCTIONS}):
-        raise ValueError(
-            f"register_function got a formula with {other[0]!r}; allowed are {{0}}, {{1}}, operators, numbers and "
-            f"{', '.join(FORMULA_FUNCTIONS)}: write it with these, or leave it out"
-        )
-    return register(Function(name, compute, name + "({0})", latex or default, formula=formula, given=formula))
-
-
-def register(made: Function) -> Function:
-    """Register a function, in the place of another one of its name, and return it."""
-    _REGISTRY[made.name] = made
+    # What is given is not kept for other languages: its tree is written anew, from numbers and known names alone.
+    written = _written(_read(name, formula)) if formula else ""
+    made = Function(name, compute, name + "({0})", latex or default, formula=written, given=formula)
+    _REGISTRY[name] = made
     return made
 
 
@@ -339,36 +328,13 @@ def register_formula(name: str, formula: str) -> Function:
         told = known.given or "which is not of a formula"
         raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
     tree = _read(name, formula)
-    # What was given is not kept for other languages: its tree is written anew, from numbers and known names alone.
-    return register(replace(register_function(name, lambda *z: _value(tree, z), formula=_written(tree)), given=formula))
+    return register_function(name, lambda *z: _value(tree, z), formula=formula)
 
 
 def formula_texts(names: Iterable[str]) -> dict[str, str]:
-    """Return the formulas that functions were registered with, by name.
-
-    Other functions are left out, and so are those whose formula cannot be read again.
-    """
+    """Return the formulas that functions were registered with, by name; functions without one are left out."""
     found = {name: function(name).given for name in sorted(set(map(_of_one, names)))}
-    return {name: formula for name, formula in found.items() if formula and _is_readable(name, formula)}
-
-
-def unregister_formulas(names: Iterable[str]) -> None:
-    """Take back the registration of functions, of a file that turned out to be damaged."""
-    for name in names:
-        unregister_function(name)
-
-
-def _is_readable(name: str, formula: str) -> bool:
-    try:
-        _read(name, formula)
-    except ValueError:
-        return False
-    return True
-
-
-def _places(formula: str) -> set[int]:
-    """Return which arguments a formula has."""
-    return set(map(int, re.findall(r"\{(\d)\}", formula)))
+    return {name: formula for name, formula in found.items() if formula}
 
 
 def _read(name: str, formula: object) -> ast.expr:
@@ -384,7 +350,7 @@ def _read(name: str, formula: object) -> ast.expr:
         raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
     if wrong is not None:
         raise ValueError(f"function {name!r}: {told!r} holds {ast.unparse(wrong)[:40]!r}; {allowed}: mend it")
-    places = _places(_written(tree))
+    places = {int(place) for place in re.findall(r"\{(\d)\}", _written(tree))}
     if lacking := sorted({*range(max(places, default=0) + 1)} - places):
         raise ValueError(
             f"function {name!r}: {told!r} has no {{{lacking[0]}}}, which stands for argument {lacking[0] + 1}; write "

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay, segment_starts, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct
@@ -83,25 +83,17 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return []
     data, keep = data.to(torch.float64), rows_after_delay(data, model.delay)
-    late = {delay: delay_inputs(data, delay).select(keep) for delay in _delays(model.delay, data.dt)}
-    found = []
-    for signal in _signals(model, data):
+    longest, dt = model.delay, data.dt  # shorter delays in whole samples
+    delays = sorted({*(round(part * longest / dt) * dt for part in PARTS if part * longest < longest), longest})
+    late = {delay: delay_inputs(data, delay).select(keep) for delay in delays}
+    # What may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought.
+    measured, found = ~data.x.isnan().all(0), []
+    names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
+    for signal in (*model.signature.input_names, *names):
         plain = _Search(model, late[model.delay], signal)
         tried = [_Search(model, other, signal, delay).best(plain) for delay, other in late.items()]
         found += sorted((trial for trial in tried if trial), key=lambda trial: -trial.gain)[:1]
     return sorted(found, key=lambda trial: -trial.gain)
-
-
-def _delays(longest: float, dt: float) -> list[float]:
-    """Return delays between none and that of a model [s], in whole samples but for the longest."""
-    return sorted({*(round(part * longest / dt) * dt for part in PARTS if part * longest < longest), longest})
-
-
-def _signals(model: SindyModel, data: Transitions) -> list[str]:
-    """Return what may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought."""
-    signature, measured = model.signature, ~data.x.isnan().all(0)
-    seen = [name for i, name in enumerate(signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
-    return [*signature.input_names, *seen]
 
 
 def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
@@ -220,9 +212,8 @@ class _Search:
     def _decays(self, time: float) -> Tensor:
         """Return what is left of 1 at the begin of each interval since its stretch began, a column for each stretch."""
         _, stretch = self.data.segment.unique_consecutive(return_inverse=True)
-        places = torch.arange(len(stretch))
-        first = torch.where(self.data.begins(), places, 0).cummax(0).values
-        left = torch.exp(-self.data.dt / time * (places - first).double())
+        since = torch.arange(len(stretch)) - segment_starts(self.data)
+        left = torch.exp(-self.data.dt / time * since.double())
         return left.unsqueeze(-1) * torch.nn.functional.one_hot(stretch)
 
     def _solved(self, wide: SindyModel, rows: Rows, time: float) -> Tensor:
@@ -266,15 +257,7 @@ class _Search:
 
 
 def _lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
-    """Return a state that follows a signal, at the begin and at the end of each interval, `(N,)` both.
-
-    It begins each segment at rest, equal to the signal.
-
-    Args:
-        signal: the signal, constant over each interval, `(N,)`.
-        data: the recording.
-        time: time constant [s].
-    """
+    """Return a state that follows a signal `(N,)` from rest, at the begin and the end of each interval, `(N,)` both."""
     left, now, starts, ends = math.exp(-data.dt / time), 0.0, [], []
     for held, anew in zip(signal.tolist(), data.begins().tolist(), strict=True):
         now = held if anew else now

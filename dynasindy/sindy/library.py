@@ -17,7 +17,6 @@ from torch import Tensor
 
 from dynasindy.sindy.functions import function, of_two
 from dynasindy.systems.base import Signature
-from dynasindy.text import did_you_mean
 
 FARTHEST = 30.0
 """Factor between the first guess of a number inside a function and what is fitted, either way."""
@@ -307,11 +306,7 @@ LARGEST = 10_000
 
 
 def _bounded(features: Iterable[Feature]) -> list[Feature]:
-    """Return features, unless there are more than a library may hold; they are not counted to their end.
-
-    Raises:
-        ValueError: there are more.
-    """
+    """Return features, unless there are more than a library may hold; they are not counted to their end."""
     first = list(islice(features, LARGEST + 1))
     if len(first) > LARGEST:
         raise ValueError(
@@ -322,12 +317,9 @@ def _bounded(features: Iterable[Feature]) -> list[Feature]:
 
 
 class _Plan(NamedTuple):
-    """Hold how a library is computed.
+    """Hold places of the values whose product each feature is, and factors, each with the places of what it reads.
 
-    Attributes:
-        products: places of the values whose product each feature is.
-        steps: factors, each with the places of what it reads; its value has the next place after all earlier ones, of
-            which the first are the states and inputs.
+    The value of a factor has the next place after all earlier ones, of which the first are the states and inputs.
     """
 
     products: list[tuple[int, ...]]
@@ -422,20 +414,23 @@ class Library:
             Theta, `(*batch, n_features)`, in the dtype of `x`.
         """
         if self._plan is None:
-            self._plan = self._planned()
+            self._plan = self._planned(self.features)
+        return torch.stack(self._products(self._plan, x, u), -1)
+
+    def _products(self, plan: _Plan, x: Tensor, u: Tensor) -> list[Tensor]:
         values = [*x.unbind(-1), *u.to(x.dtype).unbind(-1)]
-        for factor, places in self._plan.steps:
+        for factor, places in plan.steps:
             args = [values[place] for place in places]
             values.append(factor.compute()(*args) if factor.power == 1 else args[0] ** factor.power)
         columns = []
-        for places in self._plan.products:
+        for places in plan.products:
             column = values[places[0]] if places else torch.ones_like(values[0])
             for place in places[1:]:
                 column = column * values[place]
             columns.append(column)
-        return torch.stack(columns, -1)
+        return columns
 
-    def _planned(self) -> _Plan:
+    def _planned(self, features: Iterable[Feature]) -> _Plan:
         """Return what there is to compute, each factor once."""
         steps: list[tuple[Factor, tuple[int, ...]]] = []
         known: dict[Factor, int] = {}
@@ -447,7 +442,7 @@ class Library:
                 known[factor] = len(self._index) + len(steps) - 1
             return known[factor]
 
-        return _Plan([tuple(_place(factor) for factor in f.factors) for f in self.features], steps)
+        return _Plan([tuple(_place(factor) for factor in f.factors) for f in features], steps)
 
     @property
     def shapes(self) -> tuple[Factor, ...]:
@@ -486,35 +481,18 @@ class Library:
             `(*batch, n_features, n_shapes)`.
         """
         columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
-        values: dict[Factor, Tensor] = {}
-        ones = torch.ones_like(columns[0])
         slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
-        for j, shape in enumerate(shapes):
-            slope = shape.slope(*(columns[self._index[v]] for v in shape.variables))
-            for i, feature in enumerate(self.features):
-                for k, factor in enumerate(feature.factors):
-                    if factor.base == shape:
-                        lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
-                        rest = feature.factors[:k] + lower + feature.factors[k + 1 :]
-                        slopes[..., i, j] = slope * factor.power * self._product(rest, columns, values, ones)
+        inner = [shape.slope(*(columns[self._index[v]] for v in shape.variables)) for shape in shapes]
+        found, rests = [], []
+        for i, feature in enumerate(self.features):
+            for k, factor in enumerate(feature.factors):
+                if factor.base in shapes:
+                    lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
+                    rests.append(Feature(feature.factors[:k] + lower + feature.factors[k + 1 :]))
+                    found.append((i, shapes.index(factor.base), factor.power))
+        for (i, j, power), rest in zip(found, self._products(self._planned(rests), x, u), strict=True):
+            slopes[..., i, j] = inner[j] * power * rest
         return slopes
-
-    def _product(
-        self, factors: Iterable[Factor], columns: Sequence[Tensor], values: dict[Factor, Tensor], ones: Tensor
-    ) -> Tensor:
-        product: Tensor | None = None
-        for factor in factors:
-            value = self._value(factor, columns, values)
-            product = value if product is None else product * value
-        return ones if product is None else product
-
-    def _value(self, factor: Factor, columns: Sequence[Tensor], values: dict[Factor, Tensor]) -> Tensor:
-        if factor not in values:
-            if factor.power != 1:
-                values[factor] = self._value(factor.base, columns, values) ** factor.power
-            else:
-                values[factor] = factor.compute()(*(columns[self._index[v]] for v in factor.variables))
-        return values[factor]
 
 
 @dataclass(frozen=True)
@@ -550,41 +528,28 @@ class Constraints:
         Raises:
             ValueError: a state or a function does not exist.
         """
-        states = library.signature
-        named: dict[str, Mapping[str, Iterable[str]]] = {
-            "world_model.allowed": allowed,
-            stated_in: fixed,
-            "world_model.known": {state: [name] for state, name in known.items()},
-        }
-        for key, stated in named.items():
-            if absent := sorted(map(str, set(stated) - set(states.state_names))):
-                raise ValueError(
-                    f"{key} names {', '.join(absent)}, which is no state; the states are "
-                    f"{', '.join(states.state_names)}: correct the name{did_you_mean(absent[0], states.state_names)}"
-                )
-            for state, functions in stated.items():
-                for name in functions:
-                    _require(library, name, f"{key}.{state}")
-        free = torch.ones(len(library), states.n_x, dtype=torch.bool)
-        offset = torch.zeros(len(library), states.n_x, dtype=torch.float64)
+        signature = library.signature
+
+        def _place(find: Callable[[str], int], name: str, key: str) -> int:
+            try:
+                return find(name)
+            except ValueError as error:
+                raise ValueError(f"{key}: {error}") from error
+
+        free = torch.ones(len(library), signature.n_x, dtype=torch.bool)
+        offset = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
         for state, names in {**library.allowed, **allowed}.items():
-            free[:, states.state_index(state)] = False
+            i = _place(signature.state_index, str(state), "world_model.allowed")
+            free[:, i] = False
             for name in names:
-                free[library.index(name), states.state_index(state)] = True
+                free[_place(library.index, name, f"world_model.allowed.{state}"), i] = True
         for state, given in fixed.items():
+            i = _place(signature.state_index, str(state), stated_in)
             for name, value in given.items():
-                place = library.index(name), states.state_index(state)
-                free[place], offset[place] = False, float(value)
+                k = _place(library.index, name, f"{stated_in}.{state}")
+                free[k, i], offset[k, i] = False, float(value)
         for state, name in known.items():
-            i = states.state_index(state)
+            i = _place(signature.state_index, str(state), "world_model.known")
             free[:, i], offset[:, i] = False, 0.0
-            offset[library.index(name), i] = 1.0
+            offset[_place(library.index, name, f"world_model.known.{state}"), i] = 1.0
         return cls(free, offset)
-
-
-def _require(library: Library, name: str, key: str) -> None:
-    """Refuse a function that the library lacks, with the key of the settings that names it."""
-    try:
-        library.index(name)
-    except ValueError as error:
-        raise ValueError(f"{key}: {error}") from error

@@ -14,10 +14,11 @@ A difference equation has the functions where its steps begin, and its changes o
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -25,24 +26,22 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from dynasindy.safe_io import read_json, write_json
-from dynasindy.sindy.codegen import Field, generate, machine, refuse_not_finite
+from dynasindy.safe_io import read_json, reading, write_json
+from dynasindy.sindy.codegen import Field, generate, machine
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
-from dynasindy.sindy.delay import delay_inputs, rows_after_delay
-from dynasindy.sindy.equations import equations, require_finite_coefficients
-from dynasindy.sindy.fit_report import FitReport, unmeasured
-from dynasindy.sindy.library import Constraints, Library
-from dynasindy.sindy.model_file import model_record, parse_record
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay, segment_starts
+from dynasindy.sindy.equations import equations, require_finite
+from dynasindy.sindy.fit_report import FitReport
+from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_function
+from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
     DelayedRecording,
     RegressionData,
-    lag_signals,
     rate_states,
     reconstruct,
     settle_lag_states,
     simulate_hidden_states,
-    start_lag_states,
 )
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
@@ -55,6 +54,11 @@ from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
+FORMAT = "dynasindy sparse model 1"
+LARGEST_SYSTEM = 200
+"""Number of states beyond which a model is taken for damaged."""
+LARGEST_FACTOR = 1000
+"""Numbers of a coefficient's correlations beyond which it is as well."""
 _Told = Covariance | Callable[[], Covariance | None] | None
 """The covariance of coefficients, what computes it, or None where nothing tells it."""
 
@@ -137,7 +141,7 @@ class SindyModel(WorldModel):
             return
         self._field = None
         self._machines.clear()
-        refuse_not_finite(self.library, self.coefficients)
+        require_finite(self.library, self.coefficients)
         self._field_of = self.coefficients, self.coefficients._version, self.library
 
     def __getstate__(self) -> dict[str, object]:
@@ -182,7 +186,13 @@ class SindyModel(WorldModel):
     @property
     def followed(self) -> dict[str, str]:
         """States that only follow, as a' = k (s - a), each with the state or input s that it follows."""
-        return lag_signals(self.library, self.constraints)
+        found, used = {}, self.constraints.free | (self.constraints.offset != 0)
+        counts = used.sum(0).tolist()
+        for i, name in enumerate(self.signature.state_names):
+            factors = [*self.library.features[int(used[:, i].int().argmax())].factors] if counts[i] == 1 else []
+            if [factor.function for factor in factors] == ["ahead"] and factors[0].variables[1] == name:
+                found[name] = factors[0].variables[0]
+        return found
 
     @property
     def followers(self) -> dict[int, int]:
@@ -209,16 +219,15 @@ class SindyModel(WorldModel):
         if type(self) is not SindyModel:  # which may have learnt other things, too
             return super().kept()
         # A fit replaces these and changes nothing inside of them, but for the sums.
-        return partial(
-            self._go_back, self.library, self.coefficients.clone(), self.sums.copy(), self.delay, self._covariance
-        )
+        library, coefficients, sums = self.library, self.coefficients.clone(), self.sums.copy()
+        delay, covariance = self.delay, self._covariance
 
-    def _go_back(
-        self, library: Library, coefficients: Tensor, sums: RunningSums, delay: float, covariance: _Told
-    ) -> None:
-        self.library, self.sums, self.delay = library, sums.copy(), delay
-        self.set_coefficients(coefficients)
-        self.covariance = covariance
+        def _go_back() -> None:
+            self.library, self.sums, self.delay = library, sums.copy(), delay
+            self.set_coefficients(coefficients)
+            self.covariance = covariance
+
+        return _go_back
 
     def fit(self, transitions: Transitions) -> FitReport:
         """Identify the model from transitions alone, forgetting earlier data.
@@ -288,7 +297,7 @@ class SindyModel(WorldModel):
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
             late = delay_inputs(guess, self.initial_delay)
             late = simulate_hidden_states(self.library, first, data, late, rates)
-            guess = replace(start_lag_states(self.library, first, late, self.followers), u=data.u)
+            guess = replace(_start_lag_states(self.library, first, late, self.followers), u=data.u)
         recording = DelayedRecording.of(data, guess, rates, delay)
         seen = recording.seen(delay)
         rows = self._rows(seen)
@@ -307,11 +316,11 @@ class SindyModel(WorldModel):
         if self.refinement is not None:
             notes += unmoved_shapes(self.library, self.coefficients)
         of, seconds = (self.library, self.coefficients), time.perf_counter() - start
-        report = FitReport.of(*of, self.sums, seconds, notes, data.dt)
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(rows_after_delay(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        fields |= {"unmeasured": unmeasured(*of, data), "unscaled": states_without_scale(*of, constraints.free, data)}
-        return replace(report, samples=samples, told=self._covariance, **fields)
+        fields |= {"unmeasured": _unmeasured(*of, data), "unscaled": states_without_scale(*of, constraints.free, data)}
+        fields |= {"samples": samples, "told": self._covariance, "notes": tuple(notes), "dt": data.dt}
+        return FitReport.of(*of, self.sums, seconds, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -349,51 +358,88 @@ class SindyModel(WorldModel):
         write_json(path, self.record(), indent=1, finite=False)
 
     @classmethod
-    def load(
-        cls, path: str | Path, regression: Regression | None = None, refinement: Refinement | None = None
-    ) -> SindyModel:
+    def load(cls, path: str | Path) -> SindyModel:
         """Read a model that `save` wrote; it predicts as the saved one did, to the last digit.
 
-        Args:
-            path: the file.
-            regression: settings of a later fit, which the file does not hold; the paper's by default.
-            refinement: settings of its refinement; none by default.
+        The file holds no settings: `regression` and `refinement` of a later fit are set on what is returned.
 
         Raises:
             FileNotFoundError: the file does not exist.
             ValueError: the file is not such a model, or needs a function that is not registered.
         """
-        return cls.of_record(read_json(Path(path)), path, regression, refinement)
+        return cls.of_record(read_json(Path(path)), path)
 
     def record(self) -> dict[str, Any]:
-        """Return what `save` writes, as keys and values."""
-        return model_record(self.library, self.coefficients, self.constraints, self.delay, self.covariance)
+        """Return signature, library, coefficients, constraints, how well they are known, and the equations in words.
+
+        Coefficients are of rates of change; a `step` [s] says that they are those of a difference equation.
+        """
+        library, states, table = self.library, self.signature.state_names, self.coefficients.tolist()
+        data: dict[str, Any] = {
+            "format": FORMAT,
+            "equations": self.equations(),
+            "signature": asdict(self.signature),
+            "coefficients": {
+                s: {n: table[k][i] for k, n in enumerate(library.names) if table[k][i]} for i, s in enumerate(states)
+            },
+            "library": {f.name(): f.to_list() for f in library.features},
+        }
+        if own := formula_texts(factor.function for feature in library.features for factor in feature.factors):
+            data["functions"] = own
+        if self.delay:
+            data["delay"] = self.delay
+        if library.step is not None:
+            data["step"] = library.step
+        if not bool(self.constraints.free.all()):
+            rows = zip(states, self.constraints.free.mT.tolist(), self.constraints.offset.mT.tolist(), strict=True)
+            data["constraints"] = {
+                s: {
+                    "free": [name for name, may in zip(library.names, free, strict=True) if may],
+                    "given": {name: value for name, value in zip(library.names, offset, strict=True) if value},
+                }
+                for s, free, offset in rows
+            }
+        if self.covariance is not None:
+            data["uncertainty"] = _uncertainty(library, *self.covariance)
+        return data
 
     @classmethod
-    def of_record(
-        cls,
-        given: object,
-        source: str | Path,
-        regression: Regression | None = None,
-        refinement: Refinement | None = None,
-    ) -> SindyModel:
-        """Return the model whose `record` is given.
+    def of_record(cls, given: object, source: str | Path) -> SindyModel:
+        """Return the model whose `record` is given, exact to the last digit.
 
         Args:
             given: the record.
             source: where it is from, for the message.
-            regression: settings of a later fit; the paper's by default.
-            refinement: settings of its refinement; none by default.
 
         Raises:
-            ValueError: it is none, or needs a function that is not registered.
+            DamagedFileError: it is not of this format, or damaged.
+            FunctionError: the library uses a function that is not registered and of which the data has no formula, or
+                one that is another function here.
         """
-        library, coefficients, constraints, delay, covariance = parse_record(given, source)
-        model = cls(library.signature, library, regression, refinement)
-        model.constraints, model.delay = constraints, delay
-        model.set_coefficients(coefficients)
-        model.covariance = covariance
-        return model
+        with reading(source):
+            if not isinstance(given, dict) or given.get("format") != FORMAT:
+                raise ValueError(f"it is not of the format {FORMAT!r} that SindyModel.save writes")
+            new = [name for name in given.get("functions", {}) if not is_registered(name)]
+            try:
+                for name, formula in given.get("functions", {}).items():
+                    register_formula(name, formula)
+                return _read(given)
+            except BaseException as error:  # any: a file that is damaged leaves nothing behind
+                for name in new:
+                    unregister_function(name)
+                if isinstance(error, RuntimeError):  # of torch, or of too many brackets
+                    raise ValueError(str(error)) from error
+                if not isinstance(error, FunctionError):
+                    raise
+                why = f"{source} cannot be used here: {error}"
+                if name := error.missing:
+                    why = (
+                        f"{source} uses the function {name!r}, which was saved without a formula and is not known "
+                        f"here; in Python, call register_function({name!r}, ...), or import the module that does, "
+                        "before loading. So that commands can read it, too, save it again after "
+                        f"register_function({name!r}, ..., formula=...)"
+                    )
+                raise FunctionError(why, error.missing) from error
 
     def _checked(self, transitions: Transitions) -> Transitions:
         """Return transitions as they are fitted, from which a difference equation takes its step."""
@@ -423,7 +469,7 @@ class SindyModel(WorldModel):
             found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
-        refined = require_finite_coefficients(found.coefficients, self.library, "refinement", self.sums.count)
+        refined = require_finite(self.library, found.coefficients, "refinement")
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
             return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
         self.set_coefficients(refined)
@@ -449,7 +495,7 @@ class SindyModel(WorldModel):
     def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
         found = regression.solve(sums, constraints.free, constraints.offset)
-        self.set_coefficients(require_finite_coefficients(found, self.library, "regression", self.sums.count))
+        self.set_coefficients(require_finite(self.library, found, "regression"))
 
 
 def _step_rows(library: Library, data: Transitions) -> tuple[Library, Transitions]:
@@ -491,3 +537,129 @@ def _with_time(library: Library, time: str | None) -> Library:
     if time is None or (time == "discrete") == (library.step is not None):
         return library
     return library.with_step(UNTOLD if time == "discrete" else None)
+
+
+def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow another one begin each stretch where a first model needs them.
+
+    From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
+    it acts on: the part is what they tell by least squares.
+    """
+    field, ends = generate(library, xi), [guess.x.clone(), guess.x_next.clone()]
+    seconds = (torch.arange(len(guess)) - segment_starts(guess)).double() * guess.dt
+    for follower in followers:
+        others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
+        offs = [torch.zeros_like(end) for end in ends]
+        for k, off in enumerate(offs):
+            off[:, follower] = torch.exp(-float(xi[:, follower].sum()) * (seconds + k * guess.dt))
+        rates = [field(end, guess.u)[:, others] for end in ends]
+        moved = [field(end + off, guess.u)[:, others] for end, off in zip(ends, offs, strict=True)]
+        slope = 0.5 * (moved[0] - rates[0] + moved[1] - rates[1])
+        left = (ends[1] - ends[0])[:, others] / guess.dt - 0.5 * (rates[0] + rates[1])
+        weight = 1 / left.square().mean(0).clamp_min(1e-300)
+        for segment in guess.segment.unique().tolist():
+            mine = guess.segment == segment
+            part = float((slope * left * weight)[mine].sum() / (slope.square() * weight)[mine].sum().clamp_min(1e-300))
+            for end, off in zip(ends, offs, strict=True):
+                end[mine] += (part if math.isfinite(part) else 0.0) * off[mine]
+    return replace(guess, x=ends[0], x_next=ends[1])
+
+
+def _unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
+    """Return the states that no sensor saw, and those whose equations read one."""
+    names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
+    unseen = {name for name, never in zip(names, blind, strict=True) if never}
+    if not unseen:
+        return frozenset()
+    read = [
+        {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
+        for column in coefficients.unbind(-1)
+    ]
+    return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)
+
+
+def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
+    shape = (len(library), library.signature.n_x)
+    if data is None:
+        return Constraints(torch.ones(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64))
+    free, offset = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64)
+    for i, state in enumerate(library.signature.state_names):
+        for name in data[state]["free"]:
+            free[library.index(name), i] = True
+        for name, value in data[state]["given"].items():
+            offset[library.index(name), i] = _number(value)
+    return Constraints(free, offset)
+
+
+def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Tensor) -> dict[str, Any]:
+    """Return standard errors, and rows of the factor of their correlations, a line of numbers each."""
+    names, states = library.names, library.signature.state_names
+    # The triangular factor of the same covariance has no more columns than there are coefficients.
+    factor = torch.linalg.qr(factor.mT, mode="r")[1].mT
+    factor = factor * factor.diagonal().sign().where(factor.diagonal() != 0, 1.0)
+    errors = factor.norm(dim=-1)
+    rows = (factor / errors.clamp_min(1e-300).unsqueeze(-1)).tolist()
+    told: dict[str, Any] = {"standard_errors": {s: {} for s in states}, "correlation_factor": {s: {} for s in states}}
+    each = zip(features.tolist(), places.tolist(), errors.tolist(), rows, strict=True)
+    for k, (feature, state, error, row) in enumerate(each):
+        told["standard_errors"][states[state]][names[feature]] = error
+        told["correlation_factor"][states[state]][names[feature]] = " ".join(map(repr, row[: k + 1]))
+    return told
+
+
+def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | None:
+    if data is None:
+        return None
+    features, states, errors, rows = [], [], [], []
+    for i, state in enumerate(library.signature.state_names):
+        for name, error in data["standard_errors"][state].items():
+            features.append(library.index(name))
+            states.append(i)
+            errors.append(_number(error))
+            numbers = data["correlation_factor"][state][name].split()
+            rows.append(torch.tensor([_number(float(number)) for number in numbers], dtype=torch.float64))
+    if not rows or any(not 0 < len(row) <= LARGEST_FACTOR for row in rows) or min(errors) < 0:
+        raise TypeError("its uncertainty has no standard errors of 0 or more, each with its correlations")
+    sizes = torch.tensor(errors, dtype=torch.float64).unsqueeze(-1)
+    factor = sizes * torch.nn.utils.rnn.pad_sequence(rows, batch_first=True)
+    return Covariance(torch.tensor(features), torch.tensor(states), factor)
+
+
+def _read(data: dict[str, Any]) -> SindyModel:
+    signature = _signature(data["signature"])
+    step = data.get("step")
+    if step is not None and (step := _number(step)) < 0:
+        raise TypeError(f"the step of its difference equation is {step} s, which is negative")
+    library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
+    coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
+    place = {name: k for k, name in enumerate(library.names)}
+    for i, state in enumerate(signature.state_names):
+        for name, value in data["coefficients"][state].items():
+            coefficients[place[name] if name in place else library.index(name), i] = _number(value)
+    with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
+        library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
+    if (delay := _number(data.get("delay", 0.0))) < 0:
+        raise TypeError(f"its delay is {delay} s, which is negative")
+    model = SindyModel(signature, library)
+    model.constraints, model.delay = _constraints(library, data.get("constraints")), delay
+    model.set_coefficients(coefficients)
+    model.covariance = _covariance(library, data.get("uncertainty"))
+    return model
+
+
+def _number(value: Any) -> float:
+    if type(value) not in (int, float) or not math.isfinite(value):
+        raise TypeError(f"{str(value)[:40]!r} stands where a finite number belongs")
+    return float(value)
+
+
+def _signature(words: dict[str, Any]) -> Signature:
+    if not all(isinstance(given, list) for given in words.values()) or len(words["state_names"]) > LARGEST_SYSTEM:
+        raise TypeError(f"its signature is no lists of names, units and ranges of up to {LARGEST_SYSTEM} states")
+    return Signature(**words)
+
+
+def _feature(factors: list[list[Any]]) -> Feature:
+    if any(len(factor) not in (4, 5) or not isinstance(factor[0], list) for factor in factors):
+        raise TypeError("a function has no variables, name, power and frequency")
+    return Feature.from_list([[*factor[:3], *map(_number, factor[3:])] for factor in factors])

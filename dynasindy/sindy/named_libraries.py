@@ -23,7 +23,7 @@ def _angles_of(signature: Signature) -> tuple[str, ...]:
     return tuple(name for name, unit in units.items() if unit == "rad" and "rad/s" in units.values())
 
 
-def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: Iterable[Feature] = ()) -> Library:
+def mechanical(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
     """Build the functions of an equation of motion with angles: gravity, turned forces, centrifugal forces, quotients.
 
     They are linear functions; of one angle a: sin a, cos a, their product; every input and every rate times each of
@@ -33,7 +33,6 @@ def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: I
 
     Args:
         signature: names and units of states and inputs; rates are the states whose unit is one per second.
-        angles: states that are angles; by default those in rad, where there is a state in rad/s.
         dry: dry friction of rates, which is a force like any other.
     """
     units = list(zip(signature.state_names, signature.state_units, strict=True))
@@ -42,7 +41,7 @@ def mechanical(signature: Signature, angles: Iterable[str] | None = None, dry: I
     spun = [one * other for one, other in combinations_with_replacement(turning, 2)]
     inputs = [variable(name) for name in signature.input_names]
     functions: list[Feature] = [CONSTANT, *(variable(n) for n in (*signature.state_names, *signature.input_names))]
-    single: list[tuple[str, ...]] = [(name,) for name in (_angles_of(signature) if angles is None else angles)]
+    single: list[tuple[str, ...]] = [(name,) for name in _angles_of(signature)]
     pairs = [(*pair, word) for pair in combinations([angle[0] for angle in single], 2) for word in ("sum", "gap")]
     pulls = [_turned(name, *angle) for angle in (*single, *pairs) for name in ("sin", "cos")] if pairs else []
     functions += pulls
@@ -79,45 +78,38 @@ SPEEDS = frozenset(f"{unit}/s" for unit in ("rad", "mrad", "deg", "°", "m", "mm
 SLACK = 0.1
 """First guess of the input that a dead zone swallows."""
 LibraryBuilder = Callable[[Signature], Library]
+PITCH, ROTORS, RATES = "alpha_p", ("omega_a", "omega_p"), ("Omega_a", "Omega_p")
+"""States of twin rotors: the pitch angle [rad], x2 of the paper, the speeds of the tail and the main rotor [rpm], and
+the azimuth and the pitch rate [rad/s]."""
 
 
 def _variables(signature: Signature) -> tuple[str, ...]:
     return (*signature.state_names, *signature.input_names)
 
 
-def paper_table(signature: Signature, angle: str = "alpha_p") -> Library:
-    """Build the library of the paper's Xi table: 1; z; z cos a; z^2 sin a; sin a; cos a.
+def paper_table(signature: Signature) -> Library:
+    """Build the library of the paper's Xi table: 1; z; z cos a; z^2 sin a; sin a; cos a, a the pitch angle [rad].
 
     Args:
         signature: names of states and inputs, z = (x, u); 27 functions for six states and two inputs.
-        angle: state a, the pitch angle x2 of the paper [rad].
     """
-    z, c, s = [variable(n) for n in _variables(signature)], of("cos", angle), of("sin", angle)
+    z, c, s = [variable(n) for n in _variables(signature)], of("cos", PITCH), of("sin", PITCH)
     return Library(signature, [CONSTANT, *z, *(f * c for f in z), *(f * f * s for f in z), s, c])
 
 
-def paper_equation(signature: Signature, angle: str = "alpha_p") -> Library:
+def paper_equation(signature: Signature) -> Library:
     """Build the library of the paper's equation of Theta(X, U): z; z cos a; z^2 sin a; sin z; cos z.
 
     Args:
         signature: names of states and inputs, z = (x, u); 40 functions for six states and two inputs.
-        angle: state a, the pitch angle x2 of the paper [rad].
     """
     names = _variables(signature)
-    z, c, s = [variable(n) for n in names], of("cos", angle), of("sin", angle)
+    z, c, s = [variable(n) for n in names], of("cos", PITCH), of("sin", PITCH)
     trigonometric = [of(f, n) for f in ("sin", "cos") for n in names]
     return Library(signature, [*z, *(f * c for f in z), *(f * f * s for f in z), *trigonometric])
 
 
-def rotor(
-    signature: Signature,
-    angle: str = "alpha_p",
-    rotors: Sequence[str] = ("omega_a", "omega_p"),
-    rates: Sequence[str] = ("Omega_a", "Omega_p"),
-    reaction: bool = False,
-    friction: bool = False,
-    cable: bool = False,
-) -> Library:
+def rotor(signature: Signature, reaction: bool = False, friction: bool = False, cable: bool = False) -> Library:
     """Build the library of a beam with two rotors, with the functions that each equation may use.
 
     A rotor's speed w is driven by its input against drag in w, |w|, w|w|, w^2 (two branches). The pitch rate has
@@ -126,28 +118,25 @@ def rotor(
 
     Args:
         signature: names of states and inputs; the inputs are in the order of the rotors.
-        angle: pitch angle a [rad].
-        rotors: speeds of the tail and the main rotor [rpm], in this order.
-        rates: azimuth and pitch rate [rad/s], in this order.
         reaction: whether the angles (a cable), the rotors' torques and their gyroscopic moments act on the beam too,
             as on the Feedback rig.
         friction: whether the beam's bearings have dry friction, tanh(rate / width), whose widths are fitted.
         cable: whether a cable pulls the azimuth to an angle of its own, as a spring.
     """
-    c, s, rate_a, rate_p = of("cos", angle), of("sin", angle), *(variable(n) for n in rates)
+    c, s, rate_a, rate_p = of("cos", PITCH), of("sin", PITCH), *(variable(n) for n in RATES)
     thrust, drag = {}, {}
-    for name, control in zip(rotors, signature.input_names, strict=True):
+    for name, control in zip(ROTORS, signature.input_names, strict=True):
         w, size = variable(name), of("abs", name)
         # w|w| stands before w^2 and w before |w|: of functions that the data cannot tell apart the first one stays.
         thrust[name] = [w * size, w * w]
         drag[name] = [CONSTANT, variable(control), w, size, *thrust[name]]
-    tail, main = rotors
+    tail, main = ROTORS
     u_tail, u_main = (variable(n) for n in signature.input_names)
     pitch = [CONSTANT, c, s, rate_p, u_tail, *thrust[main], rate_a * rate_a * s * c]
     torques = [rate_a, s * c * rate_a * rate_p, u_main * c, *(f * c for f in thrust[tail])]
-    dry_a, dry_p = ([of("tanh", rate, frequency=DRY, fitted=True)] if friction else [] for rate in rates)
+    dry_a, dry_p = ([of("tanh", rate, frequency=DRY, fitted=True)] if friction else [] for rate in RATES)
     pitch, torques = [*pitch, *dry_p], [*torques, *dry_a]
-    inertia = of("per_cos2", angle, frequency=3.0, fitted=True)
+    inertia = of("per_cos2", PITCH, frequency=3.0, fitted=True)
     azimuth_angle = variable(signature.state_names[0])
     if cable:
         torques += [azimuth_angle, CONSTANT]
@@ -162,7 +151,7 @@ def rotor(
         pitch += swapped
         drag[tail] += pitch
         drag[main] += [f * c * inertia for f in torques]
-    allowed = {rates[0]: [f * inertia for f in torques], rates[1]: pitch, **drag}
+    allowed = {RATES[0]: [f * inertia for f in torques], RATES[1]: pitch, **drag}
     basics = [CONSTANT, *(variable(n) for n in _variables(signature))]
     return Library(signature, [*basics, *(f for group in allowed.values() for f in group)], allowed)
 
@@ -176,12 +165,7 @@ def polynomial(
         signature: names of states and inputs.
         degree: highest total degree.
         variables: states and inputs to use; all by default.
-
-    Raises:
-        ValueError: the degree is below 1.
     """
-    if degree < 1:
-        raise ValueError(f"polynomial library got degree {degree}; allowed is 1 or more: raise it")
     names = tuple(variables) if variables is not None else _variables(signature)
     groups = (group for total in range(degree + 1) for group in combinations_with_replacement(names, total))
     return Library(signature, (Feature.of(f for n in group for f in variable(n).factors) for group in groups))
@@ -198,18 +182,13 @@ def fourier(
         signature: names of states and inputs.
         n_frequencies: number of harmonics.
         variables: states and inputs to use; all by default.
-
-    Raises:
-        ValueError: there is no harmonic.
     """
-    if n_frequencies < 1:
-        raise ValueError(f"fourier library got {n_frequencies} harmonics; allowed is 1 or more: raise it")
     names = tuple(variables) if variables is not None else _variables(signature)
     harmonics = range(1, n_frequencies + 1)
     return Library(signature, (of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")))
 
 
-def friction(signature: Signature, rates: Iterable[str] | None = None) -> Library:
+def friction(signature: Signature) -> Library:
     """Build linear functions, and dry friction that may be another in each direction, as Coulomb's and Stribeck's.
 
     Of a rate v: tanh(v / width), which is full beyond a small rate; the same times exp(-(v / slip)^2), which is gone
@@ -217,12 +196,10 @@ def friction(signature: Signature, rates: Iterable[str] | None = None) -> Librar
     the sign, that of the other is their difference. Both widths are fitted.
 
     Args:
-        signature: names of states and inputs.
-        rates: states that friction opposes; by default those whose unit is one per second, all if there is none.
+        signature: names of states and inputs; rates are states whose unit is one per second, all if there is none.
     """
-    if rates is None:
-        units = zip(signature.state_names, signature.state_units, strict=True)
-        rates = [name for name, unit in units if unit.endswith("/s")] or signature.state_names
+    units = zip(signature.state_names, signature.state_units, strict=True)
+    rates = [name for name, unit in units if unit.endswith("/s")] or signature.state_names
     functions = [CONSTANT, *(variable(n) for n in _variables(signature))]
     for rate in rates:
         scale = signature.x_scale[signature.state_index(rate)]
@@ -232,17 +209,15 @@ def friction(signature: Signature, rates: Iterable[str] | None = None) -> Librar
     return Library(signature, functions)
 
 
-def dead_zone(signature: Signature, inputs: Iterable[str] | None = None) -> Library:
+def dead_zone(signature: Signature) -> Library:
     """Build linear functions, and two bends of each input u: max(0, u - p) and max(0, u + q), p and q fitted.
 
     A dead zone from -q to p is u + q + max(0, u - p) - max(0, u + q); a saturation has the opposite signs.
 
     Args:
         signature: names of states and inputs.
-        inputs: inputs with a dead zone, by default all.
     """
-    names = signature.input_names if inputs is None else tuple(inputs)
-    bends = [of("hinge", u, frequency=edge, fitted=True) for u in names for edge in (SLACK, -SLACK)]
+    bends = [of("hinge", u, frequency=edge, fitted=True) for u in signature.input_names for edge in (SLACK, -SLACK)]
     return Library(signature, [CONSTANT, *(variable(n) for n in _variables(signature)), *bends])
 
 

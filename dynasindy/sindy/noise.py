@@ -15,12 +15,9 @@ from dynasindy.systems.transitions import Transitions
 
 
 def repetition(error: Tensor, mask: Tensor, joined: Tensor) -> float:
-    """Return how many samples stand for one witness, 1 or more; correlations count until the first that is negative.
+    """Return how many samples stand for one witness, 1 or more, of what a model leaves over, `(W, L, n_x)`.
 
-    Args:
-        error: what a model leaves over in windows, `(W, L, n_x)`.
-        mask: 1 where a state was measured, else 0, `(W, L, n_x)`.
-        joined: whether a window continues the one before, bool `(W,)`.
+    Correlations count until the first that is negative.
     """
     chains = _chains(error * mask, joined)
     length = chains.shape[1]
@@ -44,15 +41,10 @@ def _chains(values: Tensor, joined: Tensor) -> Tensor:
 
 
 def news(rows: Tensor, seen: Tensor, joined: Tensor, rho: Tensor) -> Tensor:
-    """Return what errors, or their slopes, hold that did not follow from the sample before, `(W, L, n_x, C)`.
+    """Return what errors and slopes, `(W, L, n_x, C)`, hold that did not follow from the sample before.
 
-    A sample without a measured one before it counts by its own size, as one of a process that has run for long.
-
-    Args:
-        rows: errors and slopes, `(W, L, n_x, C)`; zero where not measured.
-        seen: 1 where a state was measured, else 0, `(W, L, n_x)`.
-        joined: whether a window continues the one before, bool `(W,)`.
-        rho: part of an error that is left a sample later, `(n_x,)`.
+    `rho` `(n_x,)` is the part of an error that is left a sample later. A sample without a measured one before it counts
+    by its own size, as one of a process that has run for long.
     """
     before, follows = _before(rows, seen, joined)
     part = rho.unsqueeze(-1)
@@ -60,13 +52,7 @@ def news(rows: Tensor, seen: Tensor, joined: Tensor, rho: Tensor) -> Tensor:
 
 
 def remaining(error: Tensor, seen: Tensor, joined: Tensor) -> Tensor:
-    """Estimate which part of an error is left a sample later, `(n_x,)`, 0 or more and below 1.
-
-    Args:
-        error: what a model leaves over, `(W, L, n_x)`.
-        seen: 1 where a state was measured, else 0, `(W, L, n_x)`.
-        joined: whether a window continues the one before, bool `(W,)`.
-    """
+    """Estimate which part of an error, `(W, L, n_x)`, is left a sample later, `(n_x,)`, 0 or more and below 1."""
     before, follows = _before((error * seen).unsqueeze(-1), seen, joined)
     last, now = before.squeeze(-1) * follows, error * follows
     count = seen.sum((0, 1)).clamp_min(2)

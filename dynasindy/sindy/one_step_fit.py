@@ -24,13 +24,7 @@ asks for: a step times that rate is as small, and there are `MOST` of them at mo
 
 
 def _steps_in(data: Transitions, library: Library, xi: Tensor) -> int:
-    """Return into how many Runge-Kutta steps an interval of a recording is divided.
-
-    Args:
-        data: transitions.
-        library: candidate functions.
-        xi: coefficients of the model that moves the states, `(n_features, n_x)`.
-    """
+    """Return into how many Runge-Kutta steps an interval of a recording is divided."""
     wanted = max(1, math.ceil(data.dt / LONGEST_STEP - 1e-9))
     if wanted <= MOST_STEPS:
         return wanted
@@ -45,15 +39,8 @@ def refine_one_step(
 
     Each round makes one Gauss-Newton step with all active coefficients; from the same linear model coefficients
     are dropped, least missed first, while the Bayesian criterion gains. When neither the support nor the
-    coefficients move, functions outside the model are reconsidered.
-
-    Args:
-        library: candidate functions.
-        xi: first estimate, `(n_features, n_x)`.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        data: transitions.
-        tolerance: error of a one-step prediction, relative to the change over the step, that is taken as exact.
-        max_rounds: limit on the rounds.
+    coefficients move, functions outside the model are reconsidered. An error of `tolerance` times the change over a
+    step is taken as exact.
 
     Returns:
         The library with its shapes, and coefficients, `(n_features, n_x)`.
@@ -115,13 +102,6 @@ def one_step_covariance(
     """Return the covariance of the coefficients of least one-step error, numbers inside functions unknown as well.
 
     It is None where nothing was estimated, or a number in it is not finite.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        free: coefficients that were estimated, bool `(n_features, n_x)`.
-        data: transitions, in the order of time.
-        tolerance: error of a one-step prediction, relative to the change over the step, that is taken as exact.
     """
     data, parameters = data.to(torch.float64), Parameters.where((xi != 0) & free)
     floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
@@ -133,13 +113,7 @@ def one_step_covariance(
 
 
 def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
-    """Return the part of each state's change from sample to sample that a prediction of it misses (RMS).
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        data: transitions.
-    """
+    """Return the part of each state's change from sample to sample that a prediction of it misses (RMS)."""
     data = data.to(torch.float64)
     predicted = moved(generate(library, xi), data.x, data.u, data.dt, _steps_in(data, library, xi))
     parts = (data.x_next - predicted).norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
@@ -149,22 +123,14 @@ def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str
 def _linear_model(
     library: Library, xi: Tensor, parameters: Parameters, data: Transitions, floor: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Linearise the one-step prediction error, each state weighted by its error.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        parameters: coefficients to differentiate by, P of them.
-        data: transitions, float64.
-        floor: error of each state below which it is not weighted further, `(n_x,)`.
+    """Linearise the one-step prediction error, each state weighted by its error, but not beyond `floor` `(n_x,)`.
 
     Returns:
         J with columns of unit norm, of the shapes and the coefficients, `(N n_x, S + P)`; J xi + error, `(N n_x, 1)`;
         the norms, `(S + P,)`.
     """
     propagator = Propagator(library, xi, parameters, library.shapes)
-    start = propagator.start(len(data))
-    predicted, s = propagator.advance(data.x, start, data.u, data.dt, _steps_in(data, library, xi))
+    predicted, s = propagator.transfer(data.x, data.u, data.dt, _steps_in(data, library, xi))
     error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
     rows = (jacobian * weight.unsqueeze(-1)).flatten(0, 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -90,12 +89,7 @@ class RegressionData:
 
 
 def rate_states(library: Library, constraints: Constraints) -> dict[int, int]:
-    """Return which state is known to be the rate of which other one, by their positions: `{rate: state}`.
-
-    Args:
-        library: candidate functions.
-        constraints: what is known of the equations.
-    """
+    """Return which state is known to be the rate of which other one, by their positions: `{rate: state}`."""
     found = {}
     for i, fitted in enumerate(constraints.free.any(0).tolist()):
         if fitted:
@@ -108,29 +102,8 @@ def rate_states(library: Library, constraints: Constraints) -> dict[int, int]:
     return found
 
 
-def lag_signals(library: Library, constraints: Constraints) -> dict[str, str]:
-    """Return the states that only follow, as a' = k (s - a), each with the state or input s that it follows.
-
-    Args:
-        library: candidate functions.
-        constraints: what is known of the equations.
-    """
-    found, used = {}, constraints.free | (constraints.offset != 0)
-    counts = used.sum(0).tolist()
-    for i, name in enumerate(library.signature.state_names):
-        factors = [*library.features[int(used[:, i].int().argmax())].factors] if counts[i] == 1 else []
-        if [factor.function for factor in factors] == ["ahead"] and factors[0].variables[1] == name:
-            found[name] = factors[0].variables[0]
-    return found
-
-
 def settle_lag_states(data: Transitions, followers: Mapping[int, int]) -> Transitions:
-    """Return a recording in which states that follow another one are equal to it, as they are at rest.
-
-    Args:
-        data: the recording.
-        followers: which state follows which other one, `{follower: state}`.
-    """
+    """Return a recording in which states that follow another one are equal to it, as they are at rest."""
     if not followers:
         return data
     x, x_next = data.x.clone(), data.x_next.clone()
@@ -195,13 +168,6 @@ def simulate_hidden_states(
 
     The rate of a measured state is seen in that state, and stays as it was reconstructed. What is seen moves evenly
     from sample to sample. Each stretch begins where the guess does.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients of the first model, `(n_features, n_x)`.
-        data: the recording, NaN where a state was not measured.
-        guess: the same, as far as it can be guessed without a model.
-        rates: which state is the rate of which other one, `{rate: state}`.
     """
     unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
     hidden = unseen.clone()
@@ -225,39 +191,6 @@ def simulate_hidden_states(
 
 def _led(field: Field, lead: Tensor, x: Tensor, u: Tensor) -> Tensor:
     return field(x, u) + lead
-
-
-def start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
-    """Return a recording in which states that follow another one begin each stretch where a first model needs them.
-
-    From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
-    it acts on: the part is what they tell by least squares.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients of the first model, `(n_features, n_x)`.
-        guess: the recording, with a guess of each state that begins at rest.
-        followers: which state follows which other one, `{follower: state}`.
-    """
-    field, ends = generate(library, xi), [guess.x.clone(), guess.x_next.clone()]
-    places = torch.arange(len(guess))
-    seconds = (places - torch.where(guess.begins(), places, 0).cummax(0).values).double() * guess.dt
-    for follower in followers:
-        others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
-        offs = [torch.zeros_like(end) for end in ends]
-        for k, off in enumerate(offs):
-            off[:, follower] = torch.exp(-float(xi[:, follower].sum()) * (seconds + k * guess.dt))
-        rates = [field(end, guess.u)[:, others] for end in ends]
-        moved = [field(end + off, guess.u)[:, others] for end, off in zip(ends, offs, strict=True)]
-        slope = 0.5 * (moved[0] - rates[0] + moved[1] - rates[1])
-        left = (ends[1] - ends[0])[:, others] / guess.dt - 0.5 * (rates[0] + rates[1])
-        weight = 1 / left.square().mean(0).clamp_min(1e-300)
-        for segment in guess.segment.unique().tolist():
-            mine = guess.segment == segment
-            part = float((slope * left * weight)[mine].sum() / (slope.square() * weight)[mine].sum().clamp_min(1e-300))
-            for end, off in zip(ends, offs, strict=True):
-                end[mine] += (part if math.isfinite(part) else 0.0) * off[mine]
-    return replace(guess, x=ends[0], x_next=ends[1])
 
 
 def interpolate_gaps(column: Array) -> Array | None:

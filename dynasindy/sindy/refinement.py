@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal
 
 from torch import Tensor
 
 from dynasindy.limits import Count
 from dynasindy.progress import report_progress
-from dynasindy.sindy import one_step_fit as one_step
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.covariance import Covariance, of_rates
+from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import (
     delay_and_trim,
     estimate_delay,
@@ -25,12 +25,12 @@ from dynasindy.sindy.delay import (
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.one_step_fit import refine_one_step
-from dynasindy.sindy.reconstruction import DelayedRecording, RegressionData, find_missing_rates, has_gaps, rate_states
+from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step
+from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates, has_gaps, rate_states
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means
 from dynasindy.sindy.shape_parameters import fit_shapes
-from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
-from dynasindy.sindy.trajectory_fit import WORSE, TrajectoryFit, few_steps, refine_trajectory, trajectory_error_ratio
+from dynasindy.sindy.shooting import Descent, Flow, RunsAway, shooting_covariance
+from dynasindy.sindy.trajectory_fit import WORSE, few_steps, refine_trajectory, trajectory_error_ratio
 from dynasindy.systems.transitions import Transitions
 
 AGAIN = 3
@@ -102,21 +102,17 @@ class Refinement:
     correlated: bool | None = None
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ValueError(f"refinement got method {self.method!r}; allowed are {', '.join(METHODS)}: choose one")
-        if self.error not in (None, *ERRORS):
-            raise ValueError(f"refinement got error {self.error!r}; allowed are {', '.join(ERRORS)}: choose one")
-        if not 0 <= self._longest < math.inf:
-            raise ValueError(f"refinement got longest_delay {self.longest_delay} s; allowed is 0 or more, or null")
-        if self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
+        if self.method not in METHODS or self.error not in (None, *ERRORS):
             raise ValueError(
-                f"refinement got rounds {self.rounds}, tolerance {self.tolerance}, window {self.window}; allowed are "
-                "rounds >= 0, tolerance > 0, window >= 1: correct them"
+                f"refinement got method {self.method!r} and error {self.error!r}; allowed are {', '.join(METHODS)}, "
+                f"and {', '.join(ERRORS)}: choose one"
             )
-
-    @property
-    def _longest(self) -> float:
-        return self.longest_delay or 0.0
+        known = 0 <= (self.longest_delay or 0.0) < math.inf
+        if not known or self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
+            raise ValueError(
+                f"refinement got longest_delay {self.longest_delay}, rounds {self.rounds}, tolerance {self.tolerance}, "
+                f"window {self.window}; allowed are longest_delay >= 0 or null, rounds >= 0, tolerance > 0, window >= 1"
+            )
 
     def run(
         self,
@@ -142,89 +138,22 @@ class Refinement:
         if longest is None:
             longest, rough = self._reach(first, constraints, data, guess)
             longest, rough = max(longest, FARTHER * late), rough or late
-        settings = replace(self, longest_delay=longest)
+        rates = rate_states(library, constraints)
+
+        def _fit(longest: float) -> _Fit:
+            return _Fit(self, longest, constraints, DelayedRecording.of(data, guess, rates, longest))
+
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
         lacking = find_missing_rates(library, delay_and_trim(data, rough)) if longest else []
         if not lacking:
-            return settings._run(first, constraints, data, guess, rough)
+            return _fit(longest).run(first, rough)
         # A delay would stand for the rate that is missing.
         note = (
             f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
             "which the log lacks"
         )
-        alone = replace(self, longest_delay=0.0)._run(first, constraints, data, guess)
+        alone = _fit(0.0).run(first)
         return alone._replace(notes=(*alone.notes, note))
-
-    def _run(
-        self, first: Model, constraints: Constraints, data: Transitions, guess: Transitions, late: float = 0.0
-    ) -> Refined:
-        """Return what was found; the search for a delay begins at `late` [s], by a regression where that is 0."""
-        library, coefficients = first
-        recording = DelayedRecording.of(data, guess, rate_states(library, constraints), self._longest)
-        brief = recording.brief(self._longest)
-        delay = late or self._rough(library, coefficients, constraints, brief)
-        if delay and self.method in ("integral", "one_step"):
-            library, coefficients = self._regressed(library, coefficients, constraints, brief.seen(delay))
-            delay = self._regressed_delay(delay, (library, coefficients), constraints, brief)
-        found = self._regressed(library, coefficients, constraints, brief.seen(delay))
-        raw, hidden = recording, not bool(found[1].any()) and self.method in ("auto", "trajectory")
-        if hidden and not bool(data.x.isnan().any()):  # noise of single samples may hide every function
-            recording, found = self._smoothed(found, constraints, recording, delay)
-        if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
-            return Refined(*found, delay)
-        method, noisy, notes = self._chosen(*found, data, raw.guessed(delay))
-        left = None
-        if method == "one_step":
-            found = refine_one_step(*found, constraints.free, recording.guessed(delay), self.tolerance)
-            left = one_step.one_step_errors(*found, recording.guessed(delay))
-        known = self._certainty(method, found, constraints, recording, delay)
-        refined = Refined(*found, delay, covariance=known, missed=left)
-        if method == "trajectory":
-            if noisy and not hidden:
-                recording, found = self._smoothed(found, constraints, recording, delay)
-            refined = self._by_trajectories(found, delay, constraints, recording)
-        return refined.with_notes(notes, self._longest, data.dt)
-
-    def _smoothed(
-        self, found: Model, constraints: Constraints, recording: DelayedRecording, delay: float
-    ) -> tuple[DelayedRecording, Model]:
-        """Return a recording as one whose samples are noisy, and what regressions find in it."""
-        smooth = recording.smoothed(found[0].step)
-        return smooth, self._regressed(*found, constraints, smooth.brief(self._longest).seen(delay))
-
-    def _certainty(
-        self, method: str, found: Model, constraints: Constraints, recording: DelayedRecording, delay: float
-    ) -> Covariance | None:
-        """Return how well coefficients are known that regressions or single steps have found, if there are any."""
-        if method == "trajectory" or not bool(found[1].any()):
-            return None
-        if method == "one_step":
-            return one_step.one_step_covariance(*found, constraints.free, recording.guessed(delay), self.tolerance)
-        rows = recording.brief(self._longest).seen(delay).rows(found[0], generate(*found))
-        return of_rates(found[1], constraints.free, *rows)
-
-    def _rough(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, recording: DelayedRecording
-    ) -> float:
-        """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
-        if not self._longest:
-            return 0.0
-        field, dt = generate(library, coefficients), recording.data.dt
-        return estimate_delay(constraints.free, lambda d: recording.seen(d).rows(library, field), dt, self._longest)
-
-    def _regressed_delay(
-        self, rough: float, found: Model, constraints: Constraints, recording: DelayedRecording
-    ) -> float:
-        """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
-        field, data = generate(*found), recording.data
-
-        def _cost(trial: float) -> float:
-            return unexplained(constraints.free, *recording.seen(trial).rows(found[0], field))
-
-        fine = refine_delay(
-            rough, data.dt, self._longest, math.log(max(len(data), 2)), _cost, found[0].step is not None
-        )
-        return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _reach(
         self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
@@ -249,23 +178,104 @@ class Refinement:
             farthest, best = search_range(constraints.free, partial(_rows, read=read, several=several), least)
         return farthest * data.dt, best * data.dt
 
-    def _by_trajectories(
-        self, first: Model, rough: float, constraints: Constraints, recording: DelayedRecording
-    ) -> Refined:
+
+@dataclass(frozen=True)
+class _Fit:
+    """Refine a model by the settings on a recording.
+
+    Attributes:
+        settings: those of the refinement.
+        longest: longest delay that is looked for [s].
+        constraints: what is known of the equations.
+        recording: what is fitted to.
+    """
+
+    settings: Refinement
+    longest: float
+    constraints: Constraints
+    recording: DelayedRecording
+
+    def run(self, first: Model, late: float = 0.0) -> Refined:
+        """Return what was found; the search for a delay begins at `late` [s], by a regression where that is 0."""
+        data, wanted, fit = self.recording.data, self.settings.method, self
+        delay = late or self._rough(first)
+        if delay and wanted in ("integral", "one_step"):
+            first = self._regressed(first, delay)
+            delay = self._regressed_delay(delay, first)
+        found = self._regressed(first, delay)
+        hidden = not bool(found[1].any()) and wanted in ("auto", "trajectory")
+        if hidden and not bool(data.x.isnan().any()):  # noise of single samples may hide every function
+            fit, found = self._smoothed(found, delay)
+        if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
+            return Refined(*found, delay)
+        method, noisy, notes = self._chosen(*found, delay)
+        left = known = None
+        guess, free = fit.recording.guessed(delay), self.constraints.free
+        if method == "one_step":
+            found = refine_one_step(*found, free, guess, self.settings.tolerance)
+            left = one_step_errors(*found, guess)
+        if method != "trajectory" and bool(found[1].any()):
+            if method == "one_step":
+                known = one_step_covariance(*found, free, guess, self.settings.tolerance)
+            else:
+                known = of_rates(found[1], free, *fit._brief.seen(delay).rows(found[0], generate(*found)))
+        refined = Refined(*found, delay, covariance=known, missed=left)
+        if method == "trajectory":
+            if noisy and not hidden:
+                fit, found = fit._smoothed(found, delay)
+            refined = fit._by_trajectories(found, delay)
+        return refined.with_notes(notes, self.longest, data.dt)
+
+    @cached_property
+    def _brief(self) -> DelayedRecording:
+        """Return enough of the recording for a regression."""
+        return self.recording.brief(self.longest)
+
+    def _smoothed(self, found: Model, delay: float) -> tuple[_Fit, Model]:
+        """Return the fit to a recording as one whose samples are noisy, and what regressions find in it."""
+        fit = replace(self, recording=self.recording.smoothed(found[0].step))
+        return fit, fit._regressed(found, delay)
+
+    def _rough(self, found: Model) -> float:
+        """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
+        if not self.longest:
+            return 0.0
+        brief, field = self._brief, generate(*found)
+        return estimate_delay(
+            self.constraints.free, lambda d: brief.seen(d).rows(found[0], field), brief.data.dt, self.longest
+        )
+
+    def _regressed_delay(self, rough: float, found: Model) -> float:
+        """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
+        brief, field = self._brief, generate(*found)
+
+        def _cost(trial: float) -> float:
+            return unexplained(self.constraints.free, *brief.seen(trial).rows(found[0], field))
+
+        fine = self._refined_delay(rough, found, brief.data, _cost)
+        return rough if abs(fine - rough) < ALIKE * brief.data.dt else fine
+
+    def _refined_delay(self, rough: float, found: Model, data: Transitions, cost: Callable[[float], float]) -> float:
+        """Return the delay of least cost in fractions of a sample, in whole ones of a difference equation [s]."""
+        worth, whole = math.log(max(len(data), 2)), found[0].step is not None
+        return refine_delay(rough, data.dt, self.longest, worth, cost, whole)
+
+    def _by_trajectories(self, first: Model, rough: float) -> Refined:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
-        descent = Descent(min(self.window, int(recording.known.sum())), correlated=bool(self.correlated))
+        settings = self.settings
+        descent = Descent(min(settings.window, int(self.recording.known.sum())), correlated=bool(settings.correlated))
         kinds = {
             "simulation": descent,
             "coloured": replace(descent, coloured=True),
-            "prediction": replace(descent, joined=False, correlated=self.correlated is not False),
+            "prediction": replace(descent, joined=False, correlated=settings.correlated is not False),
         }
-        error = self.error or ("auto" if self.method == "auto" else "simulation")
+        error = settings.error or ("auto" if settings.method == "auto" else "simulation")
         if error != "auto":
-            return self._in_turn(first, rough, constraints, recording, kinds[error])
+            return self._in_turn(first, rough, kinds[error])
         whole: Refined | None = None
         try:
-            found = self._in_turn(first, rough, constraints, recording, descent, HOPELESS)
-            ratio = _strain(found[:2], found.delay, constraints.free, recording, descent)
+            found = self._in_turn(first, rough, descent, HOPELESS)
+            ratio = self._strain(found[:2], found.delay, descent)
         except RunsAway:
             why = "one simulation through all samples runs away"
         else:
@@ -275,7 +285,7 @@ class Refinement:
             if not math.isfinite(ratio[worst]):
                 why = "a fit of one simulation through all samples leaves no function"
             elif float(ratio[worst]) <= WORSE:
-                pieces = int(recording.data.begins().sum())
+                pieces = int(self.recording.data.begins().sum())
                 over = "of each of its stretches between gaps, " if pieces > 1 else ""
                 note = (
                     f"the model follows the log in one simulation {over}from its first sample to its last: the error "
@@ -293,95 +303,84 @@ class Refinement:
             f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why} "
             "(error=prediction)"
         )
-        found = self._in_turn(first, rough, constraints, recording, kinds["prediction"])
+        found = self._in_turn(first, rough, kinds["prediction"])
         return found._replace(notes=(note, *found.notes), in_pieces=True, aside=whole)
 
-    def _in_turn(
-        self,
-        found: Model,
-        delay: float,
-        constraints: Constraints,
-        recording: DelayedRecording,
-        descent: Descent,
-        hopeless: float = math.inf,
-    ) -> Refined:
+    def _in_turn(self, found: Model, delay: float, descent: Descent, hopeless: float = math.inf) -> Refined:
         """Return the model that trajectories tell, and the delay, fitted in turn with it.
 
         Turns end where one trajectory strays more than `hopeless` times: no other delay mends that.
         """
-        free = constraints.free
+        free, recording = self.constraints.free, self.recording
 
-        def _fitted(found: Model, delay: float) -> TrajectoryFit:
+        def _fitted(found: Model, delay: float) -> Flow:
             return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
 
-        if self._longest:
-            delay = self._fine(delay, found, free, recording, descent)
-            found = self._regressed(*found, constraints, recording.brief(self._longest).seen(delay))
-        fitted = _fitted(found, delay)
+        if self.longest:
+            delay = self._fine(delay, found, descent)
+            found = self._regressed(found, delay)
+        flow = _fitted(found, delay)
         # The equations that were chosen tell the delay better than those they were chosen from.
-        for _ in range(AGAIN if self._longest else 0):
-            last, delay = delay, self._fine(delay, fitted[:2], free, recording, descent)
+        for _ in range(AGAIN if self.longest else 0):
+            last, delay = delay, self._fine(delay, _model(flow), descent)
             if abs(delay - last) < 0.02 * recording.data.dt:
                 break
-            if hopeless < math.inf and bool((_strain(fitted[:2], last, free, recording, descent) > hopeless).any()):
+            if hopeless < math.inf and bool((self._strain(_model(flow), last, descent) > hopeless).any()):
                 delay = last
                 break
-            fitted = _fitted(fitted[:2], delay)
-        notes = _shortened(fitted.window, descent.window)
-        return Refined(*fitted[:2], delay, notes, covariance=shooting_covariance(fitted.flow))
+            flow = _fitted(_model(flow), delay)
+        notes: tuple[str, ...] = ()
+        if flow.windows.length != descent.window:
+            long, short = f"simulations of {descent.window} samples", f"pieces of {flow.windows.length}"
+            notes = (f"the model runs away in {long}, so the fit simulates the log in {short}",)
+        return Refined(*_model(flow), delay, notes, covariance=shooting_covariance(flow))
 
-    def _fine(self, delay: float, found: Model, free: Tensor, recording: DelayedRecording, descent: Descent) -> float:
+    def _fine(self, delay: float, found: Model, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s].
 
         Equations without functions tell none.
         """
         if not bool(found[1].any()):
             return delay
-        report_progress("fit", note=f"trying delays of the inputs up to {self._longest:g} s")
-        few, data = replace(descent, max_rounds=STEPS), recording.data
+        report_progress("fit", note=f"trying delays of the inputs up to {self.longest:g} s")
+        few, recording = replace(descent, max_rounds=STEPS), self.recording
 
         def _cost(trial: float) -> float:
-            return few_steps(*found, free, recording.measured(trial), few, recording.guessed(trial).x)[0]
+            measured, start = recording.measured(trial), recording.guessed(trial).x
+            return few_steps(*found, self.constraints.free, measured, few, start)[0]
 
-        worth, whole = math.log(max(len(data), 2)), found[0].step is not None
-        return refine_delay(delay, data.dt, self._longest, worth, _cost, whole)
+        return self._refined_delay(delay, found, recording.data, _cost)
 
-    def _chosen(
-        self, library: Library, coefficients: Tensor, data: Transitions, guess: Transitions
-    ) -> tuple[str, bool, tuple[str, ...]]:
+    def _strain(self, found: Model, delay: float, descent: Descent) -> Tensor:
+        measured, start = self.recording.measured(delay), self.recording.guessed(delay).x
+        return trajectory_error_ratio(*found, self.constraints.free, measured, descent, start)
+
+    def _chosen(self, library: Library, coefficients: Tensor, delay: float) -> tuple[str, bool, tuple[str, ...]]:
         """Return the method for these data, whether samples look noisy, and what is to be said of a choice."""
+        method, data = self.settings.method, self.recording.data
         unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
         names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
         if names:
             return "trajectory", False, (COMPARED.format(f"not all of {', '.join(names)} was measured"),)
-        noisy = self.method != "integral" and looks_noisy(library, coefficients, guess)
-        if self.method != "auto":
-            return self.method, noisy, ()
+        noisy = method != "integral" and looks_noisy(library, coefficients, self.recording.guessed(delay))
+        if method != "auto":
+            return method, noisy, ()
         if noisy:
             return "trajectory", True, (COMPARED.format("the errors of single steps look like noise of the sensors"),)
         return "one_step", False, (STEPWISE,)
 
-    def _regressed(
-        self, library: Library, coefficients: Tensor, constraints: Constraints, seen: RegressionData
-    ) -> Model:
+    def _regressed(self, found: Model, delay: float) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
-        regression = Regression(method="bic", tolerance=self.tolerance, dependent=seen.dependent)
-        for _ in range(self.rounds):
+        (library, coefficients), seen, settings = found, self._brief.seen(delay), self.settings
+        free, offset = self.constraints.free, self.constraints.offset
+        regression = Regression(method="bic", tolerance=settings.tolerance, dependent=seen.dependent)
+        for _ in range(settings.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
             sums.add(seen.rows(library, generate(library, coefficients)))
-            coefficients = regression.solve(sums, constraints.free, constraints.offset, seen.shares(library))
-            library, coefficients = fit_shapes(library, coefficients, constraints.free, seen.rows, self.tolerance)
+            coefficients = regression.solve(sums, free, offset, seen.shares(library))
+            library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
 
 
-def _strain(found: Model, delay: float, free: Tensor, recording: DelayedRecording, descent: Descent) -> Tensor:
-    return trajectory_error_ratio(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
-
-
-def _shortened(window: int, wanted: int) -> tuple[str, ...]:
-    """Say that windows are shorter than they were wanted, if so."""
-    if window == wanted:
-        return ()
-    return (
-        f"the model runs away in simulations of {wanted} samples, so the fit simulates the log in pieces of {window}",
-    )
+def _model(flow: Flow) -> Model:
+    return flow.estimate.library, flow.estimate.xi

@@ -26,7 +26,7 @@ IDLE = 1e-12
 def _least_missed(
     triangle: Tensor, n: int, removable: Tensor | None = None, dependent: float = DEPENDENT
 ) -> tuple[int, float]:
-    """Find the column whose removal lets the squared residual grow least; a dependent column is free to go.
+    """Find the removable column whose removal lets the squared residual grow least; a dependent column is free to go.
 
     Args:
         triangle: R of [columns, target], `(n + 1, n + 1)` or taller.
@@ -163,11 +163,6 @@ def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
 
     The midpoint is the cubic Hermite interpolant 0.5 (x_k + x_k+1) + dt/8 (f_k - f_k+1): fourth order instead of
     second, which is what data at the control period (0.05 s) need. Of a difference equation nothing is averaged.
-
-    Args:
-        library: `(x, u) -> (N, n_features)`.
-        field: first model `(x, u) -> dx`, `(N, n_x)`, with a `step` where it is a difference equation.
-        data: transitions, N rows.
     """
     data = data.to(torch.float64)
     if time_step_of(field) is not None:
@@ -182,10 +177,6 @@ def means(rows: Rows, count: int) -> Rows:
     """Return the means over so many rows that follow each other, for which equations hold as for single rows.
 
     Noise of samples all but cancels in rates of change that are averaged: its part in them falls as 1 / count.
-
-    Args:
-        rows: theta `(N, n_features)` and dx `(N, n_x)`.
-        count: rows in a mean, 1 or more; there are N + 1 - count of these, none of fewer rows.
     """
     if count == 1:
         return rows
@@ -260,8 +251,6 @@ class Regression:
         threshold: lambda of the paper, for `stlsq`; it acts on coefficients of columns of unit norm.
         normalize: `two_norm` (PySINDy's rule; weakens as samples accumulate) or `rms` (the same rule at 1000 samples,
             whatever their number).
-        scale_targets: whether the threshold is relative to the root-mean-square rate of change of each state.
-        max_iterations: limit of `stlsq`.
         tolerance: residual, relative to the rate of change, below which `bic` takes a fit as exact.
         dependent: part of a function that others leave over, below which `bic` takes it as one of them.
     """
@@ -269,8 +258,6 @@ class Regression:
     method: Literal["stlsq", "bic"] = "stlsq"
     threshold: float = 0.9
     normalize: Literal["two_norm", "rms"] = "two_norm"
-    scale_targets: bool = False
-    max_iterations: int = 20
     tolerance: float = 1e-5
     dependent: float = DEPENDENT
 
@@ -280,16 +267,15 @@ class Regression:
         Raises:
             ValueError: a word or a number is not allowed.
         """
-        if self.method not in ("stlsq", "bic"):
-            raise ValueError(f"regression got method {self.method!r}; allowed are stlsq, bic: choose one")
-        if self.normalize not in ("two_norm", "rms"):
-            raise ValueError(f"regression got normalize {self.normalize!r}; allowed are two_norm, rms: choose one")
-        if not self.threshold >= 0:
-            raise ValueError(f"regression got threshold {self.threshold}; allowed is 0 or more: the paper's is 0.9")
-        if not self.tolerance > 0 or self.max_iterations < 1:
+        if self.method not in ("stlsq", "bic") or self.normalize not in ("two_norm", "rms"):
             raise ValueError(
-                f"regression got tolerance {self.tolerance}, max_iterations {self.max_iterations}; allowed are "
-                "tolerance > 0 and max_iterations >= 1: correct them"
+                f"regression got method {self.method!r} and normalize {self.normalize!r}; allowed are stlsq or bic, "
+                "and two_norm or rms: choose one"
+            )
+        if not (self.threshold >= 0 and self.tolerance > 0):
+            raise ValueError(
+                f"regression got threshold {self.threshold} and tolerance {self.tolerance}; allowed are 0 or more (the "
+                "paper's is 0.9), and a number above 0"
             )
 
     def solve(self, sums: RunningSums, support: Tensor, offset: Tensor, share: Tensor | None = None) -> Tensor:
@@ -323,8 +309,7 @@ class Regression:
             return offset + free * rates / columns.unsqueeze(-1)
         threshold = self.threshold / math.sqrt(1000.0)
         threshold = threshold * math.sqrt(max(sums.count, 1)) if self.normalize == "rms" else self.threshold
-        limits = threshold * (rates / math.sqrt(max(sums.count, 1)) if self.scale_targets else torch.ones_like(rates))
-        return offset + stlsq(theta, targets, support, limits, self.max_iterations) / columns.unsqueeze(-1)
+        return offset + stlsq(theta, targets, support, threshold) / columns.unsqueeze(-1)
 
 
 def least_squares(theta: Tensor, target: Tensor) -> Tensor:
@@ -334,16 +319,8 @@ def least_squares(theta: Tensor, target: Tensor) -> Tensor:
     )
 
 
-def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_iterations: int = 20) -> Tensor:
-    """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
-
-    Args:
-        theta: columns of unit norm, `(M, n_features)`.
-        targets: `(M, n_x)`.
-        support: coefficients to begin with, bool `(n_features, n_x)`.
-        limits: smallest coefficient that stays, per target, `(n_x,)`.
-        max_iterations: limit on the refits of a target.
-    """
+def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float, max_iterations: int = 20) -> Tensor:
+    """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016); columns of unit norm."""
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     if everything := bool(support.all()):
         coefficients = least_squares(theta, targets)
@@ -351,7 +328,7 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limits: Tensor, max_i
         active = support[:, i].nonzero().squeeze(-1)
         xi = coefficients[:, i].clone() if everything else least_squares(theta[:, active], targets[:, i])
         for _ in range(max_iterations):
-            big = xi.abs() >= limits[i]
+            big = xi.abs() >= limit
             if bool(big.all()):
                 break
             active = active[big]
@@ -383,9 +360,6 @@ def _eliminate(
         tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
         dependent: part of a column that others leave over, below which it depends on them.
         share: standard deviation of each coefficient before the columns tell it, `(n_features,)`; none by default.
-
-    Returns:
-        Coefficients, `(n_features, n_x)`.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in range(targets.shape[1]):
@@ -445,13 +419,6 @@ def weak_form(theta: Theta, measured: Transitions, guess: Transitions, rates: Ma
     Whatever is done to the rates has to be done to the functions, or the fit explains the difference: a smoothed speed
     no longer jumps with its input. States that are the rate of a measured one enter by second differences of that.
 
-    Args:
-        theta: `(x, u) -> (N, n_features)`.
-        measured: the recording, NaN where a state was not measured.
-        guess: the same, the states that were not measured guessed.
-        rates: which state is the rate of which other one, `{rate: state}`.
-        half: half of the length of a bump [samples].
-
     Returns:
         Averaged functions, `(M, n_features)`, and averaged rates of change, `(M, n_x)`, M about N over `half / 4`.
 
@@ -508,11 +475,7 @@ TURNED = ("sin", "cos", "per_cos2")
 
 
 def shares(library: Library) -> Tensor:
-    """Return how many rates of change of its equation a term is likely to be, `(n_features,)`; infinite if not known.
-
-    Args:
-        library: candidate functions.
-    """
+    """Return how many rates of change of its equation a term may be, `(n_features,)`; infinite if not known."""
     factors = (factor for feature in library.features for factor in feature.factors)
     angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
     turned = [bool(angles & feature.variables) for feature in library.features]
@@ -522,15 +485,9 @@ def shares(library: Library) -> Tensor:
 def likely(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
     """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
 
-    It is infinite without a prior, for a function that is zero throughout, and for a state that does not move.
-
-    Args:
-        library: candidate functions.
-        xi: a first guess of the coefficients, `(n_features, n_x)`; the rates of change are those that it tells, or
-            those of the states, whichever are larger.
-        x: states before each transition, `(N, n_x)`, without NaN.
-        data: the recording, whose inputs and stretches are read.
-        window: samples over which rates of change of the states are taken, so that they are not of noise.
+    It is infinite without a prior, for a function that is zero throughout, and for a state that does not move. Rates of
+    change are those that a first guess xi tells at states `(N, n_x)`, or those of the states over a window of samples,
+    whichever are larger.
     """
     theta = library(x, data.u.to(x.dtype))
     rates = torch.maximum((theta @ xi).square().mean(0).sqrt(), _moved(x, data, window))

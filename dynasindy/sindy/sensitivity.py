@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.codegen import Constants, Writer
+from dynasindy.sindy.codegen import Writer
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Feature, Library
 from dynasindy.systems.steps import steps_of
@@ -30,7 +30,7 @@ class Slopes:
     """
 
     def __init__(self, library: Library, shapes: Sequence[Factor] = ()) -> None:
-        writer = _SlopeWriter(library)
+        writer = _SlopeWriter(library.signature)
         theta = [writer.feature(f) for f in library.features]
         self.by_state: list[tuple[int, int]] = []
         self.by_shape: list[tuple[int, int]] = []
@@ -50,9 +50,7 @@ class Slopes:
             "def slopes(x, u):\n    k, z = constants(x), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
             f"    ones, none = torch.ones_like(z[0]), x[..., :0]\n{body}    return {results}\n"
         )
-        scope: dict[str, object] = {"torch": torch, "constants": Constants(writer.constants), **writer.functions}
-        exec(compile(source, "<slopes of a library>", "exec"), scope)
-        self._compute = cast(Callable[[Tensor, Tensor], Values], scope["slopes"])
+        self._compute: Callable[[Tensor, Tensor], Values] = writer.compiled("slopes", source)
 
     def __call__(self, x: Tensor, u: Tensor) -> Values:
         """Return the functions, `(B, n_features)`, and the derivatives of `by_state` and of `by_shape`, `(B, ...)`."""
@@ -65,9 +63,6 @@ def _stacked(names: Sequence[str]) -> str:
 
 class _SlopeWriter(Writer):
     """Write functions and their derivatives, each once."""
-
-    def __init__(self, library: Library) -> None:
-        super().__init__(library.signature)
 
     def feature(self, feature: Feature) -> str:
         """Write a function."""
@@ -99,34 +94,25 @@ class _SlopeWriter(Writer):
         """Write the derivative of a factor, its power left out, by a variable."""
         if name not in factor.variables:
             return ""
-        base, slope = factor.base, function(factor.function).slope
+        known, base, place = function(factor.function), factor.base, factor.variables.index(name)
         if factor.function == "id":
             return (
-                self._line(("id", factor.frequency), f"ones * {factor.frequency!r}")
-                if factor.frequency != 1
-                else "ones"
+                "ones"
+                if factor.frequency == 1
+                else self._line(("id", factor.frequency), f"ones * {factor.frequency!r}")
             )
-        arguments = ", ".join(self.variable[v] for v in factor.variables)
-        if slope is not None and len(factor.variables) == 1 and function(factor.function).parametric:
-            self.functions[f"s_{factor.function}"] = slope
-            written = f"s_{factor.function}({arguments}, {factor.frequency!r})"
-            return self._line((base, "slope"), written)
-        slopes = function(factor.function).slopes
-        if slopes and (function(factor.function).parametric or factor.frequency == 1):
-            place = factor.variables.index(name)
-            number = f", {factor.frequency!r}" if function(factor.function).parametric else ""
-            self.functions[f"s{place}_{factor.function}"] = slopes[place]
-            return self._line((base, "by", name), f"s{place}_{factor.function}({arguments}{number})")
-        if slope is None or len(factor.variables) > 1:
+        slopes = known.slopes or ((known.slope,) if known.slope and len(factor.variables) == 1 else ())
+        arguments = [self.variable[v] for v in factor.variables]
+        if not slopes:
             key = f"d{len(self.functions)}_{factor.function}"
-            self.functions[key] = _tangent(base, factor.variables.index(name))
-            return self._line((base, "by", name), f"{key}({arguments})")
-        self.functions[f"s_{factor.function}"] = slope
-        inner = self._scaled(factor)[0]
-        written = self._line((base, "slope"), f"s_{factor.function}({inner})")
-        if factor.frequency == 1:
+            self.functions[key] = _tangent(base, place)
+            return self._line((base, "by", name), f"{key}({', '.join(arguments)})")
+        arguments = [*arguments, repr(factor.frequency)] if known.parametric else self._scaled(factor)
+        self.functions[f"s{place}_{factor.function}"] = slopes[place]
+        written = self._line((base, "by", name), f"s{place}_{factor.function}({', '.join(arguments)})")
+        if known.parametric or factor.frequency == 1:
             return written
-        return self._line((base, "scaled slope"), f"{written} * {factor.frequency!r}")
+        return self._line((base, "scaled by", name), f"{written} * {factor.frequency!r}")
 
     def _by_number(self, factor: Factor) -> str:
         key = f"n{len(self.functions)}_{factor.function}"
@@ -231,12 +217,6 @@ class Propagator:
         """Return the derivatives of the rates by the states, `(N, n_x, n_x)`."""
         return (self.slopes(x, u)[1] @ self.jacobian).unflatten(-1, (self.n_x, self.n_x))
 
-    def start(self, batch: int) -> Tensor:
-        """Return the sensitivities of start states by themselves, the shapes and the coefficients."""
-        s = torch.zeros(batch, self.n_x, self.n_x + len(self.shapes) + len(self.features), dtype=torch.float64)
-        s[:, :, : self.n_x] = torch.eye(self.n_x, dtype=torch.float64)
-        return s
-
     def transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
         """Return the states one sampling interval later, and their derivatives by what the interval begins with.
 
@@ -299,19 +279,9 @@ class Propagator:
             own[:, :, mine] = moved[:, :, state] @ theta[:, :, self.features[mine]]
         return x, torch.cat([*columns, own], -1)
 
-    def advance(self, x: Tensor, s: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
-        """Advance states and sensitivities `(B, n_x, n_x + S + P)` by one sampling interval of length dt [s]."""
-        end, moved = self.transfer(x, u, dt, substeps)
-        return end, chained(moved, s)
-
 
 def chained(moved: Tensor, s: Tensor) -> Tensor:
-    """Return the sensitivities after an interval of those before it, both `(B, n_x, n_x + S + P)`.
-
-    Args:
-        moved: derivatives of the end by the states at the beginning, the shapes and the coefficients.
-        s: derivatives of the states at the beginning by what began earlier.
-    """
+    """Return the sensitivities after an interval of those before it, both `(B, n_x, n_x + S + P)`."""
     n_x = moved.shape[1]
     after = moved[..., :n_x] @ s
     after[..., n_x:] += moved[..., n_x:]

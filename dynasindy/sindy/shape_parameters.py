@@ -27,13 +27,7 @@ def fit_shapes(
 ) -> tuple[Library, Tensor]:
     """Fit the numbers inside the fitted factors, and the active coefficients with them.
 
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`; those that are zero stay so.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        rows: averages functions and rates of change, given the functions and a first model.
-        tolerance: unexplained part of a rate of change that is taken as exact.
-        rounds: limit on Gauss-Newton steps.
+    `rows` averages functions and rates of change, given the functions and a first model.
 
     Returns:
         The library with its shapes, and coefficients, `(n_features, n_x)`.
@@ -67,12 +61,7 @@ def fit_shapes(
 
 
 def unmoved_shapes(library: Library, xi: Tensor) -> list[str]:
-    """Say which numbers inside functions that are used did not move from their first guesses, a sentence each.
-
-    Args:
-        library: candidate functions after a fit.
-        xi: coefficients of the fit, `(n_features, n_x)`.
-    """
+    """Say which numbers inside functions that are used did not move from their first guesses, a sentence each."""
     active = (xi != 0).any(-1).nonzero().flatten().tolist()
     used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
     still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
@@ -135,15 +124,7 @@ def one_quotient(library: Library, free: Tensor, rows: Callable[[Library], Rows]
     """Leave free in the equations what one angle turns, the angle whose quotients explain the rates of change best.
 
     A mass matrix has one determinant, by which all equations of the machine are divided. The functions of the angles
-    that are not chosen are left out, but for those of gravity.
-
-    Args:
-        library: candidate functions; of quotients, those whose number is fitted are compared.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        rows: Averages the functions of a library, `(N, n_features)`, and the rates of change, `(N, n_x)`.
-
-    Returns:
-        What stays free, bool `(n_features, n_x)`; all of it where there is one angle or none.
+    that are not chosen are left out, but for those of gravity. All stays free where there is one angle or none.
     """
     kept = {angle: free & own.unsqueeze(-1) for angle, own in of_one_angle(library).items()}
     if len(kept) < 2:
@@ -164,9 +145,6 @@ def of_one_angle(library: Library) -> dict[tuple[str, ...], Tensor]:
     """Return which functions an equation may have, by the angle of its quotients, bool `(n_features,)` each.
 
     They are those of that angle, those of gravity, and those of no angle; empty where the library has no quotients.
-
-    Args:
-        library: candidate functions.
     """
     angles = [_angle(shape) for shape in library.shapes if shape.function in QUOTIENTS]
     if not angles:

@@ -13,7 +13,7 @@ from torch import Tensor
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.noise import news, remaining
+from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator, chained
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
@@ -95,18 +95,12 @@ class Windows:
         return self.mask.shape[1]
 
 
-def choose_stretches(n: int, wanted: int, stretches: int = PIECES) -> Tensor:
-    """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one.
-
-    Args:
-        n: rows of the recording.
-        wanted: rows to choose.
-        stretches: how many stretches they lie in.
-    """
+def choose_stretches(n: int, wanted: int) -> Tensor:
+    """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one."""
     if n <= wanted:
         return torch.ones(n, dtype=torch.bool)
-    length = wanted // stretches
-    begins = torch.linspace(0, n - length, stretches).long()
+    length = wanted // PIECES
+    begins = torch.linspace(0, n - length, PIECES).long()
     chosen = torch.zeros(n, dtype=torch.bool)
     chosen[(begins.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     return chosen
@@ -123,6 +117,7 @@ class Descent:
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
         correlated: whether a coefficient must be worth the more, the longer errors last.
         coloured: whether errors of a trajectory are taken to last, as long as they do.
+        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
     """
 
     window: int
@@ -130,11 +125,7 @@ class Descent:
     max_rounds: int = 30
     correlated: bool = False
     coloured: bool = False
-
-    @property
-    def joins(self) -> bool:
-        """Tell whether windows may join."""
-        return self.joined is not False
+    price: float = 0.0
 
 
 EXACT = 1e-100
@@ -232,39 +223,10 @@ def _white(rows: Tensor, windows: Windows) -> Tensor:
     return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
 
-def error_growth(flow: Flow, farthest: float = math.inf) -> tuple[float, Tensor]:
-    """Follow an error of a start state along the windows that join, relative to the spreads of the states.
-
-    Args:
-        flow: what was integrated.
-        farthest: growth beyond which a window begins at a state of its own.
-
-    Returns:
-        The largest growth without such a beginning, and which windows continue the one before with it, bool `(W,)`.
-    """
-    nodes, windows = flow.estimate.nodes, flow.windows
-    spread = nodes.std(0, correction=0).clamp_min(1e-12)
-    whole, part, largest, joined = torch.eye(len(spread), dtype=nodes.dtype), None, 0.0, windows.joined.clone()
-    for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
-        whole = step @ whole if windows.joined[j] else step
-        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
-        longer = step @ part if part is not None and windows.joined[j] else step
-        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= farthest)
-        part = longer if joined[j] else step
-    return largest, joined
-
-
 def relative_step(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
     """Return the length of an interval by the time of the fastest motion of a model: its rate times `dt`.
 
     A difference equation does not move within its steps, so that it is 0, however fast the equation is.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        x: states that occur, `(N, n_x)`.
-        u: inputs there, `(N, n_u)`.
-        dt: length of an interval [s].
     """
     if library.step is not None or not bool(xi.any()):
         return 0.0
@@ -274,12 +236,7 @@ def relative_step(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float)
 
 
 def substeps_for(turn: float, turned: float = FINE) -> int:
-    """Return into how many Runge-Kutta steps an interval is divided.
-
-    Args:
-        turn: what `relative_step` returned.
-        turned: the same of a step that is wanted.
-    """
+    """Return into how many steps an interval is divided so that a step is `turned` long, see `relative_step`."""
     return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
 
 
@@ -294,12 +251,6 @@ def _free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> 
 
     A unit is held by a coefficient that is given, as a known equation has, and by a function that is no power, as a
     sine or a bend at a given level. Units of several hidden states may be free only together.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        free: which of them were fitted, bool `(n_features, n_x)`; others are given.
-        unseen: states that no sensor sees, bool `(n_x,)`.
 
     Returns:
         Scales, `(D, n_x)`, D of them, and the exponents of the coefficients for each, `(D, n_features, n_x)`.
@@ -319,14 +270,7 @@ def _free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> 
 
 
 def states_without_scale(library: Library, xi: Tensor, free: Tensor, data: Transitions) -> tuple[str, ...]:
-    """Return the names of the hidden states whose unit nothing tells.
-
-    Args:
-        library: candidate functions.
-        xi: coefficients, `(n_features, n_x)`.
-        free: which of them were fitted, bool `(n_features, n_x)`; others are given.
-        data: the recording, NaN where a state was not measured.
-    """
+    """Return the names of the hidden states whose unit nothing tells."""
     unseen = data.x.isnan().all(0) & data.x_next.isnan().all(0)
     if not bool(unseen.any()):
         return ()
@@ -346,12 +290,6 @@ def _scale_constraints(exponents: Tensor, xi: Tensor, rows: Tensor, places: tupl
     """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`.
 
     Nothing measured depends on such a change, so the fit of everything else is the same with them.
-
-    Args:
-        exponents: of the coefficients, `(D, n_features, n_x)`.
-        xi: coefficients, `(n_features, n_x)`.
-        rows: slopes by the F fixed unknowns and the P coefficients, and errors, `(M, F + P + 1)`.
-        places: rows and columns of the coefficients in Xi, `(P,)` both.
     """
     features, states = places
     count = len(features)
@@ -398,15 +336,13 @@ class Linearised:
 def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     """Take all windows with their sensitivities and eliminate the nodes that continue a window.
 
-    Args:
-        flow: the trajectories.
-        sigma: error of each state, `(n_x,)`, the weights; from the errors themselves if omitted.
+    `sigma` `(n_x,)`, the weights, are the errors of each state, by default those of the trajectories.
 
     Raises:
         RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
     """
     if sigma is None:
-        _require_bounded(flow)
+        require_bounded(flow)
         sigma = flow.sigma()
     rows, moves, errors, cost = _rows(flow, sigma)
     parameters = flow.parameters
@@ -421,9 +357,6 @@ def shooting_covariance(flow: Flow) -> Covariance | None:
     """Return the covariance of the coefficients of trajectories that fit best, starts and shapes unknown as well.
 
     It is None where nothing is estimated, or the model runs away.
-
-    Args:
-        flow: the trajectories.
     """
     if not len(flow.parameters) or bool(flow.lost().any()):
         return None
@@ -493,12 +426,7 @@ def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
 
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
-    """Return the cost of a trial, as in `linearise_windows`. No slopes are computed: only a better trial needs them.
-
-    Args:
-        flow: trajectories of the trial.
-        sigma: error of each state, the weights.
-    """
+    """Return the cost of a trial, as in `linearise_windows`. No slopes are computed: only a better trial needs them."""
     if bool(flow.windows.joined.any()):
         return _errors_of_joined(flow, sigma)[1]
     error, seen = _errors(flow)
@@ -578,18 +506,6 @@ def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
     return held
 
 
-def lasting_of(estimate: Estimate, windows: Windows) -> Tensor:
-    """Return which part of an error of each state is left a sample later, `(n_x,)`, by what a trajectory leaves over.
-
-    Args:
-        estimate: coefficients and nodes.
-        windows: the recording.
-    """
-    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
-    _require_bounded(flow)
-    return remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
-
-
 def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
     """Return what a gap of each state is weighed against; of one that no sensor sees, by the errors of the others."""
     spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
@@ -598,7 +514,7 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
     return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
 
 
-def _require_bounded(flow: Flow) -> None:
+def require_bounded(flow: Flow) -> None:
     if bool((lost := flow.lost()).any()):
         raise RunsAway(
             f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
@@ -637,13 +553,9 @@ def _gaps(flow: Flow) -> Tensor:
 
 
 def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: float = 0.0) -> Estimate:
-    """Solve the linear model over the kept unknowns and move coefficients, shapes and nodes accordingly.
+    """Solve the linear model over the kept unknowns, the others zero, and move coefficients, shapes and nodes.
 
-    Args:
-        flow: the trajectories.
-        model: their linear model.
-        kept: places of the unknowns that move; the others become zero.
-        damping: of Levenberg and Marquardt.
+    `damping` is that of Levenberg and Marquardt.
 
     Raises:
         RunsAway: the linear model is not finite.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -13,7 +12,7 @@ from torch import Tensor
 from dynasindy.progress import report_progress
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.noise import repetition
+from dynasindy.sindy.noise import remaining, repetition
 from dynasindy.sindy.regression import likely, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
@@ -29,28 +28,21 @@ from dynasindy.sindy.shooting import (
     Windows,
     choose_stretches,
     cost_of,
-    error_growth,
-    lasting_of,
     left_over,
     linearise_windows,
     move,
     relative_step,
+    require_bounded,
     substeps_for,
 )
 from dynasindy.systems.transitions import Transitions
 
 
 def _drop_quotient(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
-    """Return coefficients in which a quotient is left out, its terms standing without it; None where that cannot be.
+    """Return coefficients in which a quotient of `library.shapes` is left out, its terms standing without it.
 
-    It cannot be where the number is one of another function, where it is not in use, or where a term has no free
-    coefficient without the quotient.
-
-    Args:
-        library: candidate functions, with the numbers inside them as they were found.
-        xi: coefficients, `(n_features, n_x)`.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        place: place of the quotient among the fitted numbers, `library.shapes`.
+    None where that cannot be: where the number is one of another function, where it is not in use, or where a term
+    has no free coefficient without the quotient.
     """
     shape, found = library.shapes[place], xi.clone()
     if shape.function not in QUOTIENTS:
@@ -75,39 +67,21 @@ TRIES = 10
 """Sets of functions that are tried at most."""
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """Say what a coefficient must be worth, and how many steps are made.
-
-    Attributes:
-        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
-        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
-        correlated: whether it must be worth the more, the longer errors last.
-    """
-
-    price: float
-    max_rounds: int
-    correlated: bool = False
-
-    def at(self, errors: Tensor, windows: Windows) -> float:
-        """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
-        return self.price * repetition(errors, windows.mask, windows.joined) if self.correlated else self.price
+def _worth(descent: Descent, errors: Tensor, windows: Windows) -> float:
+    """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
+    return descent.price * repetition(errors, windows.mask, windows.joined) if descent.correlated else descent.price
 
 
-def price(n: int, free: Tensor) -> float:
+def _price(n: int, free: Tensor) -> float:
     """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
 
     The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
     Chen 2008).
-
-    Args:
-        n: transitions.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
     """
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
-def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits: _Limits) -> Estimate:
+def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
     What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
@@ -119,14 +93,14 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits
     least, fewest = math.inf, 0
     for _ in range(TRIES):
         try:
-            flow, model = _descended(flow, limits)
+            flow, model = _descended(flow, descent)
         except RunsAway:
             if best is None:
                 raise
             break
         if model is None:
             break
-        limit, left = limits.at(model.errors, windows), left_over(model, windows)
+        limit, left = _worth(descent, model.errors, windows), left_over(model, windows)
         if best is not None and 2 * (left - least) + limit * (len(flow.parameters) - fewest) >= 0:
             flow, model = best
             support = flow.parameters.support(free.shape)
@@ -143,7 +117,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits
         wider = replace(flow, parameters=active + others)
         model = linearise_windows(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
-        better = reconsider(model.triangle, n_fixed, active, others, limits.at(model.errors, windows))
+        better = reconsider(model.triangle, n_fixed, active, others, _worth(descent, model.errors, windows))
         if better is None:
             break
         kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
@@ -155,43 +129,43 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, limits
     for place in range(len(found.library.shapes)):
         simple = _drop_quotient(found.library, found.xi, free, place)
         if simple is not None:
-            found = _cheaper(found, replace(found, xi=simple), free, windows, limits)
+            found = _cheaper(found, replace(found, xi=simple), free, windows, descent)
     return found
 
 
-def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, limits: _Limits) -> Estimate:
+def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Estimate:
     """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
     with suppress(RunsAway):
-        simple, support = descend(simple, (simple.xi != 0) & free, windows, limits)
+        simple, support = _descend(simple, (simple.xi != 0) & free, windows, descent)
         flows = (Flow.of(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
         (before, full), (after, _) = ((left_over(model, windows), model) for model in map(linearise_windows, flows))
-        if bool(support.any()) and 2 * (after - before) <= limits.at(full.errors, windows):
+        if bool(support.any()) and 2 * (after - before) <= _worth(descent, full.errors, windows):
             return simple
     return estimate
 
 
-def descend(estimate: Estimate, support: Tensor, windows: Windows, limits: _Limits) -> tuple[Estimate, Tensor]:
+def _descend(estimate: Estimate, support: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Tensor]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
-    flow = _descended(Flow.of(estimate, Parameters.where(support), windows), limits)[0]
+    flow = _descended(Flow.of(estimate, Parameters.where(support), windows), descent)[0]
     return flow.estimate, flow.parameters.support(support.shape)
 
 
-def _descended(flow: Flow, limits: _Limits) -> tuple[Flow, Linearised | None]:
+def _descended(flow: Flow, descent: Descent) -> tuple[Flow, Linearised | None]:
     """Return the trajectories after that, and the linear model there; none where no coefficient is left."""
     before: tuple[Flow, Linearised] | None = None
     model: Linearised | None = None
     left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
     while len(flow.parameters):
         try:
-            flow, model = settle(flow, limits.max_rounds, enough, model)
+            flow, model = _settle(flow, descent.max_rounds, enough, model)
         except RunsAway:
             if before is None:
                 raise
             return before
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
-            return settle(before[0], limits.max_rounds, MOVES_LITTLE, before[1])
-        limit, n_fixed = limits.at(model.errors, windows), len(model.scale) - len(flow.parameters)
+            return _settle(before[0], descent.max_rounds, MOVES_LITTLE, before[1])
+        limit, n_fixed = _worth(descent, model.errors, windows), len(model.scale) - len(flow.parameters)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
             if enough == MOVES_LITTLE:
@@ -221,23 +195,13 @@ def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
     return next((trial for trial in trials if not (len(chosen) and bool(trial.lost().any()))), None)
 
 
-def _converge(
-    estimate: Estimate, parameters: Parameters, windows: Windows, max_rounds: int, enough: float = MOVES_LITTLE
-) -> Estimate:
-    """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`."""
-    return settle(Flow.of(estimate, parameters, windows), max_rounds, enough)[0].estimate
-
-
-def settle(
+def _settle(
     flow: Flow, max_rounds: int, enough: float = MOVES_LITTLE, model: Linearised | None = None
 ) -> tuple[Flow, Linearised]:
-    """Return the trajectories after the steps of `_converge`, and the linear model there.
+    """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`.
 
-    Args:
-        flow: trajectories to begin with.
-        max_rounds: limit on the steps.
-        enough: part of the cost that a step gains, below which steps end.
-        model: the linear model of `flow`, if it is known.
+    Returns:
+        The trajectories after them, and the linear model there; `model` is that of `flow`, if it is known.
     """
     damping, parameters, windows = 0.0, flow.parameters, flow.windows
     model = model or linearise_windows(flow)
@@ -279,38 +243,13 @@ NEGLIGIBLE = 1e-6
 """Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
 
-class TrajectoryFit(NamedTuple):
-    """Hold the library with its shapes, coefficients `(n_features, n_x)`, the length of the windows, and their flow."""
-
-    library: Library
-    coefficients: Tensor
-    window: int
-    flow: Flow
-
-    @classmethod
-    def of(cls, found: Estimate, free: Tensor, windows: Windows) -> TrajectoryFit:
-        """Return what was found in windows, with their trajectories."""
-        flow = Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
-        return cls(found.library, found.xi, windows.length, flow)
-
-
 def refine_trajectory(
-    library: Library,
-    xi: Tensor,
-    free: Tensor,
-    data: Transitions,
-    descent: Descent,
-    start: Tensor | None = None,
-) -> TrajectoryFit:
+    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor | None = None
+) -> Flow:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
-    Args:
-        library: candidate functions.
-        xi: first estimate, `(n_features, n_x)`.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        data: transitions in segments that are long against the window, NaN where a state was not measured.
-        descent: how they are fitted.
-        start: guess of the states before each transition, `(N, n_x)`; the measured ones if omitted.
+    Segments are to be long against the window. `start` is a guess of the states before each transition, `(N, n_x)`; the
+    measured ones by default.
 
     Raises:
         RunsAway: the model runs away within the shortest of windows.
@@ -319,37 +258,39 @@ def refine_trajectory(
     guess = data.x if start is None else start.to(torch.float64)
     joined = descent.joined
     some = choose_stretches(len(data), ENOUGH)
-    part, limits = data.select(some), _Limits(price(int(some.sum()), free), descent.max_rounds, descent.correlated)
+    part, descent = data.select(some), replace(descent, price=_price(int(some.sum()), free))
     first = Estimate(library, xi, guess[some])
     found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
-    if descent.coloured:
-        return _refine_coloured(found, free, windows, (data, guess), limits, descent)
-    may_begin_anew = joined is None
+    may_begin_anew = joined is None and not descent.coloured
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
     if may_begin_anew and not seen:
         windows = replace(windows, joined=_grows(found, windows)[1])
     if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search_functions(found, free, alone, limits)
+        own = _search_functions(found, free, alone, descent)
         windows = replace(windows, joined=_grows(own, windows)[1])
-        found = _search_functions(own, free, windows, limits)
+        found = _search_functions(own, free, windows, descent)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined, may_begin_anew = own, False, False
     else:
-        found = _search_functions(found, free, windows, limits)
+        found = _search_functions(found, free, windows, descent)
+    if descent.coloured:  # errors of a first guess last whatever the plant does
+        found, windows = _in_turn(found, free, windows, descent)
     if bool(some.all()):
-        found, windows = _finely(found, free, windows, limits)
+        found, windows = (found, windows) if descent.coloured else _finely(found, free, windows, descent)
     else:
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
-        if may_begin_anew:
+        if descent.coloured:
+            windows = _lasting(whole, windows)
+        elif may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
-        found, _ = descend(whole, support, windows, replace(limits, price=price(len(data), free)))
-    return TrajectoryFit.of(found, free, windows)
+        found, _ = _descend(whole, support, windows, replace(descent, price=_price(len(data), free)))
+    return Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
 
 
-def _finely(found: Estimate, free: Tensor, windows: Windows, limits: _Limits) -> tuple[Estimate, Windows]:
+def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Windows]:
     """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
     support = (found.xi != 0) & free
     if not bool(support.any()):
@@ -358,38 +299,44 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, limits: _Limits) ->
     if wanted <= windows.substeps:
         return found, windows
     windows = replace(windows, substeps=wanted)
-    return descend(found, support, windows, limits)[0], windows
+    return _descend(found, support, windows, descent)[0], windows
 
 
-def _refine_coloured(
-    found: Estimate,
-    free: Tensor,
-    windows: Windows,
-    whole: tuple[Transitions, Tensor],
-    limits: _Limits,
-    descent: Descent,
-) -> TrajectoryFit:
+def _lasting(estimate: Estimate, windows: Windows) -> Windows:
+    """Return the windows with the part of an error that is left a sample later, as trajectories tell it."""
+    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
+    require_bounded(flow)
+    lasting = remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
+    return replace(windows, lasting=lasting)
+
+
+def _in_turn(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Windows]:
     """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
-    data, guess = whole
-    found = _search_functions(found, free, windows, limits)  # errors of a first guess last whatever the plant does
     for _ in range(TURNS):
-        windows = replace(windows, lasting=lasting_of(found, windows))
-        last, found = found, _search_functions(found, free, windows, limits)
+        windows = _lasting(found, windows)
+        last, found = found, _search_functions(found, free, windows, descent)
         if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
             ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
         ):
             break
-    if len(data) > ENOUGH:
-        support = (found.xi != 0) & free
-        found, windows = _grown(replace(found, nodes=guess), support, data, descent)
-        windows = replace(windows, lasting=lasting_of(found, windows))
-        found, _ = descend(found, support, windows, replace(limits, price=price(len(data), free)))
-    return TrajectoryFit.of(found, free, windows)
+    return found, windows
 
 
 def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
-    """Return how much small errors grow, and which windows join if they may not grow beyond all measure."""
-    return error_growth(Flow.of(estimate, Parameters.where(estimate.xi != 0), windows), FARTHEST)
+    """Return how much an error of a start grows along windows that join, relative to the spreads of the states.
+
+    Beside it are the windows that continue the one before if it may not grow beyond all measure, bool `(W,)`.
+    """
+    flow = Flow.of(estimate, Parameters.where(estimate.xi != 0), windows)
+    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    whole, part, largest, joined = torch.eye(len(spread), dtype=spread.dtype), None, 0.0, windows.joined.clone()
+    for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
+        whole = step @ whole if windows.joined[j] else step
+        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
+        longer = step @ part if part is not None and windows.joined[j] else step
+        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= FARTHEST)
+        part = longer if joined[j] else step
+    return largest, joined
 
 
 def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
@@ -404,20 +351,13 @@ def few_steps(
 ) -> tuple[float, Estimate, Tensor | None]:
     """Return N/2 log of the squared errors that a few steps leave, summed, their estimate, and errors by window.
 
-    There are no errors by window, `(W, n_x)`, where the model runs away in windows of the wanted length.
-
-    Args:
-        library: candidate functions.
-        xi: first estimate, `(n_features, n_x)`; its support stays.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        data: the recording.
-        descent: how many steps, over which windows.
-        start: guess of the states before each transition, `(N, n_x)`.
+    There are no errors by window, `(W, n_x)`, where the model runs away in windows of the wanted length. The support of
+    `xi` stays, and `start` is a guess of the states before each transition, `(N, n_x)`.
     """
     some = choose_stretches(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
-    flow, model = settle(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
+    flow, model = _settle(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
     errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
     return left_over(model, windows), flow.estimate, errors
 
@@ -430,14 +370,6 @@ def trajectory_error_ratio(
     With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
     noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays; it is
     infinite where no function is left.
-
-    Args:
-        library: candidate functions.
-        xi: what was found, `(n_features, n_x)`; its support stays.
-        free: coefficients that may be estimated, bool `(n_features, n_x)`.
-        data: the recording, NaN where a state was not measured.
-        descent: how many steps, over which windows.
-        start: guess of the states before each transition, `(N, n_x)`.
     """
     some = choose_stretches(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
@@ -447,7 +379,7 @@ def trajectory_error_ratio(
     if not bool(data.x_next.isnan().any()):
         windows = replace(windows, joined=_grows(first, windows)[1])
     alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
-    ends = (settle(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
+    ends = (_settle(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
     error, own = (end.sigma() for end in ends)
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
@@ -460,12 +392,7 @@ def _grown(
 ) -> tuple[Estimate, Windows]:
     """Return windows of the wanted length, or as long as there are, and an estimate that does not run away in them.
 
-    Args:
-        estimate: first estimate; its nodes are a guess of the states before each transition, `(N, n_x)`.
-        support: coefficients in the model.
-        data: the recording.
-        descent: wanted length, whether the windows join, and the limit on the steps of each length.
-        turned: Runge-Kutta step times the fastest rate of the model.
+    The nodes of the first estimate are a guess of the states before each transition, `(N, n_x)`.
     """
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
@@ -473,7 +400,7 @@ def _grown(
     prior = likely(estimate.library, estimate.xi, guess, data, length)
 
     def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
-        windows = replace(Windows.of(data, length, descent.joins, substeps), likely=prior)
+        windows = replace(Windows.of(data, length, descent.joined is not False, substeps), likely=prior)
         trial = replace(found, nodes=guess[windows.rows])
         return trial, windows, bool(Flow.of(trial, parameters, windows).lost().any())
 
@@ -482,7 +409,7 @@ def _grown(
         length = max(SHORTEST, length // LEAPS[0])
         trial, windows, lost = _cut(estimate, length)
     while length < descent.window:
-        trial = _converge(trial, parameters, windows, descent.max_rounds)
+        trial = _settle(Flow.of(trial, parameters, windows), descent.max_rounds)[0].estimate
         guess = guess.index_copy(0, windows.rows, trial.nodes)
         longer = [min(leap * length, descent.window) for leap in LEAPS]
         cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))

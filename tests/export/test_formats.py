@@ -32,9 +32,9 @@ def test_numpy_takes_all_functions_of_the_rotors(rotors):
 def test_the_file_for_casadi_runs_and_computes_the_equations(pendulum_model):
     pytest.importorskip("casadi", reason="CasADi is not installed: pip install -e '.[export]'")
     scope = {}
-    exec(compile(casadi_source(pendulum_model(delay=0.1), "pendulum"), "model.py", "exec"), scope)
+    exec(compile(casadi_source(pendulum_model(delay=0.1)), "model.py", "exec"), scope)
     function = scope["function"]()
-    assert function.name() == "pendulum" and scope["DELAY"] == 0.1 and scope["STATES"] == ("theta", "Omega")
+    assert function.name() == "model" and scope["DELAY"] == 0.1 and scope["STATES"] == ("theta", "Omega")
     for *x, u in POINTS:
         np.testing.assert_allclose(np.array(function(x, u)).ravel(), by_hand(x, u), rtol=1e-12)
 

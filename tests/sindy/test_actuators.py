@@ -180,9 +180,3 @@ def test_only_its_own_input_is_held_back_and_where_a_segment_begins_is_not_known
     found, known = Actuator(1, "rate limit", 1.0).acts(data)
     assert found.u.tolist() == [[0, 0.25], [1, 0.5], [1, 1], [1, 0.75]]
     assert known.tolist() == [False, True, True, False]
-
-
-@pytest.mark.parametrize(("kind", "size"), [("hysteresis", 1.0), ("play", 0.0), ("lag", float("nan"))])
-def test_what_is_no_actuator_is_refused(kind, size):
-    with pytest.raises(ValueError, match="play"):
-        Actuator(0, kind, size)

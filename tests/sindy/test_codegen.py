@@ -11,7 +11,7 @@ from dynasindy.sindy.codegen import generate, machine
 from dynasindy.sindy.functions import register_function, unregister_function
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.named_libraries import build_library
-from dynasindy.systems import Tras, integrate
+from dynasindy.systems import Diverged, Tras, integrate
 from dynasindy.systems.base import Signature
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.steps import Stops
@@ -82,7 +82,7 @@ def test_derivatives_by_states_and_inputs_are_those_of_the_sum():
 def test_coefficients_that_are_not_finite_get_one_line(value):
     xi = torch.zeros(2, 2, dtype=torch.float64)
     xi[1, 0] = value
-    with pytest.raises(ValueError, match=f"{value} of u"):
+    with pytest.raises(Diverged, match=f"{value} of u"):
         generate(Library(SIGNATURE, [CONSTANT, variable("u")]), xi)
 
 

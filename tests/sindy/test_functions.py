@@ -10,11 +10,10 @@ from dynasindy.sindy.functions import (
     _REGISTRY,
     FORMULA_FUNCTIONS,
     FunctionError,
-    formula_texts,
     function,
     register_formula,
     register_function,
-    unregister_formulas,
+    unregister_function,
 )
 from dynasindy.sindy.library import Library, of, parse
 from dynasindy.systems import Signature
@@ -152,12 +151,12 @@ def test_a_file_replaces_no_function_and_leaves_none_behind_if_it_is_damaged(tmp
     model = SindyModel(signature, Library(signature, [parse("softened(x)")]))
     model.coefficients = torch.tensor([[1.0]], dtype=torch.float64)
     model.save(tmp_path / "model.json")
-    unregister_formulas(["softened"])
+    unregister_function("softened")
     register_function("softened", torch.relu)
     with pytest.raises(ValueError, match="softened"):
         SindyModel.load(tmp_path / "model.json")
     assert function("softened").compute(torch.tensor(-2.0)).item() == 0.0
-    unregister_formulas(["softened"])
+    unregister_function("softened")
     (tmp_path / "model.json").write_text((tmp_path / "model.json").read_text().replace('"x_scale"', '"scale"'))
     with pytest.raises(ValueError, match="damaged"):
         SindyModel.load(tmp_path / "model.json")
@@ -224,9 +223,9 @@ def test_a_function_of_python_serves_a_file_of_its_formula_and_no_other(tmp_path
         register_formula("flow", "{0} / 3")
 
 
-def test_a_formula_that_no_file_may_hold_is_left_out():
-    register_function("cubed", lambda z: z**3, formula="{0} ** 3")
-    assert formula_texts(["cubed", "sin"]) == {}
+def test_a_formula_that_no_file_may_hold_is_refused():
+    with pytest.raises(ValueError, match="cubed"):
+        register_function("cubed", lambda z: z**3, formula="{0} ** 3")
 
 
 def test_a_formula_of_two_arguments_says_where_it_gets_another_number():

@@ -7,12 +7,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import Regression, SindyModel
-from dynasindy.sindy.input_nonlinearity import (
-    InputNonlinearity,
-    _classify_nonlinearity,
-    find_missing_nonlinearity,
-    read_nonlinearity,
-)
+from dynasindy.sindy.actuators import InputNonlinearity, find_missing_nonlinearity, read_nonlinearity
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -31,7 +26,9 @@ SIGNATURE = Signature(("v",), ("m/s",), ("u",), (1.0,))
     ],
 )
 def test_what_is_flat_between_its_edges_is_a_dead_zone_and_what_is_flat_outside_a_saturation(edges, slopes, expected):
-    assert _classify_nonlinearity("u", edges, slopes) == expected
+    model = SindyModel(SIGNATURE, ["u", *(f"max(0, u - {edge})" for edge in edges)])
+    model.set_coefficients(torch.tensor(np.diff(slopes, prepend=0.0)).unsqueeze(-1))
+    assert read_nonlinearity(model, 0, "u") == expected
 
 
 @pytest.mark.parametrize("product", [False, True])

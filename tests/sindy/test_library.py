@@ -228,12 +228,12 @@ def test_a_given_coefficient_is_no_longer_estimated():
 @pytest.mark.parametrize(
     ("knowledge", "said"),
     [
-        ({"known": {"c": "b"}}, "world_model.known names c"),
+        ({"known": {"c": "b"}}, "world_model.known: state 'c'"),
         ({"known": {"a": "c"}}, "world_model.known.a: function 'c'"),
         ({"allowed": {"b": ["cos(a)"]}}, "world_model.allowed.b: function 'cos(a)'"),
-        ({"allowed": {"u": ["a"]}}, "world_model.allowed names u"),
+        ({"allowed": {"u": ["a"]}}, "world_model.allowed: state 'u'"),
         ({"fixed": {"b": {"b^2": 1.0}}}, "world_model.fixed.b: function 'b^2'"),
-        ({"fixed": {"c": {"b": 1.0}}}, "world_model.fixed names c"),
+        ({"fixed": {"c": {"b": 1.0}}}, "world_model.fixed: state 'c'"),
     ],
 )
 def test_knowledge_of_names_that_do_not_exist_is_refused(knowledge, said):
@@ -248,7 +248,7 @@ def test_knowledge_of_names_that_do_not_exist_is_refused(knowledge, said):
             {"b": {"a": 1.0, "sinh(a)": 0.1}},
             r"plant\.initial\.b: function 'sinh",
         ),
-        ({"c": {"a": 1.0}}, r"plant\.initial names c"),
+        ({"c": {"a": 1.0}}, r"plant\.initial: state 'c'"),
     ],
 )
 def test_a_first_guess_that_the_library_lacks_says_where_it_stands(initial, said):

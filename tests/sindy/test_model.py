@@ -161,11 +161,12 @@ def test_a_loaded_model_keeps_what_was_known_and_is_fitted_as_it_is_told(tmp_pat
     model = SindyModel(Xi().signature, "paper_table", known=KNOWN, fixed={"omega_p": {"u_p": 5e3}})
     model.fit_derivatives(*(points := _points()), Xi()(*points))
     model.save(tmp_path / "model.json")
-    again = SindyModel.load(tmp_path / "model.json", Regression("bic"))
+    again = SindyModel.load(tmp_path / "model.json")
+    again.regression = Regression("bic")
     again.fit_derivatives(*points, Xi()(*points) + 1.0)
     found = _found(again)
     assert {key: v for key, v in found.items() if key[0] in KNOWN} == dict.fromkeys(KNOWN.items(), 1.0)
-    assert found["omega_p", "u_p"] == 5e3 and again.regression.method == "bic"
+    assert found["omega_p", "u_p"] == 5e3
 
 
 class Nothing(Refinement):
@@ -397,9 +398,9 @@ def test_coefficients_that_are_not_finite_are_refused_by_all_code():
     found, (x, u) = model(), drawn()
     found.coefficients[2, 1] = torch.nan
     for _ in range(2):
-        with pytest.raises(ValueError, match="1 coefficients"):
+        with pytest.raises(Diverged, match="1 coefficients"):
             found.compiled(x, u)
-        with pytest.raises(ValueError, match="1 coefficients"):
+        with pytest.raises(Diverged, match="1 coefficients"):
             found(x, u)
 
 

@@ -10,7 +10,7 @@ from dynasindy.safe_io import DamagedFileError
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, parse, variable
-from dynasindy.sindy.model_file import FORMAT
+from dynasindy.sindy.model import FORMAT
 from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, Xi
 

@@ -47,28 +47,26 @@ static void stop(double x[N])
 @end
 @if difference
 /* Move states on under held inputs, by steps of the difference equation x + h f(x, u). */
-static void flow(double x[N], const double u[NU], double h, int steps)
-{
-    double k[N];
-    int i, s;
-    for (s = 0; s < steps; s++) {
-        rates(x, u, k);
-        for (i = 0; i < N; i++)
-            x[i] += h * k[i];
-@if stops
-        stop(x);
-@end
-    }
-}
 @end
 @if !difference
 /* Move states on under held inputs, by steps of the classical Runge-Kutta method of fourth order. */
+@end
 static void flow(double x[N], const double u[NU], double h, int steps)
 {
+@if difference
+    double k[N];
+@end
+@if !difference
     double k[N], sum[N], z[N];
+@end
     int i, s;
     for (s = 0; s < steps; s++) {
         rates(x, u, k);
+@if difference
+        for (i = 0; i < N; i++)
+            x[i] += h * k[i];
+@end
+@if !difference
         for (i = 0; i < N; i++) {
             sum[i] = k[i];
             z[i] = x[i] + 0.5 * h * k[i];
@@ -86,9 +84,9 @@ static void flow(double x[N], const double u[NU], double h, int steps)
         rates(z, u, k);
         for (i = 0; i < N; i++)
             x[i] += h / 6.0 * (sum[i] + k[i]);
+@end
 @if stops
         stop(x);
 @end
     }
 }
-@end

@@ -21,24 +21,17 @@ static void *made(const char *token, int allowed)
     return c;
 }
 
-static int told(const component *c, const reference *places, size_t n, double *values)
+/* Values are told where there is room for them, else taken. */
+static int exchanged(component *c, const reference *places, size_t n, double *told, const double *taken)
 {
     size_t i;
     for (i = 0; i < n; i++) {
         if (places[i] < 1 || places[i] > VALUES)
             return ERROR;
-        values[i] = c->values[places[i] - 1];
-    }
-    return OK;
-}
-
-static int taken(component *c, const reference *places, size_t n, const double *values)
-{
-    size_t i;
-    for (i = 0; i < n; i++) {
-        if (places[i] < 1 || places[i] > VALUES)
-            return ERROR;
-        c->values[places[i] - 1] = values[i];
+        if (told)
+            told[i] = c->values[places[i] - 1];
+        else
+            c->values[places[i] - 1] = taken[i];
     }
     return OK;
 }

@@ -21,12 +21,12 @@ EXPORT int fmi2SetupExperiment(void *instance, int has_tolerance, double toleran
 
 EXPORT int fmi2GetReal(void *instance, const reference *places, size_t n, double *values)
 {
-    return told((component *)instance, places, n, values);
+    return exchanged((component *)instance, places, n, values, NULL);
 }
 
 EXPORT int fmi2SetReal(void *instance, const reference *places, size_t n, const double *values)
 {
-    return taken((component *)instance, places, n, values);
+    return exchanged((component *)instance, places, n, NULL, values);
 }
 
 EXPORT int fmi2DoStep(void *instance, double now, double h, int no_return)

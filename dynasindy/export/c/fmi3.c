@@ -24,12 +24,12 @@ EXPORT int fmi3EnterInitializationMode(void *instance, bool has_tolerance, doubl
 
 EXPORT int fmi3GetFloat64(void *instance, const reference *places, size_t n, double *values, size_t n_values)
 {
-    return n == n_values ? told((component *)instance, places, n, values) : ERROR;
+    return n == n_values ? exchanged((component *)instance, places, n, values, NULL) : ERROR;
 }
 
 EXPORT int fmi3SetFloat64(void *instance, const reference *places, size_t n, const double *values, size_t n_values)
 {
-    return n == n_values ? taken((component *)instance, places, n, values) : ERROR;
+    return n == n_values ? exchanged((component *)instance, places, n, NULL, values) : ERROR;
 }
 
 EXPORT int fmi3DoStep(void *instance, double now, double h, bool no_return, bool *event, bool *terminate, bool *early,
