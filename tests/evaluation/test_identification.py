@@ -53,13 +53,6 @@ def test_of_an_exact_log_nothing_stays_unexplained_and_of_a_poor_library_what_si
     assert list(found.report.residual.values()) == pytest.approx(parts, rel=1e-3) and parts[1] > 1e-3
 
 
-def test_noise_has_the_level_asked_for_and_keeps_trajectories_whole():
-    clean, noisy = (Simulated(noise=n, seed=3).load(Pendulum(), EXCITATION).training for n in (0.0, 0.1))
-    error = noisy.x_next - clean.x_next
-    assert torch.allclose(error.std(0), 0.1 * clean.x.std(0), rtol=0.1)
-    assert torch.equal(noisy.x[1:], noisy.x_next[:-1])
-
-
 def test_a_log_of_the_pendulum_gives_the_pendulum(tmp_path):
     data = Simulated().load(Pendulum(), EXCITATION).training
     lines = ["t,angle,rate,torque"]

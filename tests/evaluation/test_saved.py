@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from dynasindy.evaluation.saved import _is_copy, _origin_without_machine, _without_machine, keep_run, to_save
+from dynasindy.evaluation.saved import _is_copy, _origin_without_machine, keep_run, to_save
 
 
 def write(path: Path, header: str, rows) -> None:
@@ -113,20 +113,11 @@ def test_the_first_seed_of_the_settings_that_are_meant_is_saved_under_its_place(
         to_save(tmp_path, None, 0, ["c"])
 
 
-def test_one_run_keeps_its_name_or_gets_another(run):
-    assert to_save(run, None, 0, []) == {run: "run"} and to_save(run, "mine", 0, []) == {run: "mine"}
-
-
 @pytest.mark.parametrize("name", ["..", ".", "../x", "/abs/x", "a/b", "", "-x", ".hidden", "a\nb", "x" * 300, "a\0b"])
 def test_a_copy_has_the_name_of_one_folder(run, name):
     with pytest.raises(ValueError, match="letters") as error:
         to_save(run, name, 0, [])
     assert "\n" not in str(error.value)
-
-
-def test_a_run_given_by_a_dot_is_named_by_its_folder(run, monkeypatch):
-    monkeypatch.chdir(run)
-    assert to_save(Path(), None, 0, []) == {Path(): "run"}
 
 
 def test_two_runs_of_one_name_are_refused(tmp_path):
@@ -234,11 +225,6 @@ def test_a_damaged_run_is_named_by_its_file(run, tmp_path, name, content):
 def test_every_saved_run_of_the_repository_is_known_as_a_copy():
     folders = list((Path(__file__).parents[2] / "docs" / "results" / "runs").iterdir())
     assert folders and all(_is_copy(folder) for folder in folders)
-
-
-def test_lines_with_paths_of_a_machine_go():
-    text = "a: 1\nb:\n  c: '/x/y'\n  d: ~/z\n  e: runs/q\nfolder: runs/a\n"
-    assert _without_machine(text) == "a: 1\nb:\n  e: runs/q\n"
 
 
 def test_the_saved_runs_of_the_repository_name_no_machine():

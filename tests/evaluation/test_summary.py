@@ -101,21 +101,6 @@ def test_times_of_a_slow_plant_are_told_in_minutes_or_hours() -> None:
     assert row_of(text, "settled within the run [%]") == ["100", "100"]
 
 
-def test_the_table_says_never_where_most_steps_do_not_settle() -> None:
-    times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, math.nan]])
-    text = to_text(summarise(evaluation(settling_time=times)))
-    assert row(text, "settling time")[-2:] == ["never", "-"]
-    assert row(text, "settled within")[-2:] == ["33.33", "-"]
-
-
-def test_the_table_of_a_wave_leaves_the_metrics_of_steps_out() -> None:
-    undefined = torch.full((3, 2), math.nan)
-    text = to_text(summarise(evaluation(**dict.fromkeys(STEP, undefined))))
-    assert "settl" not in text
-    assert "overshoot" not in text
-    assert row(text, "RMSE")[-2:] == ["0.3", "0.5"]
-
-
 @pytest.mark.parametrize(
     ("signal", "kept"), [(torch.sin, False), (lambda t: torch.sin(t).sign(), True), (torch.ones_like, True)]
 )
@@ -143,15 +128,13 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     gust = {"plant": partial(Pushed, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
     scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
     result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
-    assert evaluation_title(result) == (
-        "Scenario 'wind' (2 references, 3 s, pushed by 1 rad/s^2 on Omega, disturbed from 0.5 s to 1.5 s, "
-        "overshoot, rise and settling time from what lies before 0.5 s)"
-    )
+    for part in ("'wind' (2 references, 3 s", "1 rad/s^2 on Omega", "from 0.5 s to 1.5 s", "before 0.5 s"):
+        assert part in evaluation_title(result)
     calm = evaluate(ControlEnv(system, task, substeps=1), still, Scenario("step", seconds=1.5))
     assert evaluation_title(calm) == "Scenario 'step' (1 reference, 1.5 s)"
     late = Scenario("delay", seconds=1.5, wrappers=[partial(DelayedActuator, periods=3)])
-    assert evaluation_title(evaluate(ControlEnv(system, task, substeps=1), still, late)) == (
-        "Scenario 'delay' (1 reference, 1.5 s, inputs late by 3 control periods, 0.15 s)"
+    assert "by 3 control periods, 0.15 s" in evaluation_title(
+        evaluate(ControlEnv(system, task, substeps=1), still, late)
     )
 
 
@@ -171,33 +154,6 @@ def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not(
     derived = wave("square", [-0.3], [0.4], 20, 0.05)
     assert beyond_targets(evaluate(env, still, Scenario("square", derived, seconds=2.0))) == []
     assert beyond_targets(evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0))) == []
-
-
-def test_the_table_carries_the_units_of_the_outputs() -> None:
-    one = to_text(summarise(evaluation()), units={"alpha_a": "m", "alpha_p": "m"}, steady=40.0)
-    assert "RMSE [m]" in one and "steady-state" in one and "rad" not in one
-    two = to_text(summarise(evaluation()), units={"alpha_a": "m", "alpha_p": "rad"}).splitlines()
-    assert two[0].split() == ["alpha_a", "[m]", "alpha_p", "[rad]"] and two[1].startswith("RMSE  ")
-
-
-def test_axes_that_do_not_fit_the_terminal_stand_below() -> None:
-    summary = summarise(evaluation())
-    wide, narrow = to_text(summary), to_text(summary, width=60)
-    assert max(map(len, narrow.splitlines())) <= 60 < max(map(len, wide.splitlines()))
-    assert narrow.splitlines()[0].split() == ["alpha_a"] and wide.splitlines()[0].split() == ["alpha_a", "alpha_p"]
-    assert [line.split()[-1] for line in narrow.splitlines() if line.startswith("RMSE")] == (
-        next(line for line in wide.splitlines() if line.startswith("RMSE")).split()[-2:]
-    )
-
-
-def test_it_is_said_over_how_many_steps_overshoot_and_times_are_medians() -> None:
-    times = torch.tensor([[math.inf, math.nan], [math.inf, math.nan], [2.0, 3.0]])
-    summary = summarise(evaluation(settling_time=times))
-    assert (summary["steps/alpha_a"], summary["steps/alpha_p"]) == (3, 1)
-    (row,) = (line for line in to_text(summary).splitlines() if line.startswith("targets that are steps"))
-    assert row.split()[-2:] == ["3", "1"]
-    del summary["steps/alpha_a"], summary["steps/alpha_p"]  # as earlier runs have saved it
-    assert "targets that are steps" not in to_text(summary) and "overshoot" in to_text(summary)
 
 
 def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:

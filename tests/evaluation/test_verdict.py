@@ -61,21 +61,19 @@ def test_the_horizons_of_a_slow_plant_are_told_in_hours():
 
 def test_a_linear_model_that_is_better_is_said_to_be():
     (said,) = judge(forecasts(0.04, linear=0.03), SIGNATURE)
-    assert said.startswith(
-        "this model predicts 2 s ahead, and w as exactly as the sensors can tell, but a linear model on past "
-    )
+    assert "predicts 2 s ahead" in said and "but a linear model" in said
     assert "misses" in said
     assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
     lacking, why = judge(forecasts(0.04, linear=0.01), SIGNATURE)
-    assert lacking == "this model is better than the last value held for 2 s, but it lacks something"
-    assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.01 rad, this one to 0.04 rad")
+    assert "for 2 s," in lacking
+    assert "q 2 s ahead to 0.01 rad, this one to 0.04 rad" in why
 
 
 @pytest.mark.parametrize("q", [0.06, math.inf])
 def test_what_a_linear_model_knows_better_is_said_of_the_worst_models_too(q):
     short, why = judge(forecasts(q, linear=0.02), SIGNATURE)
     assert short.startswith("this model does not predict: ")
-    assert why.startswith("a linear model on past samples predicts q 2 s ahead to 0.02 rad, this one ")
+    assert "q 2 s ahead to 0.02 rad," in why
 
 
 @pytest.mark.parametrize(
@@ -91,8 +89,8 @@ def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_s
     found = replace(forecasts(0.002), model=ours, held=torch.full((3, 1), 0.1), resolution=torch.tensor([0.001]))
     one = Signature(("q",), ("rad",), ("u",), (1.0,))
     falling = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [11.0]])), one)
-    assert falling[0].startswith("this model does not predict: within 2 s q runs away") and len(falling) == 2
-    assert falling[1].startswith("a linear model on past samples lets q run away, too") and said in falling[1]
+    assert "within 2 s q runs away" in falling[0] and len(falling) == 2
+    assert "q run away, too" in falling[1] and said in falling[1]
     staying = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
     assert not any("by itself" in line for line in staying)
 
@@ -274,7 +272,7 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     signature = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))
     fine = replace(data, x=torch.tensor(np.stack([0.002 * np.round(np.sin(1.3 * t) / 0.002), walk], -1)[:-1]))
     fine = replace(fine, x_next=torch.cat([fine.x[1:], fine.x[-1:]]))
-    assert describe_data(fine, signature)[0] == "q is read in steps of 0.002 rad"  # a thousandth of its way
+    assert "of 0.002 rad" in describe_data(fine, signature)[0]  # a thousandth of its way
     assert describe_data(data, signature) == [
         "q is read in steps of 0.02 rad; standard errors take it that the sensor rounds: one that cuts off reads half "
         "a step too low, which no log tells and none of them holds",
@@ -283,7 +281,7 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     ]
     volts = {"input_ends": ((-24.0, 24.0), (-1.0, 1.0)), "input_units": ("V", "-")}
     own = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), **volts)
-    assert describe_data(data, own)[1].startswith("u is at an end of its range, -24 to 24 V, in ")
+    assert "range, -24 to 24 V," in describe_data(data, own)[1]
     wide = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), input_limits=((-1.0, 0.9), (-1.0, 1.0)))
     low = 100 * np.mean(clipped[:-1] == -1)
     assert f"in {low:.0f} %" in describe_data(data, wide)[1]  # the other end is none of the actuator's
