@@ -1,7 +1,7 @@
 """The doors that a user has: a command with its words, and the log of a plant.
 
-A command is run in a fork of the process of the tests, which has imported torch and the package already. Tests of how
-a command starts, or of what it finds in its environment, have a process of their own.
+A command is run in a fork of the process of the tests, which has imported torch, the package and what the scripts
+share already. Tests of how a command starts, or of what it finds in its environment, have a process of their own.
 """
 
 import os
@@ -31,10 +31,7 @@ class Running:
     """A command that runs in a fork, with its output in files beside its folder."""
 
     def __init__(self, name: str, words: tuple[str, ...], cwd: Path, figures: bool) -> None:
-        import hydra  # noqa: F401 - before the fork, as what follows
-
-        import dynasindy.dyna.run
-        import dynasindy.viz.run  # noqa: F401
+        import warmed  # noqa: F401 - before the fork
 
         self.figures = figures
         cwd.mkdir(parents=True, exist_ok=True)

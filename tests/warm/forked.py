@@ -1,8 +1,8 @@
-"""Commands of a terminal in processes that have imported the libraries of others already.
+"""Commands of a terminal in processes that have imported what they need already.
 
-A command takes some four seconds of one core to import torch, TorchRL and what they need, and the tests call hundreds.
-So a server (`multiprocessing`'s forkserver) imports them once, and each command is a fork of it. Nothing of `dynasindy`
-is among them: a command imports it anew, with its own settings, folder and environment.
+A command takes some six seconds of one core to import torch, TorchRL and what they need, and the tests call hundreds.
+So a server (`multiprocessing`'s forkserver) imports it once (`warmed`), and each command is a fork of it, with its own
+settings, folder and environment.
 
 Some things are not as in a process of its own. Imports that are forgotten, and what imports print, are not seen. The
 order of sets of words, and what libraries read of the environment when they are imported, are those of the server.
@@ -23,22 +23,27 @@ import time
 import types
 from collections.abc import Mapping, Sequence
 from functools import cache
+from importlib.machinery import PathFinder
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-LIBRARIES = (
-    *("torch", "tensordict", "tensordict.nn", "torchrl", "torchrl.data", "torchrl.envs", "torchrl.modules"),
-    *("torchrl.objectives", "hydra", "omegaconf", "numpy", "scipy.linalg", "matplotlib.pyplot"),
-)
-
 
 @cache
 def _server() -> multiprocessing.context.ForkServerContext:
     server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload(list(LIBRARIES))
+    server.set_forkserver_preload(["warmed"])  # an error in it would go unheard
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), before]))
+    try:
+        forkserver.ensure_running()
+    finally:
+        del os.environ["PYTHONPATH"]
+        if before is not None:
+            os.environ["PYTHONPATH"] = before
     return server
 
 
@@ -128,7 +133,19 @@ def _command(
     more = [place for place in environment.get("PYTHONPATH", "").split(os.pathsep) if place]
     first = {"-m": str(folder), "-c": ""}.get(words[0], str(Path(words[0]).resolve().parent))
     sys.path[:] = [first, *more, *installed]
+    _forget_other_copies()
     sys.exit(_done(words))
+
+
+def _forget_other_copies() -> None:
+    """Let a command whose path leads to a copy of the package import that one."""
+    ours, found = sys.modules["dynasindy"].__file__, PathFinder.find_spec("dynasindy")
+    if ours is None or found is None or found.origin == ours:
+        return
+    root = Path(ours).parents[1]
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "").is_relative_to(root):
+            del sys.modules[name]
 
 
 def _done(words: list[str]) -> int:
