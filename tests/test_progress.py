@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from dynasindy.progress import LOADING, Event, Progress, listening, report_progress, reporting_as, say, track
+from dynasindy.progress import LOADING, Event, Progress, listening, report_progress, reporting_as, say
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
@@ -115,46 +115,6 @@ def test_a_short_phase_and_the_loading_say_nothing_to_a_file(clock, file):
     assert written.getvalue() == ""
 
 
-def test_what_is_around_a_phase_stands_before_it(clock, file):
-    shown, written = file
-    report_progress("run", 3, 10, "episodes", outer=True)
-    report_progress("fit")
-    clock.now[0] = 5.0
-    shown.__exit__(None, None, None)
-    assert written.getvalue() == "3 of 10 episodes, fit: 5 s\n"
-
-
-def test_a_file_hears_how_a_sweep_goes_whose_jobs_run_elsewhere(clock, file):
-    shown, written = file
-    report_progress(LOADING)
-    for second in range(14):
-        clock.now[0] = float(second)
-        report_progress("sweep", second // 5, 3, "jobs", outer=True)
-        shown.tick()
-    assert written.getvalue().splitlines() == ["sweep: 0 of 3 jobs, 2 s...", "sweep: 2 of 3 jobs, 12 s..."]
-
-
-def test_each_phase_in_a_file_has_a_clock_of_its_own(clock, file):
-    """A run that began at 0 s and goes on after a phase of its own, which began at 100 s and is over at 110 s."""
-    shown, written = file
-    report_progress("run", 0, 10, "episodes", outer=True)
-    clock.now[0] = 100.0
-    report_progress("planning")
-    clock.now[0] = 110.0
-    shown.finish()
-    for clock.now[0] in (118.0, 120.0):
-        shown.tick()
-    clock.now[0] = 121.0
-    report_progress("run", 1, 10, "episodes", outer=True)
-    clock.now[0] = 130.0
-    shown.tick()
-    assert written.getvalue().splitlines() == [
-        "0 of 10 episodes, planning: 10 s",
-        "run: 0 of 10 episodes, 120 s...",
-        "run: 1 of 10 episodes, 130 s...",
-    ]
-
-
 def test_a_sweep_and_the_run_of_its_job_stand_side_by_side_in_a_file(clock, file):
     shown, written = file
     report_progress("sweep", 3, 8, "jobs", outer=True)
@@ -174,17 +134,6 @@ def test_a_sweep_and_the_run_of_its_job_stand_side_by_side_in_a_file(clock, file
         "3 of 8 jobs, run: 0 of 5 episodes, 5 s...",
         "3 of 8 jobs, 0 of 5 episodes, fit: 5 s",
     ]
-
-
-def test_a_file_hears_nothing_after_the_end(clock, file):
-    shown, written = file
-    report_progress("sweep", 3, 8, "jobs", outer=True)
-    shown.__exit__(None, None, None)
-    for clock.now[0] in (5.0, 50.0):
-        shown.tick()
-        report_progress("fit")
-        shown.finish()
-    assert written.getvalue() == ""
 
 
 @pytest.mark.parametrize("front", [False, True])
@@ -243,35 +192,6 @@ def test_what_is_said_stays_on_a_terminal_and_lines_that_moved_do_not(monkeypatc
     assert during[: len(said)] == said and len(during) == len(said) + (3 if around else 2)
 
 
-def test_what_is_said_to_a_file_is_written_to_it_while_a_terminal_shows_the_work(monkeypatch):
-    screen = in_front(monkeypatch)
-    monkeypatch.setattr(sys, "stdout", file := io.StringIO())
-    with Progress() as shown:
-        report_progress("planning")
-        shown.display.refresh()
-        say("first", "second")
-    assert file.getvalue() == "first\nsecond\n" and replayed(screen.getvalue()) == []
-
-
-def test_the_clock_of_a_line_begins_anew_with_the_next_job(monkeypatch):
-    in_front(monkeypatch)
-    with Progress() as shown:
-        now = [0.0]
-        shown.display.get_time = lambda: now[0]
-        report_progress("run", 0, 2, "episodes", outer=True)
-        (task,) = shown.display.tasks
-        task._get_time = shown.display.get_time
-        task.start_time = 0.0
-        now[0] = 60.0
-        report_progress("run", 2, 2, "episodes", outer=True)
-        assert (task.finished_time, task.completed) == (60.0, 2)
-        now[0] = 100.0
-        report_progress("run", 0, 2, "episodes", outer=True)
-        now[0] = 107.0
-        assert (task.finished_time, task.elapsed, task.completed) == (None, 7.0, 0)
-        assert "0 of 2 episodes" in task.description
-
-
 def test_a_file_sees_no_control_characters_and_the_inner_of_two_shows_nothing(capsys, monkeypatch):
     monkeypatch.setattr("dynasindy.progress.SHORT", 0.0)
     with Progress():
@@ -309,16 +229,6 @@ def test_a_terminal_sees_phases_and_what_is_printed_and_keeps_its_cursor(monkeyp
     assert "\x1b[?25l" not in raw
 
 
-@pytest.mark.parametrize("columns", [60, 80])
-def test_the_score_of_a_plan_is_read_on_a_narrow_terminal(monkeypatch, columns):
-    screen = in_front(monkeypatch, columns)
-    with Progress() as shown:
-        report_progress("planning", 1000, 1000, "updates", "score -0.0706")
-        shown.display.refresh()
-        during = replayed(screen.getvalue(), columns)
-    assert during[-1].rstrip().endswith("planning: 1000 of 1000 updates, score -0.0706")
-
-
 def test_a_text_is_whole_in_a_file_and_within_the_width_of_a_terminal(capsys, monkeypatch):
     text = "NOT CONTROLLED: " + " ".join(["word"] * 20)
     say(text)
@@ -349,19 +259,6 @@ def test_what_is_told_is_heard_inside_and_nobody_misses_it_outside():
     assert heard == [Event("fit", 2, 5, "steps", "slowly")]
 
 
-def test_items_are_counted_as_they_are_done():
-    heard = []
-    with listening(heard.append):
-        assert list(track("walk", "abc", 3, "miles")) == ["a", "b", "c"]
-    assert [told.done for told in heard] == [0, 1, 2, 3]
-    assert heard[1].count() == "1 of 3 miles"
-
-
-def test_nothing_is_said_where_nothing_is_counted():
-    assert Event("fit").count() == ""
-    assert Event("fit", 3, unit="steps").count() == "3 steps"
-
-
 def test_what_the_parts_of_a_phase_tell_is_told_of_it_until_it_ends_or_fails():
     heard = []
     with listening(heard.append):
@@ -372,10 +269,3 @@ def test_what_the_parts_of_a_phase_tell_is_told_of_it_until_it_ends_or_fails():
         except ValueError:
             report_progress("fit")
     assert heard == [Event("actuators"), Event("actuators", note="6 coefficients"), Event("fit")]
-
-
-def test_a_sweep_that_is_told_of_during_a_phase_is_not_taken_for_the_phase():
-    heard = []
-    with listening(heard.append), reporting_as("fit to log.csv"):
-        report_progress("sweep", 1, 2, "jobs", outer=True)
-    assert heard == [Event("fit to log.csv"), Event("sweep", 1, 2, "jobs", outer=True)]

@@ -56,19 +56,6 @@ def test_a_command_is_one_line_that_can_be_copied_however_narrow_the_terminal():
     assert wrap(text, 120) == text
 
 
-def test_a_table_that_is_too_wide_is_turned_and_what_stands_around_it_is_not():
-    text = "Level: 0.05\n| setting | seeds |\n| --- | --- |\n| direct | 3 |\nTables: x"
-    assert wrap(text, 20).splitlines() == text.splitlines()
-    assert wrap(text, 15).splitlines() == ["Level: 0.05", "setting  direct", "seeds    3", "Tables: x"]
-
-
-def test_a_wide_line_that_begins_with_a_bar_is_no_table():
-    line = "| a sentence that begins with a bar"
-    assert wrap(line, 20).splitlines() == ["| a sentence that", "begins with a bar"]
-    ragged = "| setting | seeds |\n| --- | --- |\n| direct and more |"
-    assert wrap(ragged, 15).split() == ragged.split()  # nothing is lost of what is no table either
-
-
 def test_equations_end_between_terms_and_sentences_between_words():
     text = "  x' = 1.5 a - 2 sin(b + c) d + 1e-06 e^2\nOne sentence that is long\nshort"
     assert wrap(text, 20).splitlines() == [
@@ -82,26 +69,6 @@ def test_equations_end_between_terms_and_sentences_between_words():
     ]
     assert wrap(text, 30).splitlines()[:2] == ["  x' = 1.5 a - 2 sin(b + c) d", "       + 1e-06 e^2"]
     assert all(len(line) <= 30 for line in wrap(text, 30).splitlines())
-
-
-def test_a_row_goes_on_below_its_last_column_unless_that_begins_too_far_to_the_right():
-    """The last column begins after 24 places, which is in the left half of 50 and in the right half of 40."""
-    row = "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p) Omega_a"
-    assert wrap(row, 60) == row
-    assert wrap(row, 50).splitlines() == [
-        "Omega_a'  -9.81 ± 0.03  sin(alpha_p) cos(alpha_p)",
-        " " * 24 + "Omega_a",
-    ]
-    assert wrap(row, 40).splitlines() == ["Omega_a'  -9.81 ± 0.03  sin(alpha_p)", "    cos(alpha_p) Omega_a"]
-
-
-def test_equations_in_discrete_time_end_between_terms_too():
-    text = "p_long_name[k+1] = 0.5 p_long_name + v_long - 0.0025 sin(3 p_long_name) + 0.1 cos(3 p_long_name)"
-    assert wrap(text, 50).splitlines() == [
-        "p_long_name[k+1] = 0.5 p_long_name + v_long",
-        " " * 16 + "- 0.0025 sin(3 p_long_name)",
-        " " * 16 + "+ 0.1 cos(3 p_long_name)",
-    ]
 
 
 @pytest.mark.parametrize(
@@ -138,11 +105,6 @@ def test_words_and_axes_of_a_run_have_the_same_unit(seconds, unit):
         == format_duration(1.0, seconds).split()[1]
         == unit
     )
-
-
-def test_what_runs_on_changes_its_unit_once():
-    names = [format_duration(seconds, running=True).split()[1] for seconds in range(1, 3600)]
-    assert names == ["s"] * 599 + ["min"] * 3000
 
 
 def test_lengths_beside_each_other_have_the_unit_of_the_longest():

@@ -82,22 +82,13 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
     return {
         "os.system": {"command": f"touch {canary}"},
         "builtins.eval": {"_args_": [touch]},
-        "builtins.open": {"file": str(canary), "mode": "w"},
-        "subprocess.run": {"args": ["touch", str(canary)]},
-        "sympy.sympify": {"a": touch},
         "joblib.load": {"filename": str(pickled)},
         "torch.load": {"f": str(pickled), "weights_only": False},
-        "numpy.load": {"file": str(pickled), "allow_pickle": True},
         "hydra.utils.call": {"config": {"x": 1}},
-        "hydra.utils.get_object": {"path": "os.system"},
         "hydra.utils.get_method": {"path": "os.system"},
-        "hydra.utils.get_class": {"path": "pathlib.Path"},
-        "dynasindy.evaluation.saved.shutil.copy": {"src": str(REPOSITORY / "README.md"), "dst": str(canary)},
         "dynasindy.evaluation.saved.os.system": {"command": f"touch {canary}"},
         "dynasindy.dyna.folder.torch.load": {"f": str(pickled), "weights_only": False},
-        "dynasindy.safe_io.Path": {"_args_": [str(canary)]},
         "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
-        "dynasindy.safe_io.write_csv": {"path": str(canary), "header": ["a"], "rows": []},
         "dynasindy.sindy.SindyModel.load": {"path": str(pickled)},
         "dynasindy.sindy.register_function": {"name": "sin", "compute": None},
         "dynasindy.data.csv.CsvLog": {"path": "/etc/passwd", "states": {"a": "a"}, "inputs": {"u": "u"}},
@@ -199,7 +190,6 @@ ADDED = [
     BOMB,
     "x: " + "a" * 1_000_000,
     "x: !!python/object/apply:os.system ['touch {canary}']\n",
-    "x: !!python/object/apply:pathlib.Path ['x']\n",
     "x: ${oc.env:HOME}\n",
     'x: "\\x24{oc.env:HOME}"\n',
     "${oc.env:HOME}: 1\n",
@@ -209,7 +199,7 @@ ADDED = [
     b"x: \xff\xfe\n",
 ]
 """What a config that is good without it may not hold."""
-INSTEAD = ["x: " + "[" * 100_000, "- 1\n", "a: 1\n", "", b"\xff\xfe\x00", b"\x00\x01"]
+INSTEAD = ["x: " + "[" * 100_000, "- 1\n", "a: 1\n", "", b"\xff\xfe\x00"]
 
 
 @pytest.mark.parametrize(("text", "added"), [*((text, True) for text in ADDED), *((text, False) for text in INSTEAD)])
@@ -290,12 +280,10 @@ GARBAGE = {
     "empty": b"",
     "cut": b'{"cost": {"plant_',
     "a list": b"[1, 2]",
-    "a number": b"7",
     "no keys": b"{}",
     "wrong types": b'{"cost": [1], "untrained": 3, "evaluation": "x", "seed": {}}',
     "deep": b"[" * 200_000,
     "no text": b"\xff\xfe\x00{}",
-    "zeros": bytes(64),
     "many digits": b'{"cost": {"plant_seconds": ' + b"9" * 5000 + b"}}",
 }
 

@@ -38,20 +38,6 @@ def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
     assert model.equations()[1].startswith("Omega' = ")
 
 
-def test_friction_that_the_equations_have_is_said(capsys):
-    plant = SindyModel(Pendulum().signature, [*LIBRARY, "tanh(20 Omega)"], Regression("bic"), known={"theta": "Omega"})
-    plant.coefficients[:, 1] = torch.tensor([0.0, 12.0, -0.5, -9.81, -3.0])
-    data = record_plant(plant, Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
-    place = torch.arange(len(data))
-    logged = Source(plant.signature, data.select(place < 400), data.select(place >= 400))
-    model_of(
-        logged, lambda signature: SindyModel(signature, plant.library, Regression("bic"), known={"theta": "Omega"})
-    )
-    assert "Omega' has dry friction" in capsys.readouterr().out
-    model_of(logged, build)
-    assert "friction" not in capsys.readouterr().out
-
-
 def test_units_that_do_not_fit_are_said_before_the_fit(source, capsys):
     degrees, data = torch.tensor([57.29578, 1.0]), source.training
     wrong = replace(data, x=data.x * degrees, x_next=data.x_next * degrees)

@@ -1,7 +1,6 @@
 import csv
 import json
 import math
-import sys
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -13,11 +12,10 @@ from tensordict import TensorDict
 from dynasindy.agents import TD3
 from dynasindy.control import load
 from dynasindy.data import DynaReplay
-from dynasindy.dyna import recorder as module
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
-from dynasindy.dyna.recorder import Recorder, _with_gaps, refitted
+from dynasindy.dyna.recorder import Recorder, _with_gaps
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
@@ -210,26 +208,6 @@ def test_the_windows_by_which_the_first_refit_was_judged_stand_in_a_table(record
     assert list(found[0]) == ["time [s]", "reward_error", "state_error"]
 
 
-def test_a_fit_is_called_the_first_once_others_have_come(recorded, tmp_path):
-    _, parts, recorder = recorded
-    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
-    again.begin()
-    (tmp_path / "identification.txt").write_text("drag: well known\n")
-    rollout = parts.env.rollout(4)
-    rollout["next", "predicted_reward"] = rollout["next", "reward"]
-    error = ModelError(0.0, 0.0, rollout["next", "state"])
-    again.episode(Episode(1, rollout, error, True, None), Cost(7, 8, 9))
-    again.write_tables()
-    assert (tmp_path / "identification.txt").read_text() == "drag: well known\n" and not refitted(tmp_path)
-    for number in (2, 3):
-        again.episode(Episode(number, rollout, error, True, Refit(None, 4.0, 3.0, True, error)), Cost(7, 8, 9))
-    head, *rest = (tmp_path / "identification.txt").read_text().splitlines()
-    assert head.startswith("The first fit") and rest == ["drag: well known"]
-    (tmp_path / "identification.txt").write_text("other words\n")
-    again.write_tables()
-    assert refitted(tmp_path), "the table tells it, whatever the text says"
-
-
 @pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
 def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded, tmp_path, number, name):
     _, parts, recorder = recorded
@@ -255,34 +233,6 @@ def test_what_began_anew_has_a_gap_before_it():
     assert torch.equal(_with_gaps(values, torch.arange(5)), values)
 
 
-class Told:
-    """What is told to TensorBoard, in memory."""
-
-    def __init__(self, exp_name, log_dir):
-        self.place, self.scalars, self.shown, self.experiment = f"{log_dir}/{exp_name}", [], 0, self
-
-    def log_scalar(self, name, value, step):
-        self.scalars.append((name, step, value))
-
-    def flush(self):
-        self.shown = len(self.scalars)
-
-
-def test_tensorboard_is_told_what_the_csv_logger_is_told_and_shows_it_at_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "import_module", lambda name: None)
-    monkeypatch.setattr(module, "TensorboardLogger", Told)
-    folder, parts, recorder = record(tmp_path, tensorboard=True)
-    told = recorder.loggers[-1]
-    assert told.place == f"{folder}/tensorboard" and told.shown == len(told.scalars) > 0
-    root = folder / "scalars" / "scalars"
-    files = {str(file.relative_to(root).with_suffix("")): file.read_text().split() for file in root.rglob("*.csv")}
-    assert set(files) == {name for name, _, _ in told.scalars}
-    assert files["return"] == [f"{step},{value}" for name, step, value in told.scalars if name == "return"]
-    again = Recorder(tmp_path, parts, recorder.scenario, every=2, episodes=3, tensorboard=True)
-    again.load_state_dict(recorder.state_dict())
-    assert again.loggers[-1].scalars == told.scalars and again.loggers[-1] is not told
-
-
 def test_tensorboard_reads_what_is_written(tmp_path):
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -292,12 +242,6 @@ def test_tensorboard_reads_what_is_written(tmp_path):
     logged = [float(row["return"]) for row in rows(folder / "progress.csv")]
     assert [event.step for event in events] == [1, 2, 3]
     assert [event.value for event in events] == pytest.approx(logged, rel=1e-6)
-
-
-def test_tensorboard_that_is_not_there_is_missed_at_once(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tensorboard", None)
-    with pytest.raises(ModuleNotFoundError, match="tensorboard"):
-        record(tmp_path, tensorboard=True)
 
 
 def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_model_none(recorded, tmp_path):

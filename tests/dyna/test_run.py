@@ -188,53 +188,6 @@ def test_an_evaluation_happens_at_least_sometimes():
         Evaluating(Scenario("step"), every=0)
 
 
-def test_the_report_says_equations_metrics_costs_and_folder(tmp_path):
-    axis = dict.fromkeys(
-        ("rmse", "mean_abs_error", "steady_state_error", "overshoot", "rise_time", "settling_time", "settled"), 0.25
-    )
-    evaluation = {f"{name}/alpha_a": value for name, value in axis.items()}
-    evaluation |= {"control_effort/u_a": 0.1, "control_variation/u_a": 0.2, "return": -12.0, "stop_share": 0.0}
-    cost = {"real_steps": 600, "plant_seconds": 30, "imagined_transitions": 8000, "updates": 40, "wall_seconds": 12.3}
-    cost["evaluation_steps"] = 25600
-    text = run_report(
-        {
-            "cost": cost,
-            "equations": ["Omega_p' = -0.414 Omega_p"],
-            "delay": 0.05006,
-            "observer": {"nis": 1.274},
-            "scenario": "step",
-            "evaluation": evaluation,
-            "untrained": {"return": -99.0},
-            "checkpoint": {"bytes": 2_300_000, "seconds": 0.4},
-            "verdict": {"usable": True, "sentence": "It is better.", "held": "CONTROLLED: x."},
-            "units": {"alpha_a": "m"},
-            "planning": "window 60 periods, lr 0.01: it hardly moves",
-            "gate": "The model was not trusted.",
-            "check": {"verdict": "In short: stable."},
-        },
-        tmp_path,
-    )
-    for words in (
-        "Omega_p' = -0.414 Omega_p",
-        "-99.0",
-        "-12",
-        "the inputs act 50.1 ms late",
-        "squared is 1.3.",
-        "for 30 s to learn, which are 600 ",
-        " 8000 periods",
-        "25600 periods",
-        "It is better.",
-        "CONTROLLED: x.",
-        "it hardly moves.",
-        "The model was not trusted.",
-        f"Check on the model, {tmp_path / 'check'}: In short: stable.",
-        "RMSE [m]",
-        str(tmp_path),
-    ):
-        assert words in text
-    assert "window 60" not in text and "2.3 MB" not in text  # of use to nobody who reads a verdict
-
-
 @pytest.mark.parametrize("name", ["replay", "gradient"])
 def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     Plug.last = None

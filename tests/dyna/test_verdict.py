@@ -83,12 +83,6 @@ def test_where_nothing_is_tracked_the_return_counts(trained, away, controlled, w
     assert "errors" not in verdict.held
 
 
-def test_no_file_is_named_that_a_run_without_episodes_does_not_write():
-    assert "gate.csv" in judge_run(metrics(-1.0, -1.0) | {"episodes": 2}).sentence
-    assert "gate.csv" not in (told := judge_run(metrics(-1.0, -1.0) | {"episodes": 0}).sentence)
-    assert told.endswith("train for more episodes.")
-
-
 def decision(episode, reward, state=0.1, is_open=0.0):
     judged = {"judged_reward_error": reward, "judged_state_error": state}
     return {"episode": float(episode), "open_below": 0.05, "close_above": 0.1, "open": is_open, **judged}

@@ -117,10 +117,6 @@ def test_launchers_are_offered_where_jobs_are_swept_and_all_that_are_installed(m
     assert all(there <= set(re.findall(r"\w+", row)) for row in rows)
 
 
-def test_other_words_are_shown_as_they_are_given(small):
-    assert "  number=5" in small("number=5", "-h")
-
-
 def keys(node, prefix=""):
     """Yield the keys that a user may set, as a file has them."""
     for key, value in node.items_ex(resolve=False):
@@ -152,24 +148,7 @@ def test_values_are_those_of_a_run_not_of_the_file(module):
     assert "\n  train.episodes=10\n" in module.manual("ablation", ["train.episodes=10"])
 
 
-def test_a_folder_of_names_is_listed(module):
-    named = " ".join(sorted(file.stem for file in (CONF / "scenario").glob("*.yaml"))).replace(" ", ", ")
-    assert f"There are {named}." in " ".join(module.manual("evaluate", []).split())
-
-
 def test_every_option_says_at_its_top_what_it_is(module):
     for group in (folder for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra"):
         for option in module.options(group.name):
             assert module.heading(group / f"{option}.yaml").endswith("."), (group.name, option)
-
-
-def test_help_of_a_sweep_is_that_of_the_command(module):
-    assert module.manual("train", ["-m", "seed=0,1"]) == module.manual("train", [])
-
-
-def test_configs_of_the_users_own_are_composed_too(small, tmp_path):
-    (tmp_path / "mine" / "part").mkdir(parents=True)
-    (tmp_path / "mine" / "part" / "tiny.yaml").write_text("# @package _global_\nlow: -7.0\n")
-    page = small("--config-dir", str(tmp_path / "mine"), "+part@_global_=tiny", "number=3", "--help")
-    assert "  number=3" in page
-    assert small(f"--config-dir={tmp_path / 'mine'}", "part=tiny", "--help") == ["part=tiny"]

@@ -72,20 +72,6 @@ def test_after_a_session_on_a_rig_its_controller_is_looked_at_taken_away_and_flo
     ]
 
 
-def test_the_next_step_finds_the_folder_of_the_users_own_settings(steps, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["scripts/identify.py", "--config-dir", "my conf", "system=own"])
-    line = steps.planning(["system=own"], False, "own", {})
-    assert shlex.split(line)[1:] == ["scripts/train.py", "--config-dir", "my conf", "system=own"]
-
-
-def test_what_to_do_next_is_a_command_a_line(steps, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
-    first, check, export = steps.following("runs/a b", "check", "export").split("\n")
-    assert first == "next:"
-    for line, name in ((check, "check"), (export, "export")):
-        assert shlex.split(line, comments=True) == ["python", f"scripts/{name}.py", "run=runs/a b"]
-
-
 def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_no_export(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/train.py"])
     words = ["system=xi", "train.episodes=2", "folder=runs/a b", "hydra.run.dir=x"]

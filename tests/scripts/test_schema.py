@@ -206,19 +206,14 @@ def test_an_error_of_a_connection_speaks_of_no_file(code):
 @pytest.mark.parametrize(
     "words",
     [
-        "evaluate run=PATH",
-        "check run=FOLDER",
-        "export run=PATH",
         "train resume=PATH",
         "train model=PATH system=logged plant.outputs=[a] plant.low=[0] plant.high=[1]",
-        "identify data=csv data.path=FILE",
         "identify data=csv data.path=log.csv data.dt=SECONDS",
         "identify data=csv data.path=log.csv data.time=HEADING",
         "identify data=csv data.path=log.csv 'data.inputs={u: {name: u, scale: NUMBER}}'",
         "identify data=csv data.path=log.csv 'data.states={angle: HEADING}'",
         "train system=NAME",
         "train sensors=NAME",
-        "rig system=tras rig=udp rig.host=ADDRESS",
     ],
 )
 def test_a_word_in_capitals_that_is_copied_as_it_stands_costs_one_line(tmp_path, words):
@@ -255,9 +250,6 @@ def test_a_key_that_follows_another_one_names_it(word):
         line = in_words(error.value, "train")
     key = word.lstrip("+").partition("=")[0]
     assert key in line and "plant.sensors.alpha_a.resolution" in line
-
-
-GROUPS = sorted({file.parent.relative_to(CONF).as_posix() for file in CONF.glob("*/**/*.yaml")})
 
 
 def test_a_value_in_place_of_a_group_costs_one_line():

@@ -2,10 +2,10 @@
 
 import os
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 from dynasindy.data.rollout_data import record_plant
@@ -40,7 +40,7 @@ runpy.run_path({str(ROOT / "scripts" / "train.py")!r}, run_name="__main__")
 """
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-c", stopper]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    done = forked.run(command, cwd=tmp_path, env=environment, timeout=300)
     return done.returncode, done.stderr.strip().splitlines()[-1]
 
 
@@ -61,7 +61,7 @@ def test_a_plan_from_a_log_that_is_stopped_keeps_its_equations_and_goes_on_witho
     assert "plant.known={theta: rate}" in words and words[-1] == "model=run/model.json"
     words += ["planning.updates=1", "evaluation.must_control=false"]
     command = [sys.executable, str(ROOT / "scripts" / "train.py"), *words]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = forked.run(command, cwd=tmp_path, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "fit of" not in done.stdout + done.stderr
     assert (tmp_path / "run" / "controller.json").is_file()

@@ -1,9 +1,9 @@
 """How many jobs a sweep has and what is said at its end, in a process of its own, as a command listens to signals."""
 
-import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 from dynasindy.dyna.folder import claimed
@@ -66,7 +66,7 @@ print("begun")
     ],
 )
 def test_the_jobs_of_a_sweep_are_counted_and_what_they_differ_in_is_named(config, jobs):
-    done = subprocess.run([sys.executable, "-c", COUNT, SCRIPTS, config], capture_output=True, text=True, check=False)
+    done = forked.run([sys.executable, "-c", COUNT, SCRIPTS, config])
     assert (done.stdout, done.stderr) == (f"{jobs}\n", "")
 
 
@@ -87,7 +87,7 @@ def test_the_end_of_a_sweep_tells_the_best_trial_and_knows_the_failed_jobs(tmp_p
     (tmp_path / "optimization_results.yaml").write_text(found)
     (tmp_path / "1").mkdir()
     (tmp_path / "1" / "error.txt").write_text("error: a job\n")
-    done = subprocess.run([sys.executable, "-c", END, SCRIPTS, tmp_path], capture_output=True, text=True, check=False)
+    done = forked.run([sys.executable, "-c", END, SCRIPTS, tmp_path])
     assert (done.stdout, done.stderr) == (f"Sweep: {tmp_path}\n{said}['{tmp_path / '1'}']\n", "")
 
 
@@ -96,7 +96,7 @@ def test_a_job_counts_as_failed_only_by_a_line_of_this_command_and_as_done_only_
     for file in files:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).write_text("error: a job\n")
-    done = subprocess.run([sys.executable, "-c", CAME, SCRIPTS, tmp_path], capture_output=True, text=True, check=False)
+    done = forked.run([sys.executable, "-c", CAME, SCRIPTS, tmp_path])
     assert (done.stdout, done.stderr) == ("done/other again\ndone again\n", "")
 
 
@@ -105,8 +105,8 @@ def test_a_second_sweep_in_a_folder_where_one_has_just_begun_is_refused_in_one_l
     folder = tmp_path / "sweep"
     command = [sys.executable, "-c", BEGIN, SCRIPTS, folder]
     with claimed(folder):
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        done = forked.run(command)
     assert done.returncode == 2 and "begun" not in done.stdout
     assert done.stderr.splitlines()[-1].startswith(f"error: another process works in {folder}")
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = forked.run(command)
     assert done.returncode == 0 and done.stdout == "begun\n"
