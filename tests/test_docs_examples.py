@@ -51,8 +51,7 @@ def test_tests_of_the_page_pass(extended):
     assert re.search(r"^7 passed", printed, re.M)
 
 
-@pytest.mark.parametrize("sensors", [True, False], ids=["as on the page", "without sensors"])
-def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path, sensors):
+def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path):
     (words,) = re.findall(r"^    (pytest tests/systems/test_servo\.py .*)$", PAGE.read_text(), re.M)
     # The tests of the configuration read the page on Gymnasium, and examples of plants.
     for folder in ("dynasindy", "conf", "docs", "tests"):
@@ -61,13 +60,8 @@ def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path, s
     shutil.copy(REPOSITORY / "pyproject.toml", tmp_path)
     for name in ("dynasindy/systems/servo.py", "conf/system/servo.yaml", "tests/systems/test_servo.py"):
         (tmp_path / name).write_text(BLOCKS[name])
-    file = tmp_path / "conf/system/servo.yaml"
-    if not sensors:
-        text, removed = re.subn(r"  # Sensors of .*\Z", "", file.read_text(), flags=re.S)
-        assert removed == 1 and "sensors:" not in text
-        file.write_text(text)
     printed = run(tmp_path, "-m", *words.replace("-k", "-q -p no:cacheprovider -k").split())
-    assert re.search(r"^\d+ passed, 2 skipped" if not sensors else r"^\d+ passed(?!, \d+ skipped)", printed, re.M)
+    assert re.search(r"^\d+ passed(?!, \d+ skipped)", printed, re.M)
 
 
 @pytest.mark.parametrize(("source", "functions"), [("simulated", 15), ("logged", 6)])

@@ -106,7 +106,7 @@ def refused(command) -> Any:
 
 @pytest.fixture(scope="session")
 def log(tmp_path_factory, write_log) -> Path:
-    """Return ten seconds of a pendulum, Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega, moved by a sum of sines.
+    """Return six seconds of a pendulum, Omega' = 12 u - 9.81 sin(theta) - 0.5 Omega, moved by a sum of sines.
 
     An encoder of 4096 steps measures its angle, and its rate is measured with a noise of 0.02 rad/s.
     """
@@ -118,7 +118,7 @@ def log(tmp_path_factory, write_log) -> Path:
     from dynasindy.excitation import Multisine
     from dynasindy.systems import Pendulum
 
-    data = record_plant(Pendulum(), Multisine(1, duration=10, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
     count, noise = 2 * math.pi / 4096, torch.Generator().manual_seed(0)
     theta, rate = (data.x[:, :1] / count).round() * count, data.x[:, 1:]
     rate = rate + 0.02 * torch.randn(rate.shape, generator=noise, dtype=rate.dtype)
@@ -133,11 +133,12 @@ def planned(command, log, tmp_path_factory) -> Path:
     words = ["data=csv", f"data.path={log}", "plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
     words += [
         "plant.library=['1',u,theta,Omega,'sin(theta)']",
-        "planning.updates=40",
+        "planning.updates=30",
         "planning.rollouts=32",
         "longest_delay=0",
     ]
     words += ["planning.window=30", "scenario.reference.number=8", "scenario.episodes=8", "evaluation.within=0.05"]
+    words += ["task.max_steps=120"]
     done = command("train", *words, "folder=run", cwd=home)
     assert done.code == 0, done
     return home / "run"

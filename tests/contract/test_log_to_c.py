@@ -5,6 +5,7 @@ import json
 import math
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import dynasindy
 from dynasindy.control import save
+from dynasindy.workbench import tracking
 
 CC = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 WRAP = """
@@ -60,7 +62,7 @@ def test_the_command_finds_the_equations_and_plans_a_controller_that_holds_the_p
     assert {name: value for name, value in model.items() if value} == pytest.approx(
         {"u": 12.0, "Omega": -0.5, "sin(theta)": -9.81}, rel=0.02
     )
-    assert metrics["prediction"]["controlled"] and metrics["prediction"]["models"] == 3
+    assert metrics["prediction"]["promised"] and metrics["prediction"]["models"] == 3
     controller = dynasindy.load(planned)
     angle, u = flight(controller.act, dt=controller.dt)
     n = len(angle)
@@ -91,20 +93,22 @@ def test_the_library_does_what_the_command_does(log, tmp_path):
     assert {name: value for name, value in found.items() if value} == pytest.approx(
         {"u": 12.0, "Omega": -0.5, "sin(theta)": -9.81}, rel=0.02
     )
-    settings = {"updates": 40, "rollouts": 32, "window": 30}
-    controllers = [dynasindy.plan(model, {"theta": (-0.6, 0.6)}, read, seed=3, **settings) for _ in range(2)]
+    task, settings = tracking(model, {"theta": (-0.6, 0.6)}), {"updates": 30, "rollouts": 32, "window": 30}
+    task.max_steps = 120
+    controllers = [dynasindy.plan(model, task, read, seed=3, **settings) for _ in range(2)]
     save(controllers[0], tmp_path / "controller.json")
     flights = [flight(each.act) for each in (*controllers, dynasindy.load(tmp_path))]
     assert np.array_equal(flights[0], flights[1]) and np.array_equal(flights[0], flights[2])
     assert np.abs(flights[0][0][-20:] + 0.3).max() < 0.03
     forecast = dynasindy.forecast(controllers[0], model, read, seed=3, within=0.05)
-    assert forecast.controlled and not dynasindy.forecast(controllers[0], model, read, seed=3, within=1e-9).controlled
+    assert forecast.controlled and forecast.promised and not replace(forecast, within=1e-9).controlled
 
 
 @pytest.mark.parametrize(("within", "code"), [("0.9", 0), ("1e-9", 1)])
 def test_a_plan_on_a_model_alone_is_judged_by_its_exit_code(command, planned, tmp_path, within, code):
     words = ("plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]", "planning.updates=2")
     words += ("planning.rollouts=8", "planning.window=10", "scenario.reference.number=4", "scenario.episodes=4")
+    words += ("task.max_steps=80",)
     model = f"model={planned / 'model.json'}"
     done = command("train", model, *words, f"evaluation.within={within}", "folder=run", cwd=tmp_path)
     assert done.code == code, done

@@ -19,15 +19,17 @@ from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature
+from dynasindy.workbench import tracking
 
 ROOT = Path(__file__).parents[2]
 TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
 SHORT = [
-    "planning.updates=40",
+    "planning.updates=30",
     "planning.rollouts=32",
     "planning.window=30",
     "scenario.reference.number=8",
     "scenario.episodes=8",
+    "task.max_steps=120",
 ]
 
 
@@ -51,7 +53,7 @@ WORDS = "plant.library=['1',u,theta,Omega,'sin(theta)']"
 @pytest.mark.parametrize(("plant", "promised"), [("arm", True), ("propeller", False)])
 def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path):
     """An arm that is held, and a propeller whose motor lags and which so short a plan does not hold."""
-    updates = 80 if promised else 20
+    updates = 60 if promised else 20
     case, log, (given, seed) = CASES[plant], tmp_path / "log.csv", ({"updates": updates, "rollouts": 16}, 3)
     write_log(case, log, seed)
     settings = [f"planning.{key}={value}" for key, value in given.items()]
@@ -61,6 +63,7 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
         f"seed={seed}",
         "evaluation.within=0.02",
         "evaluation.must_control=false",
+        "task.max_steps=120",
     ]
     done = train(*words, f"folder={tmp_path}/run")
     assert done.returncode == 0, done.stderr
@@ -68,7 +71,9 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
 
     read = dynasindy.read(log)
     model = dynasindy.identify(read, known=case.known)
-    controller = dynasindy.plan(model, case.targets, read, seed=seed, **given)
+    task = tracking(model, case.targets)
+    task.max_steps = 120
+    controller = dynasindy.plan(model, task, read, seed=seed, **given)
     found = dynasindy.forecast(controller, model, read, seed=seed, within=0.02)
     assert list(model.equations()) == told["equations"]
     assert json.loads(json.dumps(found.record())) == told["prediction"]
