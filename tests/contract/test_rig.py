@@ -207,9 +207,8 @@ def test_a_rig_in_another_process_is_excited_identified_planned_for_flown_and_re
     done = command("rig", "system=pendulum", "folder=run", "sensors=bench", *words, *patient, cwd=tmp_path)
     assert done.code == 0, done
     (check,) = [line for line in done.out.splitlines() if "check.py run=" in line]
-    looked = command(
-        "check", *shlex.split(check, comments=True)[2:], "points=1", "draws=1", "grid=2", "seconds=3", cwd=tmp_path
-    )
+    small = ("points=1", "draws=1", "grid=2", "seconds=3")
+    looked = command("check", *shlex.split(check, comments=True)[2:], *small, cwd=tmp_path)
     assert looked.code == 0, looked
     run = tmp_path / "run"
     files = [run / f"{name}.csv" for name in ("excitation", "flight_1", "flight_2")]

@@ -270,15 +270,6 @@ def test_the_limits_of_a_plant_guard_what_has_no_range_of_its_own():
     assert own.or_limits({"theta": 0.5}, WIRING) is own
 
 
-<<<<<<< HEAD
-def test_the_ranges_in_which_a_flight_goes_on_are_said_in_the_units_of_the_states():
-    wiring = Wiring(Pendulum().signature, (True, True), 0.05)
-    said = Guard({"theta": -1.5}, {"theta": 1.5, "Omega": 8.0}).summary(wiring)
-    assert "-1.5 to 1.5 rad" in said and "-inf to 8 rad/s" in said
-
-
-=======
->>>>>>> b0cc9e43 (One bad setting, folder and file of each kind where many stood; tests that pinned wording go)
 def test_a_rig_that_never_sends_a_sample_is_told_with_what_came_instead(tmp_path):
     """Floats are sent in the place of doubles: 16 bytes, where a sample of two states has 24."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:

@@ -19,7 +19,7 @@ from dynasindy.data.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.workbench import tracking
+from dynasindy.workbench import tracking_task
 
 ROOT = Path(__file__).parents[2]
 TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
@@ -71,7 +71,7 @@ def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path)
 
     read = dynasindy.read(log)
     model = dynasindy.identify(read, known=case.known)
-    task = tracking(model, case.targets)
+    task = tracking_task(model, case.targets)
     task.max_steps = 120
     controller = dynasindy.plan(model, task, read, seed=seed, **given)
     found = dynasindy.forecast(controller, model, read, seed=seed, within=0.02)
