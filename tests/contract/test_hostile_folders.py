@@ -34,7 +34,10 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("good") / "run"
     folder.mkdir()
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = compose("train", [f"folder={folder}", "experiment=smoke", "env.substeps=1", "agent.hidden=[4]"])
+        config = compose(
+            "train",
+            [f"folder={folder}", "experiment=smoke", "env.substeps=1", "agent.hidden=[4]", "scenario.seconds=2"],
+        )
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     policy = instantiate(config.agent, _convert_="all")(n_obs=8, n_u=2).deployed
     torch.save(policy.state_dict(), folder / "policy.pt")

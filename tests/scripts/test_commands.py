@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,7 +23,7 @@ def commands(monkeypatch):
 
 def dynasindy(*words, cwd, **environment):
     command = [sys.executable, "-m", "dynasindy", *words]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={**os.environ, **environment})
+    return forked.run(command, cwd=cwd, env={**os.environ, **environment})
 
 
 def completed(line, cwd):
@@ -48,7 +49,7 @@ def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(commands, mo
     assert commands.called("check") == "dynasindy check"
 
 
-@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+@pytest.mark.parametrize("words", [[], ["--help"]])
 def test_without_a_command_all_of_them_are_listed(commands, words, tmp_path):
     done = dynasindy(*words, cwd=tmp_path)
     listed = re.findall(r"^  (\w+)  +\S", done.stdout, re.M)
@@ -94,8 +95,6 @@ def test_a_wrong_key_is_found_before_torch_is_imported(tmp_path):
         ("dynasindy train system=t", ["system=tras", "system=trms33"]),
         ("/home/train/bin/dynasindy train planning=none checkpoint.", ["checkpoint.every="]),
         ("dynasindy train system=_", []),
-        ("dynasindy train agent._", []),
-        ("dynasindy table ", []),
         ("dynasindy nothing ", []),
     ],
 )
@@ -122,9 +121,10 @@ def test_after_the_command_and_a_space_all_commands_are_offered(commands, tmp_pa
 @pytest.mark.slow
 def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
     small = ("points=1", "grid=2", "draws=1", "seconds=1")
+    short = ("scenario.episodes=2", "task.max_steps=60", "excitation.duration=3")
     calls = (
         ("identify", "system=pendulum", "excitation.duration=3", "data.validation_seconds=1", "folder=model"),
-        ("train", "experiment=gradient_smoke", "system=pendulum", "scenario.episodes=2", "folder=run"),
+        ("train", "experiment=gradient_smoke", "system=pendulum", *short, "folder=run"),
         ("evaluate", "run=run", "scenarios=[step]", "formats=[svg]", "animate=true"),
         ("check", "run=run", *small),
         ("export", "run=run", "formats=[c,model]"),
@@ -132,6 +132,7 @@ def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
         ("rig", "system=pendulum", "controller=run/controller.json", "sensors=exact", "seconds=0.2", "guard.late=100"),
     )
     for words in calls:
-        done = dynasindy(*words, cwd=tmp_path)
+        command = [sys.executable, "-m", "dynasindy", *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode in ((0, 1) if words[0] == "check" else (0,)), (words, done.stderr)
         assert "Traceback" not in done.stderr, (words, done.stderr)

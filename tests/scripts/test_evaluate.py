@@ -25,7 +25,7 @@ SCENARIOS = sorted(path.stem for path in (REPOSITORY / "conf" / "scenario").glob
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = compose("train", [f"folder={folder}", "experiment=smoke", "env.substeps=1"])
+        config = compose("train", [f"folder={folder}", "experiment=smoke", "env.substeps=1", "scenario.seconds=2"])
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     policy = instantiate(config.agent, _convert_="all")(n_obs=8, n_u=2).deployed
     torch.save(policy.state_dict(), folder / "policy.pt")
@@ -49,7 +49,7 @@ def test_it_writes_tables_figures_and_an_animation(run_folder: Path, tmp_path: P
     done = evaluate(f"run={run_folder}", "scenarios=[delay]", "animate=true", "formats=[svg]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     late = "inputs late by 2 control periods, 0.1 s"
-    assert f"Scenario 'delay' (64 references, 5 s, {late})" in done.stdout  # as long as those of the run
+    assert f"Scenario 'delay' (64 references, 2 s, {late})" in done.stdout  # as long as those of the run
     names = {path.name for path in (run_folder / "evaluation").iterdir()}
     assert names == {"delay.json", "delay.csv", "delay.svg", "delay_errors.svg", "delay.gif"}
     assert json.loads((run_folder / "evaluation" / "delay.json").read_text())["rows"] == 64

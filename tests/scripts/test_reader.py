@@ -58,12 +58,7 @@ def test_a_pipe_that_is_not_the_output_breaks_loudly(tmp_path):
     assert done.returncode == 1 and "a worker died" in done.stderr
 
 
-def test_the_exit_code_of_a_mistake_stays(tmp_path):
-    code = "import sys\nfrom reader import while_read\nwith while_read():\n    sys.exit(2)"
-    assert unread("-c", code, cwd=tmp_path)[0] == 2
-
-
-@pytest.mark.parametrize("script", ["benchmark.py gradient", "evaluate.py"])
+@pytest.mark.parametrize("script", ["evaluate.py"])
 def test_the_help_of_a_script_ends_without_a_word(script, tmp_path):
     name, *rest = script.split()
     code, error = unread(str(SCRIPTS / name), *rest, "--help", cwd=tmp_path)

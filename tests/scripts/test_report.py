@@ -9,6 +9,7 @@ import forked
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
+SMALL = ("system=xi", "experiment=smoke", "excitation.duration=5", "task.max_steps=100", "scenario.episodes=4")
 
 
 def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -19,7 +20,7 @@ def report(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ablation") / "xi" / "dyna" / "rollouts_800" / "seed_0"
-    command = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), "system=xi", "experiment=smoke"]
+    command = [sys.executable, str(REPOSITORY / "scripts" / "train.py"), *SMALL]
     forked.run([*command, f"folder={folder}", f"hydra.run.dir={folder}"], cwd=folder.parents[3], check=True)
     return folder
 
@@ -30,7 +31,7 @@ def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> No
     kept = tmp_path / "docs" / "results" / "runs" / "xi_dyna_rollouts_800"
     assert (kept / "evaluation" / "step.json").is_file() and not list(kept.rglob("*.pt"))
     origin = json.loads((kept / "origin.json").read_text())
-    assert origin["command"] == "python scripts/train.py system=xi experiment=smoke"
+    assert origin["command"] == f"python scripts/train.py {' '.join(SMALL)}"
     assert str(tmp_path) not in (kept / "config.yaml").read_text()
     text = " ".join((tmp_path / "docs" / "report" / "report.md").read_text().split())
     assert f"`{origin['command']}`" in text and "![" in text
