@@ -139,12 +139,13 @@ def _command(
 
 def _forget_other_copies() -> None:
     """Let a command whose path leads to a copy of the package import that one."""
-    ours, found = sys.modules["dynasindy"].__file__, PathFinder.find_spec("dynasindy")
+    ours, found = getattr(sys.modules.get("dynasindy"), "__file__", None), PathFinder.find_spec("dynasindy")
     if ours is None or found is None or found.origin == ours:
         return
-    root = Path(ours).parents[1]
+    package = Path(ours).parent
     for name, module in list(sys.modules.items()):
-        if Path(getattr(module, "__file__", None) or "").is_relative_to(root):
+        file = Path(getattr(module, "__file__", None) or "")
+        if file.is_relative_to(package) or file.parent == package.parent / "scripts":
             del sys.modules[name]
 
 
