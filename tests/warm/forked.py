@@ -147,6 +147,9 @@ def _forget_other_copies() -> None:
         file = Path(getattr(module, "__file__", None) or "")
         if file.is_relative_to(package) or file.parent == package.parent / "scripts":
             del sys.modules[name]
+    registry = sys.modules["gymnasium"].registry
+    for name in [name for name in registry if name.startswith("dynasindy/")]:
+        del registry[name]
 
 
 def _done(words: list[str]) -> int:
