@@ -133,7 +133,7 @@ def planned(command, log, tmp_path_factory) -> Path:
     words = ["data=csv", f"data.path={log}", "plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
     words += [
         "plant.library=['1',u,theta,Omega,'sin(theta)']",
-        "planning.updates=30",
+        "planning.updates=50",
         "planning.rollouts=32",
         "longest_delay=0",
     ]

@@ -24,7 +24,7 @@ from dynasindy.workbench import tracking_task
 ROOT = Path(__file__).parents[2]
 TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
 SHORT = [
-    "planning.updates=30",
+    "planning.updates=40",
     "planning.rollouts=32",
     "planning.window=30",
     "scenario.reference.number=8",
