@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import parsed  # noqa: F401 - compositions of this process are fast from here on
 import pytest
 import torch
 

@@ -1,17 +1,15 @@
-"""What every command needs and none changes: libraries, the package, and the files of `conf` as they were parsed.
+"""What every command needs and none changes: libraries, the package, and the files of `conf`, parsed.
 
 A fork of a process that has imported this module starts in a fraction of the time. `command` is not here: it changes
 the environment when it is imported.
 """
 
-import copy
 import importlib
 import sys
 from pathlib import Path
-from typing import TextIO
 
+import parsed  # noqa: F401
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, ListConfig, OmegaConf
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = (
@@ -23,23 +21,6 @@ MODULES = (
     *("dynasindy.export", "admitted", "manual", "mistakes", "next_steps", "places", "saved_run", "schema"),
 )
 
-
-PARSED: dict[str, DictConfig | ListConfig] = {}
-_load = OmegaConf.load
-
-
-def _load_once(file_: str | Path | TextIO) -> DictConfig | ListConfig:
-    """Read YAML as OmegaConf does, and from a copy if it is a text that Hydra has opened before."""
-    if isinstance(file_, str | Path):
-        return _load(file_)
-    text = file_.read()
-    if text not in PARSED:
-        file_.seek(0)  # from the file, whose name is in the errors
-        PARSED[text] = _load(file_)
-    return copy.deepcopy(PARSED[text])
-
-
-OmegaConf.load = staticmethod(_load_once)  # type: ignore[method-assign]
 sys.path.insert(0, str(ROOT / "scripts"))
 for _name in MODULES:
     importlib.import_module(_name)
