@@ -1,7 +1,7 @@
 """The doors that a user has: a command with its words, and the log of a plant.
 
-A command is run in a fork of the process of the tests, which has imported torch, the package and what the scripts
-share already. Tests of how a command starts, or of what it finds in its environment, have a process of their own.
+A command is run in a fork of the process of the tests, which has imported torch and the package already. Tests of how
+a command starts, or of what it finds in its environment, have a process of their own.
 """
 
 import os

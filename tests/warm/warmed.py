@@ -1,11 +1,10 @@
 """What every command needs and none changes: libraries, the package, and the files of `conf`, parsed.
 
-A fork of a process that has imported this module starts in a fraction of the time. `command` is not here: it changes
-the environment when it is imported.
+A fork of a process that has imported this module starts in a fraction of the time. Modules of the scripts are not here:
+they change the environment when they are imported.
 """
 
 import importlib
-import sys
 from pathlib import Path
 
 import parsed  # noqa: F401
@@ -18,13 +17,11 @@ MODULES = (
     *("scipy.integrate", "scipy.interpolate", "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.special"),
     *("matplotlib.pyplot", "matplotlib.backends.backend_agg", "jinja2", "rich.progress", "rich.table", "PIL.Image"),
     *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.checking", "dynasindy.evaluation"),
-    *("dynasindy.export", "admitted", "manual", "mistakes", "next_steps", "places", "saved_run", "schema"),
+    *("dynasindy.export", "dynasindy.workbench"),
 )
 
-sys.path.insert(0, str(ROOT / "scripts"))
 for _name in MODULES:
     importlib.import_module(_name)
-sys.path.pop(0)
 with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
     for _name in ("train", "identify"):
         compose(_name)
