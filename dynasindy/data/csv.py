@@ -326,7 +326,7 @@ def _held(table: Table, states_end: int, notes: list[str]) -> Table:
         rows = np.flatnonzero(np.isfinite(values[:, k]))
         if not 0 < len(rows) <= (1 - STREAM) * len(values):
             continue
-        if np.diff(rows).max(initial=0) > HOLE * len(values) / len(rows):
+        if np.diff(np.append(rows, len(values))).max() > HOLE * len(values) / len(rows):
             continue
         last = np.maximum.accumulate(np.where(np.isfinite(values[:, k]), np.arange(len(values)), -1))
         held = np.isnan(values[:, k]) & (last >= 0)

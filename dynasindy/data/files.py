@@ -312,7 +312,7 @@ def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:
 
 def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
     if values.dtype.kind == "M":
-        return values.astype("datetime64[ns]").astype(np.int64) / 1e9
+        return np.where(np.isnat(values), np.nan, values.astype("datetime64[ns]").astype(np.int64) / 1e9)
     return values.astype(np.float64)
 
 
@@ -374,8 +374,11 @@ def _read_hdf5(path: Path) -> RawTable:
 
 
 def _read_npz(path: Path) -> RawTable:
-    with np.load(path, allow_pickle=False) as file:
-        return _of_columns(dict(file) if hasattr(file, "files") else {"x": file}, path)
+    file = np.load(path, allow_pickle=False)
+    if isinstance(file, np.ndarray):
+        return _of_columns({name: file[name] for name in file.dtype.names or ()}, path)
+    with file:
+        return _of_columns(dict(file), path)
 
 
 def _of_frame(frame: pd.DataFrame) -> RawTable:
@@ -383,7 +386,7 @@ def _of_frame(frame: pd.DataFrame) -> RawTable:
         frame = frame.reset_index()
     headings = tuple(str(name) for name in frame.columns)
     columns = {
-        k: (frame[name].astype("int64") / 1e9 if frame[name].dtype.kind == "M" else frame[name])
+        k: pd.Series(_as_number(frame[name].to_numpy())) if frame[name].dtype.kind == "M" else frame[name]
         for k, name in enumerate(frame.columns)
     }
     return RawTable(headings, pd.DataFrame(columns), np.arange(1, len(frame) + 1, dtype=np.int64))

@@ -101,8 +101,10 @@ def _read(path: Path, changed: int, size: int) -> Table:
     return _with_one_clock(table)
 
 
-CLOCK_OF_ITS_OWN = re.compile(r"(.+?[_ ./]?)(timestamp|time|stamp|t)", re.IGNORECASE)
+CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
 """A heading that is the time of the columns with the same beginning, such as `left_time`."""
+PLAIN_CLOCK = re.compile(r"_*(time|t|timestamp|stamp|elapsed|x_value|(milli|micro)s(econds)?|seconds)_*", re.IGNORECASE)
+"""A heading that is the time of all columns."""
 
 
 def _with_one_clock(table: Table) -> Table:
@@ -116,7 +118,7 @@ def _with_one_clock(table: Table) -> Table:
         for heading, match in found.items()
         if match and _is_increasing(table.column(heading)) and heading not in table.dated
     }
-    if len(clocks) < 2 or any(name.lower() in ("t", "time", "timestamp") for name in map(_name, table.headings)):
+    if len(clocks) < 2 or any(PLAIN_CLOCK.fullmatch(split_unit(h)[0]) for h in table.headings):
         return table
     first, *others = clocks.values()
     values, moved, now = table.values.copy(), [], table.column(first)
@@ -135,10 +137,6 @@ def _with_one_clock(table: Table) -> Table:
     names = [(f"time [{unit}]" if unit else "time") if h == first else h for h in table.headings]
     note = f"{', '.join(moved)} of the clock {', '.join(others)} stand at the times of {first}"
     return replace(table, headings=tuple(names[k] for k in kept), values=values[:, kept], notes=(*table.notes, note))
-
-
-def _name(heading: str) -> str:
-    return split_unit(heading)[0]
 
 
 def _is_increasing(column: Array) -> bool:

@@ -67,12 +67,15 @@ def write_bag(path):
     next(folder.glob("*.mcap")).rename(path)
 
 
+DATED = pd.DataFrame({**WORDS, "time": pd.Timestamp("2024-05-31 12:00") + pd.to_timedelta(T, unit="s")})
 WRITERS = {
     "plain.mat": (write_mat, ()),
     "structure.mat": (write_structure, ()),
     "log.npz": (lambda path: np.savez(path, **WORDS), ()),
+    "log.npy": (lambda path: np.save(path, pd.DataFrame(WORDS).to_records(index=False)), ()),
     "log.h5": (write_hdf5, ("h5py",)),
     "log.parquet": (lambda path: pd.DataFrame(WORDS).to_parquet(path), ("pyarrow",)),
+    "dates.parquet": (lambda path: DATED.to_parquet(path), ("pyarrow",)),
     "log.feather": (lambda path: pd.DataFrame(WORDS).to_feather(path), ("pyarrow",)),
     "log.xlsx": (lambda path: pd.DataFrame(WORDS).to_excel(path, index=False), ("openpyxl",)),
     "log.tdms": (write_tdms, ("nptdms",)),

@@ -75,6 +75,17 @@ def test_rows_of_two_streams_are_one_log(tmp_path):
     assert data.u[:, 0].numpy() == pytest.approx(COMMAND[rows - rows % 2])
 
 
+def test_an_input_that_is_lost_for_long_is_not_held(tmp_path):
+    command = np.where(np.arange(ROWS) < 200, COMMAND, np.nan)
+    found = recording(tmp_path / "l.csv", "time,angle,u", T, ANGLE, command)
+    assert len(found.transitions) == 199
+
+
+def test_columns_that_only_end_like_a_time_have_no_clock(tmp_path):
+    found = recording(tmp_path / "l.csv", "millis,heat,left,u", 1e3 * T, T**2 + T, T**3 + T, COMMAND)
+    assert found.signature.state_names == ("heat", "left")
+
+
 def test_columns_with_a_clock_of_their_own_stand_at_the_times_of_the_first(tmp_path):
     later = T + 0.0037
     found = recording(
