@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.columns import Column, columns_of
-from dynasindy.data.table import split_unit
+from dynasindy.data.table import split_unit, units_of
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
 from dynasindy.systems.base import WHOLE, Signature
 
@@ -96,7 +96,7 @@ def with_actuator_ranges(
         ValueError: Other ends, or another unit, were given of an input.
     """
     columns = columns_of(inputs, may_be_rates=False)
-    inside = dict(map(split_unit, headings)) | {heading: split_unit(heading)[1] for heading in headings}
+    inside = units_of(headings)
     for place, (name, own) in enumerate(zip(plant.input_names, _units(plant), strict=True)):
         column, reach = columns.get(name), _reach_of(plant, place)
         if column is None or reach == PLAIN:

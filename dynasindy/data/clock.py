@@ -342,11 +342,13 @@ def period_of(t: Array) -> float:
 
 
 def _unix_unit(values: Array) -> str:
-    """Return the unit of times since 1970, which their size tells: years from 2001 to 2100; empty for other times."""
+    """Return the unit of times since 1970, which their size tells: years from 2010 to 2040; empty for other times."""
     if not len(values):
         return ""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return next((u for u, size in (("ms", 1e12), ("us", 1e15), ("ns", 1e18)) if size <= low and high < 4.1 * size), "")
+    return next(
+        (u for u, size in (("ms", 1e12), ("us", 1e15), ("ns", 1e18)) if 1.26 * size <= low and high < 2.21 * size), ""
+    )
 
 
 def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, str]:
@@ -370,7 +372,7 @@ def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tu
             lift[drops + 1] = size
             return values + np.cumsum(lift), f"; it counts to {size:g} and goes on from 0 in line {lines}"
     starts = np.concatenate([[0], drops + 1, [len(values)]])
-    if (np.diff(starts) < FEWEST).any() or any(values[k + 1] > values[0] + 0.5 * np.ptp(values) for k in drops):
+    if (np.diff(starts) < FEWEST).any() or any(values[k + 1] > values[0] + LATE * usual for k in drops):
         return values, ""
     lift = np.zeros(len(values))
     lift[drops + 1] = LATE * usual - steps[drops]

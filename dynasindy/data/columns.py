@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from dynasindy.data.clock import CLOCK, clock_of
-from dynasindy.data.headings import finite_columns, grows, guessed
-from dynasindy.data.table import MAP, ColumnSummary, split_unit, summarise_columns
+from dynasindy.data.headings import finite_columns, guessed
+from dynasindy.data.table import MAP, ColumnSummary, grows, named_by, split_unit, summarise_columns
 from dynasindy.data.units import with_units
 from dynasindy.text import did_you_mean
 
@@ -77,12 +77,13 @@ def infer(
     words = {split_unit(h)[0]: t for h, t in look.worded.items() if clock.heading not in (h, split_unit(h)[0])}
     dates = [split_unit(h)[0] for h in look.dated if split_unit(h)[0] in words]
     timed = clock.heading in look.headings
-    if worded := [name for name in words if (INPUT.fullmatch(name) if inputs is None else name in _names(inputs))]:
+    driving = _names(inputs, words) if inputs is not None else {name for name in words if INPUT.fullmatch(name)}
+    if worded := [name for name in words if name in driving]:
         raise ValueError(
             f"{path}: the input {worded[0]} holds words, such as {words[worded[0]]!r}; allowed are numbers: write them "
             "as numbers, ON and OFF as 1 and 0"
         )
-    named = {*_names(inputs or ()), *_names(states or ())}
+    named = {*_names(inputs or (), others), *_names(states or (), others)}
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name
         columns = finite_columns(Path(path), look)
         timed = not any(grows(column) for h, column in columns.items() if split_unit(h)[0] not in named)
@@ -95,7 +96,9 @@ def infer(
     still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
     counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
     if inputs is None:
-        found = {n: c for n, c in others.items() if INPUT.fullmatch(n) and n not in {*still, *counts}}
+        moving = {n: c for n, c in others.items() if n not in {*still, *counts}}
+        found = {n: c for n, c in moving.items() if INPUT.fullmatch(n)}
+        found = found or {n: c for n, c in moving.items() if COMMAND.fullmatch(n)}
         for own, other in (("u_", "U"), ("U_", "u")):  # beside u, U_left may be anything
             found = {n: c for n, c in found.items() if not (n.startswith(own) and other in found)}
     else:
@@ -115,8 +118,9 @@ def infer(
     return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
 
 
-def _names(named: Collection[str]) -> set[str]:
-    return {split_unit(name)[0] for name in named}
+def _names(named: Collection[str], columns: Collection[str]) -> set[str]:
+    """Return the names of columns that a user named, with their units or without."""
+    return {found for name in named for found in named_by(name, [*columns])} | {split_unit(name)[0] for name in named}
 
 
 def _empty(look: ColumnSummary, clock: str) -> list[str]:
@@ -179,8 +183,10 @@ def _lacking(
     )
 
 
-INPUT = re.compile(r"(?:u|U|(?:.*_)?(?:input|cmd|command))(?:[_ \d].*)?")
+INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
+COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")
+"""How they may be called where none is called so: beside an input, a command may be a target."""
 _LACKING = {
     "time": "none of them is called {clock}",
     "inputs": "none that moves is called u, u_... or input_..., as inputs are",
@@ -200,11 +206,11 @@ def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, ke
     Raises:
         ValueError: there is no such column.
     """
-    wanted = [split_unit(name)[0] for name in names]
-    if absent := [name for name in wanted if name not in columns]:
+    named = {name: named_by(name, [*columns]) or named_by(split_unit(name)[0], [*columns]) for name in names}
+    if absent := [split_unit(name)[0] for name, found in named.items() if not found]:
         hint = did_you_mean(absent[0], columns)
         raise ValueError(f"{key} names '{absent[0]}'; {path} has {', '.join(columns)}: name columns of the file{hint}")
-    return {name: columns[name] for name in wanted}
+    return {found[0]: columns[found[0]] for found in named.values()}
 
 
 def columns_of(

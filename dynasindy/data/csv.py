@@ -28,6 +28,8 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
+ALONE = 0.8
+"""Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
 PASSING = 0.05
 """Part of the samples in the middle half of the range from which on it is passed through; two levels are no angle."""
 STREAM = 0.2
@@ -326,6 +328,9 @@ def _held(table: Table, states_end: int, notes: list[str]) -> Table:
         rows = np.flatnonzero(np.isfinite(values[:, k]))
         if not 0 < len(rows) <= (1 - STREAM) * len(values):
             continue
+        steps, alone = np.diff(rows), np.isnan(values[rows, 1:states_end]).all(1).mean()
+        if alone < ALONE and (len(steps) == 0 or (steps == np.median(steps)).mean() < ALONE):  # lost, and not unsaid
+            continue
         if np.diff(np.append(rows, len(values))).max() > HOLE * len(values) / len(rows):
             continue
         last = np.maximum.accumulate(np.where(np.isfinite(values[:, k]), np.arange(len(values)), -1))
@@ -353,19 +358,25 @@ def unwrapped(name: str, x: Array, unit: str, notes: list[str]) -> Array:
     width, steps = float(np.ptp(values)), np.diff(values)
     turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,)}.get(unit, (2 * np.pi, 360.0) if unit == "-" else ())
     whole = bool((values == values.round()).all()) and unit in ("-", "counts", "count", "ticks")
-    counts = tuple(2.0**k for k in range(8, 33)) if whole else ()
+    counts = tuple(2.0**k for k in range(10, 33)) if whole else ()
     inside = np.abs(values - values.min() - 0.5 * width) < 0.25 * width
     for turn in (*turns, *counts) if inside.mean() > PASSING else ():
         jumps = np.abs(steps) > 0.5 * turn
         left = np.abs(steps - turn * np.round(steps / turn))
         if not 0.9 * turn <= width <= 1.001 * turn or not jumps.any() or left.max() > 0.25 * turn:
             continue
+        begins = min(abs(values.min()), abs(values.min() + 0.5 * turn))  # from 0, or from minus half a turn
+        if begins > 0.05 * turn or left[jumps].max() > 3 * np.abs(steps[~jumps]).max():
+            continue
         found = x.copy()
         found[seen] = np.unwrap(values, period=turn)
         size = {2 * np.pi: "2 pi"}.get(turn, f"{turn:g}")
         scaled_state = f"{{{name}: {{name: {name}, unit: rad, scale: {2 * np.pi / turn:.6g}}}}}"
         more = f"; if these are a turn, data.states={scaled_state} gives rad" if turn in counts else ""
-        notes.append(f"{name} jumps by {size} {int(jumps.sum())} times and was unwrapped{more}")
+        notes.append(
+            f"{name} jumps by {size} {int(jumps.sum())} times and was unwrapped, as a controller has to do{more}; a "
+            "unit that is none of an angle keeps it as it is"
+        )
         return found
     return x
 

@@ -28,8 +28,72 @@ WORD = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 """A heading between blanks, with its unit."""
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
-UNIT = re.compile(r"\[[^\]]*\]|\([^)]*\)|[^\W\d]{1,3}[\d²]?(?:/[^\W\d]{1,3}[\d²]?)?|[-%°]|deg|turn|degC", re.IGNORECASE)
-"""A unit alone, in a line below the headings."""
+UNITS = frozenset(
+    [
+        "s",
+        "sec",
+        "ms",
+        "us",
+        "ns",
+        "min",
+        "h",
+        "hz",
+        "khz",
+        "m",
+        "mm",
+        "cm",
+        "km",
+        "m/s",
+        "m/s2",
+        "m/s^2",
+        "mm/s",
+        "km/h",
+        "rad",
+        "rad/s",
+        "deg",
+        "deg/s",
+        "°",
+        "°/s",
+        "rpm",
+        "1/min",
+        "turn",
+        "v",
+        "mv",
+        "a",
+        "ma",
+        "w",
+        "kw",
+        "n",
+        "kn",
+        "nm",
+        "n*m",
+        "pa",
+        "kpa",
+        "mpa",
+        "bar",
+        "mbar",
+        "k",
+        "c",
+        "°c",
+        "degc",
+        "%",
+        "pct",
+        "-",
+        "kg",
+        "g",
+        "l",
+        "l/s",
+        "l/min",
+        "m3/h",
+        "counts",
+        "ticks",
+        "1",
+        "t",
+    ]
+)
+"""Units that may stand in a line of their own below the headings, in small letters and without brackets."""
+LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
+"""Words for a value that was not measured."""
 EXTRA = "pip install 'dynasindy[logs]'"
 
 
@@ -44,6 +108,7 @@ class RawTable:
         headed: Whether the headings are the file's own.
         skipped: Lines above the headings.
         repeated: Lines at which the headings are repeated.
+        notes: Sentences on what was left out.
     """
 
     headings: tuple[str, ...]
@@ -52,6 +117,7 @@ class RawTable:
     headed: bool = True
     skipped: int = 0
     repeated: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def read_file(path: Path) -> RawTable:
@@ -168,12 +234,22 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _is_value(text: str) -> bool:
-    return is_number(text) or bool(DATE.fullmatch(text.strip()))
+    return is_number(text) or text.strip().lower() in LOST or bool(DATE.fullmatch(text.strip()))
+
+
+def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
+    """Tell whether a row holds the units of the headings above it: all in brackets, or half of them known."""
+    words = [text for text in row if text]
+    if not words or len(row) != len(above) or any(unit and not name for unit, name in zip(row, above, strict=True)):
+        return False
+    if all(re.fullmatch(r"\[[^\]]*\]|\([^)]*\)", text) for text in words):
+        return True
+    return 2 * sum(text.strip("[]()").lower() in UNITS for text in words) >= len(words)
 
 
 def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     """Find values from below, then the headings above them; what stands above these is a title."""
-    lines = [line.removeprefix("\ufeff") for line in lines]
+    lines = [re.sub(r"^\s*[#%]+\s*", "", line.removeprefix("\ufeff")) for line in lines]
     filled = [k for k, line in enumerate(lines) if line.strip(" ,;\t")]
     if not filled or (filled[0] and not any(_is_value(f) for k in filled for f in re.split(r"[,;\s]", lines[k]))):
         raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
@@ -185,13 +261,17 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     counts = Counter(place for k in lower for place, text in enumerate(rows[k]) if _is_value(text))
     numeric = {place for place, count in counts.items() if 2 * count >= len(lower)}
 
-    def holds_values(k: int) -> bool:
-        values = [place for place, text in enumerate(rows[k]) if _is_value(text)]
-        words = [p for p in numeric if p < len(rows[k]) and rows[k][p] and not _is_value(rows[k][p])]
-        return bool(values) and len(rows[k]) <= common + 1 and 2 * len(words) <= len(numeric)
+    leading = min(numeric, default=0)
+
+    def holds_values(k: int, whole: bool = False) -> bool:
+        cells = {place: rows[k][place] for place in numeric if place < len(rows[k]) and rows[k][place]}
+        words = [place for place, text in cells.items() if not _is_value(text)]
+        if not cells or leading in words or len(rows[k]) > common + 1:
+            return False
+        return not words and 4 * len(cells) >= 3 * len(numeric) if whole else len(words) < len(cells)
 
     first = len(filled)
-    while first and (holds_values(filled[first - 1]) or (first > 1 and _inside(first, filled, rows, holds_values))):
+    while first and (holds_values(filled[first - 1]) or (first > 1 and holds_values(filled[first - 2], True))):
         first -= 1
     if first == len(filled):  # no values at all
         first = 1
@@ -204,10 +284,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
         return _Layout(separator, decimal, names, width, filled[0], False, 0)
     headings, units = rows[head[-1]], list[str]()
-    if len(head) > 1 and any(headings) and all(UNIT.fullmatch(text) or not text for text in headings):
-        above = rows[head[-2]]
-        if len(above) == len(headings):
-            headings, units, head = above, headings, head[:-1]
+    if len(head) > 1 and _are_units(headings, rows[head[-2]]):
+        headings, units, head = rows[head[-2]], headings, head[:-1]
     if separator == BLANKS and len(headings) > common:  # blanks before units
         headings = WORD.findall(lines[head[-1]])
     if units:
@@ -216,11 +294,6 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     width = max(width, len(headings))
     last = filled[first] if first < len(filled) else head[-1] + 1
     return _Layout(separator, decimal, tuple(headings), width, last, True, head[-1])
-
-
-def _inside(first: int, filled: Sequence[int], rows: Mapping[int, list[str]], values: Callable[[int], bool]) -> bool:
-    """Tell whether a line without values stands between lines with values: one that a program wrote in between."""
-    return values(filled[first - 2]) and len(rows[filled[first - 2]]) >= len(rows[filled[first - 1]])
 
 
 def _separator(lines: Sequence[str]) -> str:
@@ -249,12 +322,9 @@ def _repeated(frame: pd.DataFrame, headings: Sequence[str]) -> NDArray[np.bool_]
     same = np.zeros(len(frame), dtype=bool)
     words = [k for k, name in enumerate(headings) if name and not is_number(name) and frame[k].dtype.kind not in "biuf"]
     if words:
-        first = words[0]
-        rows = np.flatnonzero(frame[first].astype(str).str.strip().to_numpy() == headings[first].split(" [")[0])
-        rows = np.union1d(rows, np.flatnonzero(frame[first].astype(str).str.strip().to_numpy() == headings[first]))
-        for row in rows.astype(int):
-            cells = [str(frame.iat[row, k]).strip() for k in words]
-            same[row] = all(c in (headings[k], headings[k].split(" [")[0]) for c, k in zip(cells, words))
+        names = {k: {headings[k], headings[k].split(" [")[0]} for k in words}
+        for row in np.flatnonzero(frame[words[0]].astype(str).str.strip().isin(names[words[0]])).astype(int):
+            same[row] = all(str(frame.iat[row, k]).strip() in names[k] for k in words)
     return same
 
 
@@ -305,9 +375,11 @@ def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:
     if not lengths:
         raise ValueError(f"{path} holds no arrays of numbers; allowed are variables of one length: save the log so")
     length = max(lengths, key=lambda size: (lengths[size], size))
-    kept = {name: values for name, values in flat.items() if len(values) == length}
-    frame = pd.DataFrame({k: _as_number(values) for k, values in enumerate(kept.values())})
-    return RawTable(tuple(kept), frame, np.arange(1, length + 1, dtype=np.int64))
+    near = {name: _as_number(values) for name, values in flat.items() if abs(len(values) - length) <= 1 < len(values)}
+    kept = {name: np.append(values, np.nan)[:length] for name, values in near.items()}
+    other = [f"{name} ({len(values)})" for name, values in flat.items() if name not in kept and len(values) > 1]
+    notes = (f"left out, as the others have {length} values: {', '.join(other)}",) if other else ()
+    return RawTable(tuple(kept), pd.DataFrame(dict(enumerate(kept.values()))), 1 + np.arange(length), notes=notes)
 
 
 def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
@@ -346,6 +418,13 @@ def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         yield name, np.asarray(tree)
 
 
+def _put(columns: dict[str, Any], name: str, values: Any) -> None:
+    """Add a column; one of a name that is taken gets a number, unless it is the same time once more."""
+    if name == "time" and name in columns:
+        return
+    columns[name if name not in columns else f"{name}_{sum(key.startswith(name) for key in columns) + 1}"] = values
+
+
 def _read_mat(path: Path) -> RawTable:
     from scipy.io import loadmat
 
@@ -355,7 +434,7 @@ def _read_mat(path: Path) -> RawTable:
         return _read_hdf5(path)
     columns: dict[str, Any] = {}
     for name, values in _flatten(loadmat(str(path), simplify_cells=True)):
-        columns.setdefault("time" if name == "tout" else name, values)
+        _put(columns, "time" if name == "tout" else name, values)
     return _of_columns(columns, path)
 
 
@@ -394,12 +473,11 @@ def _of_frame(frame: pd.DataFrame) -> RawTable:
 
 def _read_excel(path: Path) -> RawTable:
     """Read the first sheet as text would be: headings may stand below a title."""
-    cells = pd.read_excel(path, header=None)
+    cells = pd.read_excel(path, header=None).replace(r"\s*[\r\n]+\s*", " ", regex=True)
     buffer = io.StringIO()
     cells.to_csv(buffer, header=False, index=False)
-    text = path.parent / path.name  # for messages
     lines = buffer.getvalue().splitlines()
-    layout = _layout(text, lines[:SAMPLE])
+    layout = _layout(path, lines[:SAMPLE])
     body = cells.iloc[layout.first :, : len(layout.headings)]
     body.columns = pd.RangeIndex(body.shape[1])
     frame = body.reset_index(drop=True).infer_objects()
@@ -413,7 +491,7 @@ def _read_tdms(path: Path) -> RawTable:
         for channel in group.channels():
             if "time" not in columns and "wf_increment" in channel.properties:
                 columns["time"] = channel.time_track()
-            columns[channel.name] = channel[:]
+            _put(columns, channel.name if channel.name not in columns else f"{group.name}_{channel.name}", channel[:])
     return _of_columns(columns, path)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter, parts_of
-from dynasindy.data.table import ColumnSummary, read_columns, split_unit, summarise_columns
+from dynasindy.data.table import ColumnSummary, grows, read_columns, split_unit, summarise_columns
 
 Array = NDArray[np.float64]
 REGULAR = 0.9
@@ -104,11 +104,6 @@ def finite_columns(path: Path, look: ColumnSummary) -> dict[str, Array]:
         np.stack([read_columns(path).column(heading) for heading in headings], -1) if headings else np.empty((0, 0))
     )
     return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
-
-
-def grows(column: Array) -> bool:
-    """Tell whether each number is larger than the one before."""
-    return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
 def _quoted(name: str) -> str:

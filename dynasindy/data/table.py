@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +22,8 @@ DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:\d{2}.*
 ALLOWED = "2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05"
 """Dates that are read, for messages."""
 MAP = "correct the column map (data.time, data.states, data.inputs)"
+THOUSANDS = r"[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?"
+"""A number whose commas part thousands, where all commas of a column do."""
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
 
@@ -45,7 +47,6 @@ class Table:
         lines: line of each row in the file, `(rows,)`.
         words: cells that hold something else than a number, by heading.
         dated: headings of columns that hold dates, in seconds.
-        repeated: lines at which the headings are repeated, as where a recording begins anew.
         notes: sentences on what was decided.
     """
 
@@ -54,7 +55,6 @@ class Table:
     lines: NDArray[np.int64]
     words: Mapping[str, Words] = field(default_factory=dict)
     dated: frozenset[str] = frozenset()
-    repeated: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
     def column(self, heading: str) -> Array:
@@ -76,7 +76,7 @@ def read_columns(path: Path) -> Table:
 @lru_cache(maxsize=2)
 def _read(path: Path, changed: int, size: int) -> Table:
     raw = read_file(path)
-    headings = [" ".join(str(heading).split()) for heading in raw.headings]
+    headings = _plain_headings([" ".join(str(heading).split()) for heading in raw.headings])
     values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
     for k, heading in enumerate(headings):
         values[:, k], wrong, is_date = _numbers(raw.frame[k], raw.lines)
@@ -84,20 +84,20 @@ def _read(path: Path, changed: int, size: int) -> Table:
             words[heading] = wrong
         if is_date:
             dated.add(heading)
-    notes = []
+    notes = [*raw.notes]
     if raw.skipped:
         notes.append(f"{raw.skipped} lines above the headings were skipped")
     if not raw.headed:
         notes.append(f"the file has no headings; its columns are called {', '.join(filter(None, headings))}")
     if raw.repeated:
-        notes.append(f"line {', '.join(map(str, raw.repeated))} repeats the headings; a recording begins anew there")
+        notes.append(f"line {', '.join(map(str, raw.repeated))} repeats the headings")
     kept = [k for k, heading in enumerate(headings) if heading or np.isfinite(values[:, k]).any()]
     for k in [k for k in kept if not headings[k]]:
         if k and not _counts(values[:, k]):
             raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         kept.remove(k)  # an index that a program wrote
     found = tuple(headings[k] for k in kept)
-    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), raw.repeated, tuple(notes))
+    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), tuple(notes))
     return _with_one_clock(table)
 
 
@@ -116,7 +116,7 @@ def _with_one_clock(table: Table) -> Table:
     clocks = {
         match[1]: heading
         for heading, match in found.items()
-        if match and _is_increasing(table.column(heading)) and heading not in table.dated
+        if match and grows(table.column(heading)) and heading not in table.dated
     }
     if len(clocks) < 2 or any(PLAIN_CLOCK.fullmatch(split_unit(h)[0]) for h in table.headings):
         return table
@@ -139,7 +139,8 @@ def _with_one_clock(table: Table) -> Table:
     return replace(table, headings=tuple(names[k] for k in kept), values=values[:, kept], notes=(*table.notes, note))
 
 
-def _is_increasing(column: Array) -> bool:
+def grows(column: Array) -> bool:
+    """Tell whether each number is larger than the one before."""
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
@@ -149,6 +150,9 @@ def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words 
         return column.to_numpy(dtype=np.float64), None, False
     text = column.astype("string").str.strip()
     points = text.str.replace(",", ".", regex=False)
+    comma = text.str.contains(",", regex=False).fillna(False)
+    if comma.any() and text[comma].str.fullmatch(THOUSANDS).all():
+        points = text.str.replace(",", "", regex=False)
     numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     worded = np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)
     if not worded.any():
@@ -199,12 +203,12 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
             is a number.
     """
     whole = read_columns(path)
-    if dt is not None and names and not named_by(names[0], whole.headings):
-        rows = Table((names[0],), dt * np.arange(len(whole.lines), dtype=np.float64)[:, None], whole.lines)
+    if dt is not None and names[:1] == ["time"] and not named_by("time", whole.headings):  # nobody named another
+        even = dt * np.arange(len(whole.lines), dtype=np.float64)
         whole = replace(
             whole,
-            headings=(*rows.headings, *whole.headings),
-            values=np.concatenate([rows.values, whole.values], 1),
+            headings=("time", *whole.headings),
+            values=np.column_stack([even, whole.values]),
             notes=(*whole.notes, "the file has no column of time, and its rows are taken as even"),
         )
     places = [_find(path, name, whole.headings) for name in names]
@@ -223,7 +227,7 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
             )
     told = tuple(_worded(heading, each) for heading, each in words.items())
     dated = frozenset(found[:1]) & whole.dated
-    return Table(found, values, whole.lines, words, dated, whole.repeated, (*whole.notes, *told))
+    return Table(found, values, whole.lines, words, dated, (*whole.notes, *told))
 
 
 def _worded(heading: str, words: Words) -> str:
@@ -242,32 +246,55 @@ SUFFIXES = {
 
 
 def split_unit(heading: str) -> tuple[str, str]:
-    """Split a heading into name and unit: `angle [rad]`, `angle (rad)` and `angle_rad` alike; empty where none is.
+    """Split `angle [rad]` or `angle (rad)` into name and unit; the unit is empty where there is none."""
+    found = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
+    return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
+
+
+def plain_heading(heading: str) -> str:
+    """Return a heading as a name with its unit in brackets: `angle_deg` is `angle [deg]`.
 
     A place in an array belongs to the name, and so do the parts of a path: `/joint/position[0]` is `joint_position_0`.
     """
-    heading = heading.strip()
-    name, unit = heading, ""
-    found = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
-    if found and found[1] and not re.fullmatch(r"\d+", found[2] or "-"):
-        name, unit = found[1], (found[2] or found[3] or "").strip()
-    elif end := next((end for end in SUFFIXES if len(heading) > len(end) + 1 and heading.endswith(f"_{end}")), ""):
-        name, unit = heading[: -len(end) - 1], SUFFIXES[end]
+    heading = " ".join(heading.split())
+    name, unit = split_unit(heading)
+    if unit.isdigit():
+        name, unit = heading, ""
+    if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
+        name, unit = name[: -len(end) - 1], SUFFIXES[end]
     if re.search(r"/|\[\d+\]", name):
         name = re.sub(r"\W+", "_", name).strip("_")
-    return name, unit
+    elif unit == split_unit(heading)[1]:
+        return heading
+    return f"{name} [{unit}]" if unit else name
+
+
+def _plain_headings(headings: Sequence[str]) -> list[str]:
+    """Return headings with plain names, but where two of these would be the same."""
+    plain = [plain_heading(heading) for heading in headings]
+    names = [split_unit(heading)[0] for heading in plain]
+    return [new if names.count(split_unit(new)[0]) == 1 else old for new, old in zip(plain, headings, strict=True)]
+
+
+def units_of(headings: Iterable[str]) -> dict[str, str]:
+    """Return the unit that each heading names, by the heading, by its name alone and by `name_unit`."""
+    split = {heading: split_unit(heading) for heading in headings}
+    ended = {f"{n}_{end}": unit for n, unit in split.values() for end, ending in SUFFIXES.items() if ending == unit}
+    return ended | dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}
 
 
 def named_by(name: str, headings: Sequence[str]) -> list[str]:
     """Return the headings that a name means: its own, else those of which it is the name, else those in other brackets.
 
-    So `T`, `T [degC]` and `T(degC)` all name the column `T [degC]`.
+    So `T`, `T [degC]` and `T(degC)` all name the column `T [degC]`, and `angle_deg` names `angle [deg]`.
     """
+    plain = plain_heading(name)
     same: tuple[Callable[[str], bool], ...] = (
         lambda heading: heading == name,
         lambda heading: split_unit(heading)[0] == name,
         lambda heading: split_unit(heading) == split_unit(name),
-        lambda heading: not split_unit(name)[1] and split_unit(heading)[0] == split_unit(name)[0],
+        lambda heading: heading == plain,
+        lambda heading: split_unit(heading)[0] == plain,
     )
     return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dynasindy.data.rates import is_rate_of
-from dynasindy.data.table import split_unit
+from dynasindy.data.table import split_unit, units_of
 from dynasindy.systems.base import TURNS
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def with_units(
         rotors: Whether turns per minute of which nobody says that they are the rate of an angle are those of a rotor;
             otherwise such a column has no unit yet, for the log has still to tell.
     """
-    units, found = _units(headings), dict(columns)
+    units, found = units_of(headings), dict(columns)
     inside = {name: units.get(column.name, "") for name, column in columns.items()}
     angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
     for name, column in columns.items():
@@ -76,7 +76,7 @@ def undecided(columns: Mapping[str, Column], headings: Iterable[str]) -> list[st
         columns: States by name.
         headings: Headings of the file.
     """
-    units = _units(headings)
+    units = units_of(headings)
     return [
         name
         for name, column in columns.items()
@@ -108,7 +108,7 @@ def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[
         columns: Columns by name, as `with_units` returns them.
         headings: Headings of the file.
     """
-    units = _units(headings)
+    units = units_of(headings)
     inside = {name: units.get(column.name, "") for name, column in columns.items()}
     changed = {name: unit for name, unit in inside.items() if _changed(unit, columns[name].unit, columns[name].scale)}
     if not changed:
@@ -127,9 +127,3 @@ def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[
 
 def _changed(before: str, unit: str, scale: float) -> bool:
     return before != unit and (unit, scale) == in_radians(before)
-
-
-def _units(headings: Iterable[str]) -> dict[str, str]:
-    """Return the unit that each heading names, by the heading and by its name alone."""
-    split = {heading: split_unit(heading) for heading in headings}
-    return dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}

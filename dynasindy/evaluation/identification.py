@@ -15,7 +15,7 @@ from dynasindy.data.columns import Column, columns_of, infer
 from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.headings import row_counter
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
-from dynasindy.data.table import read_columns, split_unit
+from dynasindy.data.table import named_by, read_columns, split_unit
 from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
@@ -82,7 +82,10 @@ class LoggedData:
         Rates that are known and that neither the file nor the plant has become states that the model tells.
         """
         source = Source.of(self.recording(None if system is None else system.signature), self.validation_share)
-        return source if system is not None and system.known else source.with_rates(self.known or {})
+        told = self.known or {}
+        names = {n: named_by(n, source.signature.state_names) for n in {*told, *told.values()}}
+        known = {next(iter(names[s]), s): next(iter(names[r]), r) for s, r in told.items()}
+        return source if system is not None and system.known else source.with_rates(known)
 
     def recording(self, plant: Signature | None) -> Recording:
         """Read the file, all of it.
@@ -123,9 +126,9 @@ class LoggedData:
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
         headings = read_columns(Path(self._files[0])).headings
-        names, rates = {split_unit(heading)[0] for heading in headings}, set((self.known or {}).values())
+        rates = set((self.known or {}).values())
         states = given[0] or {
-            n: Column("" if n in rates and n not in names else n, unit)
+            n: Column("" if n in rates and not named_by(n, headings) else n, unit)
             for n, unit in zip(plant.state_names, plant.state_units, strict=True)
         }
         return dict(states), with_actuator_ranges(given[1] or {n: n for n in plant.input_names}, headings, plant)

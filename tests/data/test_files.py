@@ -98,6 +98,20 @@ def test_a_format_gives_the_log_that_was_written(tmp_path, name):
     assert data.u[:, 0].numpy() == pytest.approx(COMMAND[:-1], abs=1e-12)
 
 
+def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
+    np.savez(tmp_path / "log.npz", time=T, angle=ANGLE, u=COMMAND[:-1], trigger=np.arange(7.0))
+    found = LoggedData(str(tmp_path / "log.npz")).recording(None)
+    assert len(found.transitions) == ROWS - 2 and any("trigger" in note for note in found.notes)
+
+
+def test_cells_of_a_spreadsheet_may_have_line_breaks(tmp_path):
+    pytest.importorskip("openpyxl")
+    frame = pd.DataFrame({"time\n[s]": T, "angle\n[rad]": ANGLE, "u": COMMAND})
+    frame.to_excel(tmp_path / "log.xlsx", index=False)
+    found = LoggedData(str(tmp_path / "log.xlsx")).recording(None)
+    assert found.signature.state_units == ("rad",) and len(found.transitions) == ROWS - 1
+
+
 def test_a_damaged_file_and_a_format_without_its_package_cost_one_line(tmp_path, monkeypatch):
     for ending in ("mat", "npz", "parquet", "h5", "xlsx"):
         (tmp_path / f"log.{ending}").write_bytes(b"neither \x00 nor")

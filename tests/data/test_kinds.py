@@ -75,6 +75,40 @@ def test_rows_of_two_streams_are_one_log(tmp_path):
     assert data.u[:, 0].numpy() == pytest.approx(COMMAND[rows - rows % 2])
 
 
+def test_an_input_that_is_lost_at_random_costs_its_rows(tmp_path):
+    lost = np.random.default_rng(0).random(ROWS) < 0.3
+    found = recording(tmp_path / "l.csv", "time,angle,u", T, ANGLE, np.where(lost, np.nan, COMMAND), dt=0.01)
+    assert len(found.transitions) == (~lost[1:] & ~lost[:-1]).sum()
+
+
+def test_a_target_beside_an_input_is_no_input(tmp_path):
+    found = recording(tmp_path / "l.csv", "time,angle,angle_cmd,u", T, ANGLE, COMMAND**2, COMMAND)
+    assert found.signature.input_names == ("u",)
+
+
+def test_rows_in_disorder_are_no_recording_that_begins_anew(tmp_path):
+    stamps = T.copy()
+    stamps[[30, 52]] = stamps[[52, 30]]
+    with pytest.raises(ValueError, match="increase"):
+        recording(tmp_path / "l.csv", "time,angle,u", stamps, ANGLE, COMMAND)
+
+
+def test_rates_are_known_by_their_headings(tmp_path):
+    known = {"a_rad": "w_rad_s"}
+    found = recording(tmp_path / "l.csv", "time,a_rad,w_rad_s,u", T, ANGLE, COMMAND**2, COMMAND)
+    source = LoggedData(str(tmp_path / "l.csv"), known=known).load(None, None)
+    assert source.signature.state_names == found.signature.state_names == ("a", "w")
+    assert bool(source.training.x.isfinite().all())
+    mapped = LoggedData(str(tmp_path / "l.csv"), {"q": "a_rad", "v": "w_rad_s"}, {"u": "u"}).recording(None)
+    assert mapped.signature.state_units == ("rad", "rad/s")
+
+
+def test_a_time_that_is_misspelt_is_refused_also_where_the_sampling_time_is_given(tmp_path):
+    recording(tmp_path / "l.csv", "clock,angle,u", T, ANGLE, COMMAND, time="clock")
+    with pytest.raises(ValueError, match="clok"):
+        LoggedData(str(tmp_path / "l.csv"), {"a": "angle"}, {"u": "u"}, time="clok", dt=0.5).recording(None)
+
+
 def test_an_input_that_is_lost_for_long_is_not_held(tmp_path):
     command = np.where(np.arange(ROWS) < 200, COMMAND, np.nan)
     found = recording(tmp_path / "l.csv", "time,angle,u", T, ANGLE, command)
@@ -113,7 +147,12 @@ def test_an_angle_that_wraps_goes_on(unit, turn, start):
     assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
 
 
-@pytest.mark.parametrize("x", [ANGLE, np.sign(COMMAND) * np.pi, 180 * COMMAND, np.clip(6 * COMMAND, -np.pi, np.pi)])
+LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of a tank that is emptied
+
+
+@pytest.mark.parametrize(
+    "x", [ANGLE, LEVEL, LEVEL + 200, np.sign(COMMAND) * np.pi, 180 * COMMAND, np.clip(6 * COMMAND, -np.pi, np.pi)]
+)
 def test_what_moves_within_its_range_stays(x):
     notes = list[str]()
     assert np.array_equal(unwrapped("q", x, "-", notes), x) and not notes

@@ -35,11 +35,6 @@ def test_the_ends_of_lines_of_all_systems_are_read(tmp_path, ends):
         ("a [rad]", ("a", "rad")),
         ("a(m/s)", ("a", "m/s")),
         ("[rad]", ("[rad]", "")),
-        ("angle_deg", ("angle", "deg")),
-        ("rate_deg_s", ("rate", "deg/s")),
-        ("u_pct", ("u", "%")),
-        ("q[0]", ("q_0", "")),
-        ("/joint/position[1]", ("joint_position_1", "")),
         ("a b [ V ]", ("a b", "V")),
     ],
 )
@@ -65,6 +60,12 @@ def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
         ("a,b,c\n(s),(V),(-)\n\n1,2,3\n", "a [s],b [V],c", [4]),
         ("a,b,c\n,,\n1,2,3\n", "a b c", [3]),
         ("a,b\nx,y\n", "a b", [2]),
+        ("Sample rate,100,\na,b,c\n1,2,3\n4,5,6\n", "a b c", [3, 4]),
+        ("Run 1,,,\nt,x,v,u\n1,2,3,4\n4,5,6,7\n", "t x v u", [3, 4]),
+        ("# a b c\n1 2 3\n4 5 6\n", "a b c", [2, 3]),
+        ("time,1,2,u\n1,2,3,4\n4,5,6,7\n", "time 1 2 u", [2, 3]),
+        ("a,b,c\n1,N/A,N/A\n2,N/A,N/A\n3,4,5\n", "a b c", [2, 3, 4]),
+        ("a,b\nsec,1/min\n1,2\n3,4\n", "a [sec],b [1/min]", [3, 4]),
         ("  a  b (m/s) c\n  1.5  2 3\n  4  5 6\n", "a,b (m/s),c", [2, 3]),
         ("a\tb\t\n1\t2\t\n", "a b", [2]),
         (",a,b\n0,1,2\n1,2,3\n2,3,4\n3,4,5\n4,5,6\n", "a b", [2, 3, 4, 5, 6]),
@@ -102,6 +103,26 @@ def test_dates_of_the_time_column_become_seconds(tmp_path):
     assert np.diff(values[:, 0]) == pytest.approx([0.75, 0.75], abs=1e-6)
     with pytest.raises(ValueError, match="values"):
         select_columns(write(tmp_path, text), ["a", "time"])
+
+
+@pytest.mark.parametrize(
+    ("headings", "plain"),
+    [
+        ("a_deg,rate_deg_s,u_pct", ["a [deg]", "rate [deg/s]", "u [%]"]),
+        ("a_deg,a_rad,q[0],q[1]", ["a_deg", "a_rad", "q_0", "q_1"]),
+        ("/joint/q[1],/cmd/u,x_V [V]", ["joint_q_1", "cmd_u", "x_V [V]"]),
+    ],
+)
+def test_the_end_of_a_name_is_its_unit_where_the_name_stays_its_own(tmp_path, headings, plain):
+    count = len(plain)
+    text = "\n".join([headings, *(",".join(map(str, range(k, k + count))) for k in range(3))])
+    assert list(read_columns(write(tmp_path, text)).headings) == plain
+    assert read_columns(tmp_path / "log.csv").values.tolist() == [list(range(k, k + count)) for k in range(3)]
+    assert select_columns(tmp_path / "log.csv", headings.split(",")).headings == tuple(plain)
+
+
+def test_commas_between_thousands_are_no_decimals(tmp_path):
+    assert read_columns(write(tmp_path, 'a,b\n"1,234",0.5\n221,1.5\n')).values.tolist() == [[1234, 0.5], [221, 1.5]]
 
 
 def test_a_column_of_words_is_refused_by_its_name(tmp_path):
