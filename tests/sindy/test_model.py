@@ -157,7 +157,7 @@ def test_too_few_samples_wrong_widths_and_unfinished_numbers_are_refused():
         model.set_coefficients(torch.zeros(3, 6))
 
 
-def test_a_loaded_model_keeps_what_was_known_and_is_fitted_as_it_is_told(tmp_path):
+def test_a_loaded_model_keeps_what_was_known_when_it_is_fitted_again(tmp_path):
     model = SindyModel(Xi().signature, "paper_table", known=KNOWN, fixed={"omega_p": {"u_p": 5e3}})
     model.fit_derivatives(*(points := _points()), Xi()(*points))
     model.save(tmp_path / "model.json")

@@ -30,6 +30,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hydra.core.plugins import Plugins
+from hydra.core.singleton import Singleton
 
 
 @cache
@@ -133,6 +135,8 @@ def _command(
     more = [place for place in environment.get("PYTHONPATH", "").split(os.pathsep) if place]
     first = {"-m": str(folder), "-c": ""}.get(words[0], str(Path(words[0]).resolve().parent))
     sys.path[:] = [first, *more, *installed]
+    if more:
+        Singleton._instances.pop(Plugins, None)  # Hydra looks for plug-ins once, and there may be others
     _forget_other_copies()
     sys.exit(_done(words))
 
