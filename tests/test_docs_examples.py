@@ -153,6 +153,4 @@ def test_a_task_without_references_trains_and_is_judged_by_its_return(extended, 
     assert (folder / "figures" / "step_response.png").is_file()
     assert not (folder / "controller.json").exists()
     printed = run(extended, "scripts/evaluate.py", f"run={folder}", "scenarios=[task]")
-    # A run that was judged in flights of 5 s, as experiment=smoke is, is flown so long.
-    seconds = {"smoke": 5, "gradient_smoke": 2}[experiment]
-    assert f"Scenario 'task' (64 episodes, {seconds} s)" in printed
+    assert "Scenario 'task' (64 episodes, 2 s)" in printed  # as long as the episodes of training
