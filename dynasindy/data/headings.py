@@ -83,6 +83,7 @@ def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[
         held = max(names, key=lambda name: still[name])
         stem = re.sub(r"[\W_]*\d+$", "", held)  # of Heater 1 and Heater 2
         inputs = [name for name in names if name == held or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
+        inputs = inputs if len(inputs) < len(names) else [held]  # columns of one matrix are no pair
         inputs = inputs if still[held] > 0.5 else names[-1:]
         if still[held] <= 0.5:
             hints.append(

@@ -86,7 +86,8 @@ def _read(path: Path, changed: int, size: int) -> Table:
             dated.add(heading)
     notes = [*raw.notes]
     if raw.skipped:
-        notes.append(f"{raw.skipped} lines above the headings were skipped")
+        lines = "1 line above the headings was" if raw.skipped == 1 else f"{raw.skipped} lines above the headings were"
+        notes.append(f"{lines} skipped")
     if not raw.headed:
         notes.append(f"the file has no headings; its columns are called {', '.join(filter(None, headings))}")
     if raw.repeated:

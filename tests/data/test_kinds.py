@@ -64,6 +64,12 @@ def test_names_of_a_pair_get_the_same_role(tmp_path):
         recording(tmp_path / "l.csv", "time,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
 
 
+def test_the_guess_leaves_a_state_to_a_matrix_without_names(tmp_path):
+    held = np.arange(ROWS) // 20 % 3 - 1.0
+    with pytest.raises(ValueError, match=r"data.inputs=\[data_2\]' 'data.states=\[data_1\]"):
+        recording(tmp_path / "l.csv", "data[0],data[1],data[2]", T, ANGLE, held)
+
+
 def test_rows_of_two_streams_are_one_log(tmp_path):
     """A command in every second row stands until the next; a measurement stands where it was made."""
     odd = np.arange(ROWS) % 2 == 1
