@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.columns import Column, columns_of
-from dynasindy.data.table import split_unit, units_of
+from dynasindy.data.headings import split_unit, units_of
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
 from dynasindy.systems.base import WHOLE, Signature
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,28 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.table import Table, named_by, split_unit
+from dynasindy.data.headings import SECONDS, is_clock, named_by, parts_of, split_unit
+from dynasindy.data.table import Table
 
 Array = NDArray[np.float64]
-SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "\u00b5s": 1e-6,
-    "\u03bcs": 1e-6,
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
-    **dict.fromkeys(("second", "seconds"), 1.0),
-    **dict.fromkeys(("millisecond", "milliseconds", "millis"), 1e-3),
-    **dict.fromkeys(("microsecond", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("minute", "minutes"), 60.0),
-    **dict.fromkeys(("hour", "hours"), 3600.0),
-}
-"""Units of time, in seconds; capital letters are as good."""
-CLOCKS = ("time", "t", "timestamp", "stamp", "elapsed", "x_value")
-"""What a column of time is called, in small letters."""
 CLOCK = "time"
 """Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
 PLACES = 9
@@ -55,8 +36,6 @@ LATE = 10
 """Usual steps within which a counter goes on after its overflow."""
 FEWEST = 10
 """Rows of a recording that begins anew; single rows in disorder are none."""
-ALONE = 4
-"""Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
 
 
 @dataclass(frozen=True)
@@ -108,26 +87,8 @@ def clock_of(headings: Sequence[str], time: str = CLOCK) -> Clock:
         return Clock(name, unit)
     if time != CLOCK:
         return Clock(time)
-    meant = [Clock(heading, parts_of(heading)[1]) for heading in headings if _is_clock(heading)]
+    meant = [Clock(heading, parts_of(heading)[1]) for heading in headings if is_clock(heading)]
     return meant[0] if len(meant) == 1 else Clock(time)
-
-
-def parts_of(heading: str) -> tuple[str, str]:
-    """Return the name and the unit of a heading of time: `t_ms` is in ms as `t [ms]` is, and `millis` as well."""
-    name, unit = split_unit(heading)
-    if unit:
-        return name, unit
-    if found := re.fullmatch(r"(.+)[_ ]([^\W_]+)", heading):
-        return (found[1], found[2]) if found[2].lower() in SECONDS else (heading, "")
-    return heading, heading if len(heading) >= ALONE and heading.lower() in SECONDS else ""
-
-
-def _is_clock(heading: str) -> bool:
-    """Tell whether a heading can only be that of time."""
-    name, unit = parts_of(heading)
-    if name.lower().strip("_") in CLOCKS:
-        return unit.lower() in SECONDS or (not unit and name != "T")
-    return name == unit
 
 
 def is_counter(column: Array) -> bool:

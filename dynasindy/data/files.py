@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from numpy.typing import NDArray
 
 SAMPLE = 400
 """Lines from which separator, headings and decimal sign are told."""
+WIDEST = 100_000
+"""Letters of such a line that are looked at."""
 BLANKS = r"\s+"
 SEPARATORS = (",", ";", "\t", BLANKS)
 """What may stand between the values of a line; the first of several that do."""
@@ -28,69 +31,12 @@ WORD = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 """A heading between blanks, with its unit."""
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
-UNITS = frozenset(
-    [
-        "s",
-        "sec",
-        "ms",
-        "us",
-        "ns",
-        "min",
-        "h",
-        "hz",
-        "khz",
-        "m",
-        "mm",
-        "cm",
-        "km",
-        "m/s",
-        "m/s2",
-        "m/s^2",
-        "mm/s",
-        "km/h",
-        "rad",
-        "rad/s",
-        "deg",
-        "deg/s",
-        "°",
-        "°/s",
-        "rpm",
-        "1/min",
-        "turn",
-        "v",
-        "mv",
-        "a",
-        "ma",
-        "w",
-        "kw",
-        "n",
-        "kn",
-        "nm",
-        "n*m",
-        "pa",
-        "kpa",
-        "mpa",
-        "bar",
-        "mbar",
-        "k",
-        "c",
-        "°c",
-        "degc",
-        "%",
-        "pct",
-        "-",
-        "kg",
-        "g",
-        "l",
-        "l/s",
-        "l/min",
-        "m3/h",
-        "counts",
-        "ticks",
-        "1",
-        "t",
-    ]
-)
+UNITS = frozenset((
+    "s", "sec", "ms", "us", "ns", "min", "h", "hz", "khz", "m", "mm", "cm", "km", "m/s", "m/s2", "m/s^2",
+    "mm/s", "km/h", "rad", "rad/s", "deg", "deg/s", "°", "°/s", "rpm", "1/min", "turn", "v", "mv", "a", "ma",
+    "w", "kw", "n", "kn", "nm", "n*m", "pa", "kpa", "mpa", "bar", "mbar", "k", "c", "°c", "degc", "%", "pct",
+    "-", "kg", "g", "l", "l/s", "l/min", "m3/h", "counts", "ticks", "1", "t",
+))  # fmt: skip
 """Units that may stand in a line of their own below the headings, in small letters and without brackets."""
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""
@@ -105,18 +51,12 @@ class RawTable:
         headings: One for each column.
         frame: The columns, named 0, 1, ...; numbers where all cells are numbers, otherwise text.
         lines: Line or row of each row in the file, `(rows,)`.
-        headed: Whether the headings are the file's own.
-        skipped: Lines above the headings.
-        repeated: Lines at which the headings are repeated.
-        notes: Sentences on what was left out.
+        notes: Sentences on what was left out or is not in the file.
     """
 
     headings: tuple[str, ...]
     frame: pd.DataFrame
     lines: NDArray[np.int64]
-    headed: bool = True
-    skipped: int = 0
-    repeated: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -148,29 +88,27 @@ def read_file(path: Path) -> RawTable:
         ) from error
 
 
-def is_number(text: str) -> bool:
+def _is_number(text: str) -> bool:
     """Tell whether a text is a number, with a point or a comma for decimals."""
     return bool(NUMBER.fullmatch(text.strip()))
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """How a text file is laid out: separator, decimal sign, headings, their line and the first line of values."""
+    """How a text file is laid out."""
 
     separator: str
     decimal: str
     headings: tuple[str, ...]
     columns: int
     first: int  # lines before the first one of values
-    headed: bool
-    skipped: int  # lines before the headings
+    notes: tuple[str, ...] = ()
 
 
 def _read_text(path: Path) -> RawTable:
     encoding = _encoding(path)
-    with path.open(encoding=encoding, errors="replace", newline="") as file:
-        lines = re.split(r"\r\n|\r|\n", file.read(200 * SAMPLE))
-    layout = _layout(path, lines[: min(SAMPLE, max(len(lines) - 1, 1))] if len(lines) > SAMPLE else lines)
+    with path.open(encoding=encoding, errors="replace") as file:
+        layout = _layout(path, [line.rstrip("\n")[:WIDEST] for line in islice(file, SAMPLE)])
     settings: dict[str, Any] = {
         "sep": layout.separator,
         "decimal": layout.decimal,
@@ -194,20 +132,22 @@ def _read_text(path: Path) -> RawTable:
     blank = frame[0].isna().to_numpy()
     if blank.any() and (blank := frame.isna().all(axis=1).to_numpy()).any():
         frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
-    repeated = _repeated(frame, layout.headings)
-    numbers = tuple(int(line) for line in lines_of[repeated])
-    if numbers:
+    notes = [*layout.notes]
+    if (repeated := _repeated(frame, layout.headings)).any():
+        notes.append(f"line {', '.join(map(str, lines_of[repeated]))} repeats the headings")
         frame, lines_of = frame[~repeated].reset_index(drop=True), lines_of[~repeated]
-    wide = [k for k in range(len(layout.headings), layout.columns) if frame[k].notna().any()]
-    if wide:
-        row = int(np.flatnonzero(frame[wide].notna().any(axis=1))[0])
-        count = int(frame.loc[row].last_valid_index()) + 1
-        raise ValueError(
-            f"{path}, line {lines_of[row]} has {count} values for {len(layout.headings)} headings; allowed is one "
-            "each: put points into decimals, or semicolons between columns"
-        )
-    frame = frame[list(range(len(layout.headings)))]
-    return RawTable(layout.headings, frame, lines_of, layout.headed, layout.skipped, numbers)
+    beyond = frame.iloc[:, len(layout.headings) :].notna().any(axis=1).to_numpy()
+    if beyond.any():
+        row = int(beyond.argmax())
+        raise ValueError(_too_wide(path, lines_of[row], int(frame.loc[row].last_valid_index()) + 1, layout))
+    return RawTable(layout.headings, frame.iloc[:, : len(layout.headings)], lines_of, tuple(notes))
+
+
+def _too_wide(path: Path, line: object, count: object, layout: _Layout) -> str:
+    return (
+        f"{path}, line {line} has {count} values for {len(layout.headings)} headings; allowed is one each: put points "
+        "into decimals, or semicolons between columns"
+    )
 
 
 def _encoding(path: Path) -> str:
@@ -234,7 +174,7 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _is_value(text: str) -> bool:
-    return is_number(text) or text.strip().lower() in LOST or bool(DATE.fullmatch(text.strip()))
+    return _is_number(text) or text.strip().lower() in LOST or bool(DATE.fullmatch(text.strip()))
 
 
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
@@ -251,8 +191,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     """Find values from below, then the headings above them; what stands above these is a title."""
     lines = [re.sub(r"^\s*[#%]+\s*", "", line.removeprefix("\ufeff")) for line in lines]
     filled = [k for k, line in enumerate(lines) if line.strip(" ,;\t")]
-    if not filled or (filled[0] and not any(_is_value(f) for k in filled for f in re.split(r"[,;\s]", lines[k]))):
-        raise ValueError(f"{path} is empty or begins with an empty line; allowed is a CSV file with a line of headings")
+    if not filled:
+        raise ValueError(f"{path} is empty; allowed is a log with a line of headings")
     separator = _separator([lines[k] for k in filled])
     rows = {k: _fields(lines[k], separator) for k in filled}
     lower = filled[len(filled) // 2 :]
@@ -260,7 +200,6 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     common = Counter(len(rows[k]) for k in lower).most_common(1)[0][0]
     counts = Counter(place for k in lower for place, text in enumerate(rows[k]) if _is_value(text))
     numeric = {place for place, count in counts.items() if 2 * count >= len(lower)}
-
     leading = min(numeric, default=0)
 
     def holds_values(k: int, whole: bool = False) -> bool:
@@ -282,7 +221,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         trailing = not any(len(row) == width and row[-1] for row in rows.values())
         count = width - trailing
         names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
-        return _Layout(separator, decimal, names, width, filled[0], False, 0)
+        note = f"the file has no headings; its columns are called {', '.join(names)}"
+        return _Layout(separator, decimal, names, width, filled[0], (note,))
     headings, units = rows[head[-1]], list[str]()
     if len(head) > 1 and _are_units(headings, rows[head[-2]]):
         headings, units, head = rows[head[-2]], headings, head[:-1]
@@ -293,25 +233,27 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         headings = [f"{name} [{unit}]" if unit not in ("", "-") else name for name, unit in zip(headings, bare)]
     width = max(width, len(headings))
     last = filled[first] if first < len(filled) else head[-1] + 1
-    return _Layout(separator, decimal, tuple(headings), width, last, True, head[-1])
+    above = {0: (), 1: ("1 line above the headings was skipped",)}
+    notes = above.get(head[-1], (f"{head[-1]} lines above the headings were skipped",))
+    return _Layout(separator, decimal, tuple(headings), width, last, notes)
 
 
 def _separator(lines: Sequence[str]) -> str:
     """Return the separator that gives most lines of the lower half the same number of fields that are values."""
 
-    def score(separator: str) -> tuple[float, int]:
+    def score(separator: str) -> float:
         lower = [_fields(line, separator) for line in lines[len(lines) // 2 :]]
         width, same = Counter(map(len, lower)).most_common(1)[0]
         fields = [text for row in lower for text in row]
         values = sum(_is_value(text) or not text for text in fields) / max(1, len(fields))
-        return (values * same / len(lower) if width > 1 else 0.0), width
+        return values * same / len(lower) if width > 1 else 0.0
 
     found = {separator: score(separator) for separator in SEPARATORS}
-    best = max(value for value, _ in found.values())
+    best = max(found.values())
     if not best:
         return max(SEPARATORS[:3], key=lambda separator: lines[0].count(separator))
     # "1,5;2,5" has values between commas as well, fewer of them whole; ";" then wins by its even count.
-    near = [separator for separator in SEPARATORS if found[separator][0] > best - 0.02]
+    near = [separator for separator in SEPARATORS if found[separator] > best - 0.02]
     if "," in near and any(other in near for other in (";", "\t")):
         near.remove(",")
     return near[0]
@@ -320,7 +262,9 @@ def _separator(lines: Sequence[str]) -> str:
 def _repeated(frame: pd.DataFrame, headings: Sequence[str]) -> NDArray[np.bool_]:
     """Tell which rows repeat the headings."""
     same = np.zeros(len(frame), dtype=bool)
-    words = [k for k, name in enumerate(headings) if name and not is_number(name) and frame[k].dtype.kind not in "biuf"]
+    words = [
+        k for k, name in enumerate(headings) if name and not _is_number(name) and frame[k].dtype.kind not in "biuf"
+    ]
     if words:
         names = {k: {headings[k], headings[k].split(" [")[0]} for k in words}
         for row in np.flatnonzero(frame[words[0]].astype(str).str.strip().isin(names[words[0]])).astype(int):
@@ -333,11 +277,8 @@ def _fault(path: Path, encoding: str, layout: _Layout, message: str) -> str:
     if fault := _open_quote(path, encoding, layout):
         return fault
     if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", message):
-        return (
-            f"{path}, line {found[2]} has {found[3]} values for {len(layout.headings)} headings; allowed is one each: "
-            "put points into decimals, or semicolons between columns"
-        )
-    return f"{path}: {' '.join(message.split())}; allowed are lines of short values: look for an open quote"
+        return _too_wide(path, found[2], found[3], layout)
+    return f"{path}: {' '.join(message.split())}; allowed are short values: look for an open quote"
 
 
 def _open_quote(path: Path, encoding: str, layout: _Layout) -> str:
@@ -481,7 +422,7 @@ def _read_excel(path: Path) -> RawTable:
     body = cells.iloc[layout.first :, : len(layout.headings)]
     body.columns = pd.RangeIndex(body.shape[1])
     frame = body.reset_index(drop=True).infer_objects()
-    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), layout.headed, layout.skipped)
+    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), layout.notes)
 
 
 def _read_tdms(path: Path) -> RawTable:
@@ -511,22 +452,22 @@ def _read_bag(path: Path) -> RawTable:
         for connection, stamp, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
             row = rows.setdefault(stamp, {})
-            row.update(_numbers(connection.topic, message))
+            row.update(_message_values(connection.topic, message))
     frame = pd.DataFrame.from_dict(rows, orient="index").sort_index()
     frame.index = pd.Index(frame.index / 1e9, name="time")
     return _of_frame(frame)
 
 
-def _numbers(name: str, message: Any) -> Iterator[tuple[str, float]]:
+def _message_values(name: str, message: Any) -> Iterator[tuple[str, float]]:
     if isinstance(message, bool | int | float | np.number):
         yield name, float(message)
     elif isinstance(message, np.ndarray | list | tuple):
-        yield from (pair for k, value in enumerate(message) for pair in _numbers(f"{name}[{k}]", value))
+        yield from (pair for k, value in enumerate(message) for pair in _message_values(f"{name}[{k}]", value))
     elif hasattr(message, "__dataclass_fields__"):
         for field in message.__dataclass_fields__:
             if field not in ("header", "layout", "__msgtype__"):
                 inner = name if field == "data" else f"{name}/{field}"
-                yield from _numbers(inner, getattr(message, field))
+                yield from _message_values(inner, getattr(message, field))
 
 
 READERS: dict[str, Callable[[Path], RawTable]] = {

@@ -1,112 +1,104 @@
-"""What the headings of a log leave open: columns summarised, and the settings for time and inputs filled in."""
+"""What the heading of a column says: its name, its unit, and whether it can only be that of time."""
 
 from __future__ import annotations
 
 import re
-import shlex
-from collections.abc import Collection, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterable, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
+SECONDS = {
+    "s": 1.0,
+    "sec": 1.0,
+    "ms": 1e-3,
+    "us": 1e-6,
+    "\u00b5s": 1e-6,
+    "\u03bcs": 1e-6,
+    "ns": 1e-9,
+    "min": 60.0,
+    "h": 3600.0,
+    **dict.fromkeys(("second", "seconds"), 1.0),
+    **dict.fromkeys(("millisecond", "milliseconds", "millis"), 1e-3),
+    **dict.fromkeys(("microsecond", "microseconds", "micros"), 1e-6),
+    **dict.fromkeys(("minute", "minutes"), 60.0),
+    **dict.fromkeys(("hour", "hours"), 3600.0),
+}
+"""Units of time, in seconds; capital letters are as good."""
+CLOCKS = ("time", "t", "timestamp", "stamp", "elapsed", "x_value")
+"""What a column of time is called, in small letters."""
+ALONE = 4
+"""Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
+SUFFIXES = {
+    "deg_s": "deg/s", "dps": "deg/s", "rad_s": "rad/s", "deg": "deg", "rad": "rad", "rpm": "rpm", "pct": "%", "V": "V",
+}  # fmt: skip
+"""Units as the end of a name has them, `angle_deg`."""
 
-from dynasindy.data.clock import CLOCK, clock_of, is_counter, parts_of
-from dynasindy.data.table import ColumnSummary, grows, read_columns, split_unit, summarise_columns
 
-Array = NDArray[np.float64]
-REGULAR = 0.9
-"""Share of the rows of a counter that follow the one before without a gap."""
+def split_unit(heading: str) -> tuple[str, str]:
+    """Split `angle [rad]` or `angle (rad)` into name and unit; the unit is empty where there is none."""
+    found = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
+    return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
 
 
-def row_counter(path: Path, time: str, named: Collection[str]) -> str:
-    """Return the heading of the time of a log whose sampling time is given: its counter of rows, where it has no time.
+def plain_heading(heading: str) -> str:
+    """Return a heading as a name with its unit in brackets: `angle_deg` is `angle [deg]`.
 
-    That is the only column that grows all along, in whole numbers and, but where rows are missing, by the same step. An
-    encoder of a motor that turns one way grows, too, by other steps. Where there is no such column, or where a heading
-    reads like a time, what was given is returned.
-
-    Args:
-        path: The file.
-        time: Heading of the time as it was given, or `time`.
-        named: Names of the columns that were named as states or inputs.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is no table of text.
+    A place in an array belongs to the name, and so do the parts of a path: `/joint/position[0]` is `joint_position_0`.
     """
-    look = summarise_columns(path)
-    if time != CLOCK or look.dated or clock_of(look.headings, time).heading in look.headings:
-        return time
-    columns = finite_columns(path, look)
-    growing = [heading for heading, column in columns.items() if grows(column)]
-    if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(columns[growing[0]]):
-        return time
-    steps = np.diff(columns[growing[0]])
-    step = np.median(steps)
-    regular = (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
-    return growing[0] if regular else time
+    heading = " ".join(heading.split())
+    name, unit = split_unit(heading)
+    if unit.isdigit():
+        name, unit = heading, ""
+    if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
+        name, unit = name[: -len(end) - 1], SUFFIXES[end]
+    if re.search(r"/|\[\d+\]", name):
+        name = re.sub(r"\W+", "_", name).strip("_")
+    elif unit == split_unit(heading)[1]:
+        return heading
+    return f"{name} [{unit}]" if unit else name
 
 
-def guessed(path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None = None) -> str:
-    """Return a first guess at what is time, what an input and what a state: sentences, then words of the command line.
+def plain_headings(headings: Sequence[str]) -> list[str]:
+    """Return headings with plain names, but where two of these would be the same."""
+    plain = [plain_heading(heading) for heading in headings]
+    names = [split_unit(heading)[0] for heading in plain]
+    return [new if names.count(split_unit(new)[0]) == 1 else old for new, old in zip(plain, headings, strict=True)]
 
-    Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
-    other. The input is the column that is held longest, as only levels of an actuator are, or else the last one. Both
-    are guesses, and what was found by its heading is none. A column that never changes or counts the rows is neither
-    input nor state.
 
-    Args:
-        path: The file.
-        look: Its columns.
-        time: Heading of the time, None where it is not known.
-        inputs: Names of inputs that were found.
-        dt: Sampling time that was given [s].
+def units_of(headings: Iterable[str]) -> dict[str, str]:
+    """Return the unit that each heading names, by the heading, by its name alone and by `name_unit`."""
+    split = {heading: split_unit(heading) for heading in headings}
+    ended = {f"{n}_{end}": unit for n, unit in split.values() for end, ending in SUFFIXES.items() if ending == unit}
+    return ended | dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}
 
-    Raises:
-        ValueError: The file is no table of text.
+
+def named_by(name: str, headings: Sequence[str]) -> list[str]:
+    """Return the headings that a name means: its own, else those of which it is the name, else those in other brackets.
+
+    So `T`, `T [degC]` and `T(degC)` all name the column `T [degC]`, and `angle_deg` names `angle [deg]`.
     """
-    columns = finite_columns(path, look)
-    growing = [heading for heading, column in columns.items() if grows(column)]
-    named = time is not None
-    if time is None:
-        time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
-    names = [split_unit(heading)[0] for heading in columns if heading not in (time, *look.counting)]
-    hints: list[str] = []
-    seconds = ""
-    if not time:
-        hints.append("No column grows from row to row, as time does: write the time of each row into the file")
-    if dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time]):
-        hints.append(f"{time} holds whole numbers, as a counter does: if it counts rows, give data.dt, too, in seconds")
-        seconds = "" if named else " data.dt=SECONDS"  # what is called time may be one in whole seconds
-    if not inputs and names:
-        still = {split_unit(heading)[0]: float((np.diff(column) == 0).mean()) for heading, column in columns.items()}
-        held = max(names, key=lambda name: still[name])
-        stem = re.sub(r"[\W_]*\d+$", "", held)  # of Heater 1 and Heater 2
-        inputs = [name for name in names if name == held or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
-        inputs = inputs if len(inputs) < len(names) else [held]  # columns of one matrix are no pair
-        inputs = inputs if still[held] > 0.5 else names[-1:]
-        if still[held] <= 0.5:
-            hints.append(
-                "No column is held for some samples, as commands are: if the log has no command, log it, too, for "
-                "without one nothing can be identified"
-            )
-    states = [name for name in names if name not in inputs]
-    clock = split_unit(time)[0] if time else "HEADING"
-    words = [] if named and clock == CLOCK else [f"data.time={_quoted(clock)}"]
-    words += [f"data.{key}=[{','.join(map(_quoted, each))}]" for key, each in (("inputs", inputs), ("states", states))]
-    told = "".join(f" {hint}." for hint in hints)
-    return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
-
-
-def finite_columns(path: Path, look: ColumnSummary) -> dict[str, Array]:
-    """Return the columns that move, by heading, without the rows that lack a value."""
-    headings = [heading for heading in look.numeric if heading not in look.still]
-    values = (
-        np.stack([read_columns(path).column(heading) for heading in headings], -1) if headings else np.empty((0, 0))
+    plain = plain_heading(name)
+    same: tuple[Callable[[str], bool], ...] = (
+        lambda heading: heading == name,
+        lambda heading: split_unit(heading)[0] == name,
+        lambda heading: split_unit(heading) == split_unit(name),
+        lambda heading: heading == plain,
+        lambda heading: split_unit(heading)[0] == plain,
     )
-    return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
+    return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
 
 
-def _quoted(name: str) -> str:
-    """Return a name as the command line takes it: in quotation marks, unless it is one plain word."""
-    return name if re.fullmatch(r"[A-Za-z_]\w*", name) else f'"{name}"'
+def parts_of(heading: str) -> tuple[str, str]:
+    """Return the name and the unit of a heading of time: `t_ms` is in ms as `t [ms]` is, and `millis` as well."""
+    name, unit = split_unit(heading)
+    if unit:
+        return name, unit
+    if found := re.fullmatch(r"(.+)[_ ]([^\W_]+)", heading):
+        return (found[1], found[2]) if found[2].lower() in SECONDS else (heading, "")
+    return heading, heading if len(heading) >= ALONE and heading.lower() in SECONDS else ""
+
+
+def is_clock(heading: str) -> bool:
+    """Tell whether a heading can only be that of time."""
+    name, unit = parts_of(heading)
+    if name.lower().strip("_") in CLOCKS:
+        return unit.lower() in SECONDS or (not unit and name != "T")
+    return name == unit

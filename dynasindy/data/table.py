@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from dynasindy.data.files import read_file
+from dynasindy.data.headings import is_clock, named_by, plain_headings, split_unit
 from dynasindy.text import did_you_mean
 
 Array = NDArray[np.float64]
@@ -76,7 +77,7 @@ def read_columns(path: Path) -> Table:
 @lru_cache(maxsize=2)
 def _read(path: Path, changed: int, size: int) -> Table:
     raw = read_file(path)
-    headings = _plain_headings([" ".join(str(heading).split()) for heading in raw.headings])
+    headings = plain_headings([" ".join(str(heading).split()) for heading in raw.headings])
     values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
     for k, heading in enumerate(headings):
         values[:, k], wrong, is_date = _numbers(raw.frame[k], raw.lines)
@@ -84,28 +85,18 @@ def _read(path: Path, changed: int, size: int) -> Table:
             words[heading] = wrong
         if is_date:
             dated.add(heading)
-    notes = [*raw.notes]
-    if raw.skipped:
-        lines = "1 line above the headings was" if raw.skipped == 1 else f"{raw.skipped} lines above the headings were"
-        notes.append(f"{lines} skipped")
-    if not raw.headed:
-        notes.append(f"the file has no headings; its columns are called {', '.join(filter(None, headings))}")
-    if raw.repeated:
-        notes.append(f"line {', '.join(map(str, raw.repeated))} repeats the headings")
     kept = [k for k, heading in enumerate(headings) if heading or np.isfinite(values[:, k]).any()]
     for k in [k for k in kept if not headings[k]]:
         if k and not _counts(values[:, k]):
             raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         kept.remove(k)  # an index that a program wrote
     found = tuple(headings[k] for k in kept)
-    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), tuple(notes))
+    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), raw.notes)
     return _with_one_clock(table)
 
 
 CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
 """A heading that is the time of the columns with the same beginning, such as `left_time`."""
-PLAIN_CLOCK = re.compile(r"_*(time|t|timestamp|stamp|elapsed|x_value|(milli|micro)s(econds)?|seconds)_*", re.IGNORECASE)
-"""A heading that is the time of all columns."""
 
 
 def _with_one_clock(table: Table) -> Table:
@@ -119,7 +110,7 @@ def _with_one_clock(table: Table) -> Table:
         for heading, match in found.items()
         if match and grows(table.column(heading)) and heading not in table.dated
     }
-    if len(clocks) < 2 or any(PLAIN_CLOCK.fullmatch(split_unit(h)[0]) for h in table.headings):
+    if len(clocks) < 2 or any(map(is_clock, table.headings)):
         return table
     first, *others = clocks.values()
     values, moved, now = table.values.copy(), [], table.column(first)
@@ -159,9 +150,10 @@ def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words 
     if not worded.any():
         return numbers, None, False
     first = int(np.flatnonzero(worded)[0])
+    words = Words(int(lines[first]), str(text[first])[:40], int(worded.sum()))
     if np.isnan(numbers).all() and math.isfinite(seconds_of_date(str(text[first]))):
-        return _seconds(text), Words(int(lines[first]), str(text[first])[:40], int(worded.sum())), True
-    return numbers, Words(int(lines[first]), str(text[first])[:40], int(worded.sum())), False
+        return _seconds(text), words, True
+    return numbers, words, False
 
 
 def _seconds(text: pd.Series) -> Array:
@@ -238,66 +230,6 @@ def _worded(heading: str, words: Words) -> str:
         return f"{first}; it counts as missing"
     others = "1 more cell of the column holds none" if more == 1 else f"{more} more cells of the column hold none"
     return f"{first}, and {others}; they count as missing"
-
-
-SUFFIXES = {
-    "deg_s": "deg/s", "dps": "deg/s", "rad_s": "rad/s", "deg": "deg", "rad": "rad", "rpm": "rpm", "pct": "%", "V": "V",
-}  # fmt: skip
-"""Units as the end of a name has them, `angle_deg`."""
-
-
-def split_unit(heading: str) -> tuple[str, str]:
-    """Split `angle [rad]` or `angle (rad)` into name and unit; the unit is empty where there is none."""
-    found = re.fullmatch(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
-    return (found[1], (found[2] or found[3] or "").strip()) if found and found[1] else (heading, "")
-
-
-def plain_heading(heading: str) -> str:
-    """Return a heading as a name with its unit in brackets: `angle_deg` is `angle [deg]`.
-
-    A place in an array belongs to the name, and so do the parts of a path: `/joint/position[0]` is `joint_position_0`.
-    """
-    heading = " ".join(heading.split())
-    name, unit = split_unit(heading)
-    if unit.isdigit():
-        name, unit = heading, ""
-    if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
-        name, unit = name[: -len(end) - 1], SUFFIXES[end]
-    if re.search(r"/|\[\d+\]", name):
-        name = re.sub(r"\W+", "_", name).strip("_")
-    elif unit == split_unit(heading)[1]:
-        return heading
-    return f"{name} [{unit}]" if unit else name
-
-
-def _plain_headings(headings: Sequence[str]) -> list[str]:
-    """Return headings with plain names, but where two of these would be the same."""
-    plain = [plain_heading(heading) for heading in headings]
-    names = [split_unit(heading)[0] for heading in plain]
-    return [new if names.count(split_unit(new)[0]) == 1 else old for new, old in zip(plain, headings, strict=True)]
-
-
-def units_of(headings: Iterable[str]) -> dict[str, str]:
-    """Return the unit that each heading names, by the heading, by its name alone and by `name_unit`."""
-    split = {heading: split_unit(heading) for heading in headings}
-    ended = {f"{n}_{end}": unit for n, unit in split.values() for end, ending in SUFFIXES.items() if ending == unit}
-    return ended | dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}
-
-
-def named_by(name: str, headings: Sequence[str]) -> list[str]:
-    """Return the headings that a name means: its own, else those of which it is the name, else those in other brackets.
-
-    So `T`, `T [degC]` and `T(degC)` all name the column `T [degC]`, and `angle_deg` names `angle [deg]`.
-    """
-    plain = plain_heading(name)
-    same: tuple[Callable[[str], bool], ...] = (
-        lambda heading: heading == name,
-        lambda heading: split_unit(heading)[0] == name,
-        lambda heading: split_unit(heading) == split_unit(name),
-        lambda heading: heading == plain,
-        lambda heading: split_unit(heading)[0] == plain,
-    )
-    return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:

@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from dynasindy.data.headings import split_unit, units_of
 from dynasindy.data.rates import is_rate_of
-from dynasindy.data.table import split_unit, units_of
 from dynasindy.systems.base import TURNS
 
 if TYPE_CHECKING:

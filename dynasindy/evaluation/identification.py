@@ -11,11 +11,11 @@ from typing import Any
 from torch import Tensor
 
 from dynasindy.data.actuator_scaling import acting_as, with_actuator_ranges
-from dynasindy.data.columns import Column, columns_of, infer
+from dynasindy.data.columns import Column, columns_of, infer, row_counter
 from dynasindy.data.csv import CsvLog, Recording
-from dynasindy.data.headings import row_counter
+from dynasindy.data.headings import named_by, split_unit
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
-from dynasindy.data.table import named_by, read_columns, split_unit
+from dynasindy.data.table import read_columns
 from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states

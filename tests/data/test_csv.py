@@ -59,7 +59,7 @@ def test_columns_are_found_by_name_whatever_their_order_and_a_byte_order_mark(tm
 
 def test_an_empty_file_and_no_file_are_refused(tmp_path):
     (tmp_path / "empty.csv").write_text("")
-    assert "begins" in refusal(str(tmp_path / "empty.csv"))
+    assert "empty" in refusal(str(tmp_path / "empty.csv"))
     assert "gives 0 complete rows" in refusal(write(tmp_path / "headings.csv", []))
     with pytest.raises(FileNotFoundError):
         CsvLog(str(tmp_path / "absent.csv"), STATES, INPUTS).read()

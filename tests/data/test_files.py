@@ -1,6 +1,7 @@
 """Each format is written by its own library, and gives the numbers of the same log as text."""
 
 import importlib
+import sys
 
 import numpy as np
 import pandas as pd
@@ -50,21 +51,30 @@ def write_mdf(path):
 
 
 def write_bag(path):
-    """Messages of an angle and of a command, at the same times."""
-    typesys, mcap = importlib.import_module("rosbags.typesys"), importlib.import_module("rosbags.rosbag2")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    """Messages of an angle and of a command, at the same times, of ROS 1 or 2 by the ending."""
+    typesys = importlib.import_module("rosbags.typesys")
+    first = path.suffix == ".bag"
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if first else typesys.Stores.ROS2_HUMBLE)
     kind = store.types["std_msgs/msg/Float64"]
     folder = path.with_suffix("")
-    with mcap.Writer(folder, version=9, storage_plugin=mcap.StoragePlugin.MCAP) as writer:
+    if first:
+        writer = importlib.import_module("rosbags.rosbag1").Writer(path)
+    else:
+        bags = importlib.import_module("rosbags.rosbag2")
+        storage = bags.StoragePlugin.MCAP if path.suffix == ".mcap" else bags.StoragePlugin.SQLITE3
+        writer = bags.Writer(folder, version=9, storage_plugin=storage)
+    write = store.serialize_ros1 if first else store.serialize_cdr
+    with writer:
         topics = [
             (writer.add_connection(name, kind.__msgtype__, typestore=store), values)
             for name, values in (("/angle", ANGLE), ("/u", COMMAND))
         ]
         for k in range(ROWS):
             for connection, values in topics:
-                data = store.serialize_cdr(kind(float(values[k])), kind.__msgtype__)
+                data = write(kind(float(values[k])), kind.__msgtype__)
                 writer.write(connection, 1_700_000_000_000_000_000 + 10_000_000 * k, data)
-    next(folder.glob("*.mcap")).rename(path)
+    if not first:
+        next(folder.glob(f"*{path.suffix}")).rename(path)
 
 
 DATED = pd.DataFrame({**WORDS, "time": pd.Timestamp("2024-05-31 12:00") + pd.to_timedelta(T, unit="s")})
@@ -81,6 +91,8 @@ WRITERS = {
     "log.tdms": (write_tdms, ("nptdms",)),
     "log.mf4": (write_mdf, ("asammdf",)),
     "log.mcap": (write_bag, ("rosbags",)),
+    "log.db3": (write_bag, ("rosbags",)),
+    "log.bag": (write_bag, ("rosbags",)),
 }
 
 
@@ -118,7 +130,7 @@ def test_a_damaged_file_and_a_format_without_its_package_cost_one_line(tmp_path,
         with pytest.raises(ValueError, match=ending) as error:
             LoggedData(str(tmp_path / f"log.{ending}")).recording(None)
         assert "\n" not in str(error.value)
-    monkeypatch.setitem(__import__("sys").modules, "nptdms", None)
+    monkeypatch.setitem(sys.modules, "nptdms", None)
     (tmp_path / "log.tdms").write_bytes(b"TDSm")
     with pytest.raises(ValueError, match="nptdms"):
         LoggedData(str(tmp_path / "log.tdms")).recording(None)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import read_columns, seconds_of_date, select_columns, split_unit
+from dynasindy.data.headings import split_unit
+from dynasindy.data.table import read_columns, seconds_of_date, select_columns
 
 
 def write(folder: Path, text: str) -> Path:

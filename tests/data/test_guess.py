@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from dynasindy.data.columns import infer
-from dynasindy.data.headings import guessed, row_counter
+from dynasindy.data.columns import guess_columns, infer, row_counter
 from dynasindy.data.table import summarise_columns
 from dynasindy.evaluation.identification import LoggedData
 
@@ -53,20 +52,23 @@ def test_what_headings_tell_is_no_guess(tmp_path):
         infer(str(path))
     given = settings(str(error.value))
     assert given == {"data.time": "t", "data.inputs": ["c"], "data.states": ["a", "b"]}
-    named = guessed(path, summarise_columns(path), "t", ["a"])
+    named = guess_columns(path, summarise_columns(path), "t", ["a"])
     assert settings(named) == {"data.time": "t", "data.inputs": ["a"], "data.states": ["b", "c"]}
 
 
 def test_without_a_column_that_is_held_the_last_one_is_the_input(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a,b", *(f"{k},{math.sin(k)},{math.cos(k)}" for k in range(20))]))
-    assert settings(guessed(path, summarise_columns(path), "time", [])) == {"data.inputs": ["b"], "data.states": ["a"]}
+    assert settings(guess_columns(path, summarise_columns(path), "time", [])) == {
+        "data.inputs": ["b"],
+        "data.states": ["a"],
+    }
 
 
 def test_where_nothing_grows_the_heading_of_time_is_left_to_the_user(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("a,b\n1,2\n0,3\n1,1\n")
-    assert settings(guessed(path, summarise_columns(path), None, []))["data.time"] == "HEADING"
+    assert settings(guess_columns(path, summarise_columns(path), None, []))["data.time"] == "HEADING"
 
 
 def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_path):
@@ -98,9 +100,9 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     path.write_text(
         "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
     )
-    assert settings(guessed(path, summarise_columns(path), None, []))["data.time"] == "Zeit"
+    assert settings(guess_columns(path, summarise_columns(path), None, []))["data.time"] == "Zeit"
     path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
-    told = guessed(path, summarise_columns(path), None, [])
+    told = guess_columns(path, summarise_columns(path), None, [])
     assert settings(told)["data.time"] == "row" and "data.dt" in told
 
 
@@ -138,7 +140,7 @@ def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds
     infer(str(path), notes=notes)
     assert notes == ["left out, as they hold dates, and the time is another column: when"]
     path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
-    given = settings(guessed(path, summarise_columns(path), None, []))
+    given = settings(guess_columns(path, summarise_columns(path), None, []))
     assert given == {"data.time": "row", "data.inputs": ["motor"], "data.states": ["angle"], "data.dt": "SECONDS"}
 
 
