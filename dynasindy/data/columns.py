@@ -55,9 +55,9 @@ def infer(
 ) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
-    Inputs, unless they are named, are called u, u1, u_..., or input...; references, predictions, columns without any
-    number, those that never change and those that count the rows are left
-    out; all other columns but time are states, unless they are named.
+    Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; references,
+    predictions, columns without any number, those that never change and those that count the rows are left out; all
+    other columns but time are states, unless they are named.
 
     Args:
         path: the file.
@@ -105,8 +105,7 @@ def infer(
         moving = {n: c for n, c in others.items() if n not in {*still, *counts}}
         found = {n: c for n, c in moving.items() if INPUT.fullmatch(n)}
         found = found or {n: c for n, c in moving.items() if COMMAND.fullmatch(n)}
-        for own, other in (("u_", "U"), ("U_", "u")):  # beside u, U_left may be anything
-            found = {n: c for n, c in found.items() if not (n.startswith(own) and other in found)}
+        found = {n: c for n, c in found.items() if n[0].islower()} or found  # U_left beside u may be anything
     else:
         found = _chosen(others, inputs, path, "data.inputs")
     left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}

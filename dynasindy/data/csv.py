@@ -257,13 +257,14 @@ class CsvLog:
         names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = select_columns(Path(path), names, self.dt)
         notes += table.notes
-        table = self._complete(path, _held(table, len(names) - len(inputs), notes), len(names) - len(inputs), notes)
+        states_end = len(names) - len(inputs)
+        table = self._complete(path, _hold_inputs(table, states_end, notes), states_end, notes)
         states = with_units(states, table.headings, True, rotors=False)
         inputs = with_units(inputs, table.headings, False)
         t, said = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
-        x = {s: unwrapped(s, values[c.name] * c.scale, c.unit, notes) for s, c in states.items() if c.name}
+        x = {s: unwrap_angle(s, values[c.name] * c.scale, c.unit, notes) for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         return _Part(path, table.headings, states, inputs, t, x, u, [said, *notes])
 
@@ -321,7 +322,7 @@ class CsvLog:
             )
 
 
-def _held(table: Table, states_end: int, notes: list[str]) -> Table:
+def _hold_inputs(table: Table, states_end: int, notes: list[str]) -> Table:
     """Return a table whose inputs are held where rows of another stream have none: a command stands until the next."""
     values = table.values.copy()
     for k in range(states_end, values.shape[1]):
@@ -342,7 +343,7 @@ def _held(table: Table, states_end: int, notes: list[str]) -> Table:
     return replace(table, values=values)
 
 
-def unwrapped(name: str, x: Array, unit: str, notes: list[str]) -> Array:
+def unwrap_angle(name: str, x: Array, unit: str, notes: list[str]) -> Array:
     """Return samples of an angle, or counts of an encoder, that go on where they jumped by a whole turn or range.
 
     Args:

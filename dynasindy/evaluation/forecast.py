@@ -56,7 +56,7 @@ class Forecast:
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
-        return f"Forecast({kept}, {len(self.flights)} models; words() tells what they show)"
+        return f"Forecast({kept}, {len(self.flights)} models; summary() says what they show)"
 
     @property
     def controlled(self) -> bool:

@@ -412,11 +412,9 @@ def _last_seen(data: Transitions) -> Tensor:
 
 def _beside(data: Transitions) -> tuple[Tensor, Tensor]:
     """Return how many rows of its segment come before each row, and how many from it on, `(N,)` both."""
-    places, fresh = torch.arange(len(data)), data.begins()
-    first = torch.where(fresh, places, 0).cummax(0).values
-    lengths = torch.bincount(fresh.long().cumsum(0) - 1)
-    back = places - first
-    return back, lengths[fresh.long().cumsum(0) - 1] - back
+    label = data.begins().long().cumsum(0) - 1
+    back = torch.arange(len(data)) - data.segment_starts()
+    return back, torch.bincount(label)[label] - back
 
 
 def _series(low: float, high: float) -> list[float]:

@@ -194,19 +194,18 @@ def _number(value: Tensor) -> float | None:
     return value.item() if torch.isfinite(value) else None
 
 
-def save_evaluation(evaluation: Evaluation, folder: Path, row: int | None = None) -> list[Path]:
-    """Write `<scenario>.json` (the summary) and `<scenario>.csv` (states, inputs and references of one row).
+def save_evaluation(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Write `<scenario>.json` (the summary) and `<scenario>.csv` (the episode that is drawn).
 
     Args:
         evaluation: What to write.
         folder: Where; made if missing.
-        row: Which episode goes into the CSV file; the one that is drawn, if omitted.
 
     Returns:
         The files.
     """
     figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
-    row = representative_episode(evaluation).row if row is None else row
+    row = representative_episode(evaluation).row
     record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
     write_json(figures, record)
     signature = evaluation.signature

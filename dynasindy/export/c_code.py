@@ -1,4 +1,4 @@
-"""A controller as C99: observer, integral action, observation and policy, without Python and without a library.
+"""A controller as C99, observer, integral action, observation and policy, or a model alone: no Python, no library.
 
 The text is put together from `dynasindy/export/c`, with the numbers of the controller as constants and with what it
 does not have left out. It allocates nothing and keeps everything that changes in a struct of the caller.

@@ -1,4 +1,7 @@
-"""Names, words and numbers as parts of other languages, and the templates of C that they are filled into.
+"""Names, numbers and equations as parts of other languages, and the templates of C that they are filled into.
+
+Equations are written by the code that writes them for torch, `dynasindy.sindy.codegen`: what terms share is computed
+once, operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
 
 Names of states and units come from files that anybody wrote: none of them can become code, or end a comment. An
 identifier is made of letters and digits alone, a comment holds neither end nor beginning of one, and a number is a
@@ -72,7 +75,7 @@ def number(value: float) -> str:
 
 
 def c_number(value: float) -> str:
-    """Return the end of a range for C, which may be infinite."""
+    """Return a number for C, which may be infinite."""
     if not math.isinf(float(value)):
         return number(value)
     return "INFINITY" if value > 0 else "-INFINITY"

@@ -6,6 +6,9 @@
 | play       | a stands still until u is its size ahead, on either side     | [unit of the input]           |
 | dead zone  | a is what u has beyond its size, on either side              | [unit of the input]           |
 | lag        | a' = (u - a) / size                                          | [s]                           |
+
+Where an input acts at once but not in proportion, a dead zone with two ends of its own or a saturation is read off the
+equations instead, off functions that bend in it: `InputNonlinearity`.
 """
 
 from __future__ import annotations

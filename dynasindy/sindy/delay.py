@@ -42,14 +42,14 @@ def delay_inputs(data: Transitions, delay: float) -> Transitions:
     whole, part = divmod(delay / data.dt, 1.0)
     if delay == 0:
         return data
-    places, begin = torch.arange(len(data)), segment_starts(data)
+    places, begin = torch.arange(len(data)), data.segment_starts()
     late, later = (data.u[torch.maximum(places - int(whole) - more, begin)] for more in (0, 1))
     return replace(data, u=(1 - part) * late + part * later)
 
 
 def rows_after_delay(data: Transitions, longest: float) -> Tensor:
     """Return which rows know the input of `longest` seconds before, bool `(N,)`: not the first ones of a segment."""
-    return torch.arange(len(data)) - segment_starts(data) >= math.ceil(longest / data.dt - 1e-9)
+    return torch.arange(len(data)) - data.segment_starts() >= math.ceil(longest / data.dt - 1e-9)
 
 
 def delay_and_trim(data: Transitions, delay: float) -> Transitions:
@@ -150,8 +150,3 @@ def _errors(support: Tensor, theta: Tensor, dx: Tensor) -> Iterator[tuple[int, T
 def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
     """Tell whether the functions explain the rates of change but for errors of the regression itself."""
     return not any(float(error.norm()) > EXACT * float(dx[:, i].norm()) for i, error in _errors(free, theta, dx))
-
-
-def segment_starts(data: Transitions) -> Tensor:
-    """Return the row at which the segment of each row begins, `(N,)`."""
-    return torch.where(data.begins(), torch.arange(len(data)), 0).cummax(0).values

@@ -243,7 +243,8 @@ def register_function(
             and be exported to C and other languages. It has to say what `compute` does.
 
     Raises:
-        ValueError: the name is not an identifier, or the formula calls another function.
+        ValueError: the name is not an identifier, or the formula holds anything but arguments, numbers, + - * / and
+            `FORMULA_FUNCTIONS`.
     """
     if not name.isidentifier():
         raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")

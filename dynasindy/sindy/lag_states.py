@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.delay import delay_inputs, rows_after_delay, segment_starts, unexplained
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct
@@ -212,7 +212,7 @@ class _Search:
     def _decays(self, time: float) -> Tensor:
         """Return what is left of 1 at the begin of each interval since its stretch began, a column for each stretch."""
         _, stretch = self.data.segment.unique_consecutive(return_inverse=True)
-        since = torch.arange(len(stretch)) - segment_starts(self.data)
+        since = torch.arange(len(stretch)) - self.data.segment_starts()
         left = torch.exp(-self.data.dt / time * since.double())
         return left.unsqueeze(-1) * torch.nn.functional.one_hot(stretch)
 

@@ -29,7 +29,7 @@ from torch import Tensor
 from dynasindy.safe_io import read_json, reading, write_json
 from dynasindy.sindy.codegen import Field, generate, machine
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
-from dynasindy.sindy.delay import delay_inputs, rows_after_delay, segment_starts
+from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_function
@@ -46,7 +46,7 @@ from dynasindy.sindy.reconstruction import (
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
 from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
-from dynasindy.sindy.shooting import ENOUGH, PIECES, RunsAway, states_without_scale
+from dynasindy.sindy.shooting import CHOSEN_STRETCHES, ENOUGH, RunsAway, states_without_scale
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
 from dynasindy.systems.integrators import moved
@@ -484,7 +484,7 @@ class SindyModel(WorldModel):
             self.sums.add(self._rows(recording.seen(self.delay)))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
             return list(found.notes), fields
-        chosen = f"{ENOUGH} of {len(data)} rows, in {PIECES} stretches spread evenly over them"
+        chosen = f"{ENOUGH} of {len(data)} rows, in {CHOSEN_STRETCHES} stretches spread evenly over them"
         return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
 
     def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:
@@ -546,7 +546,7 @@ def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, follower
     it acts on: the part is what they tell by least squares.
     """
     field, ends = generate(library, xi), [guess.x.clone(), guess.x_next.clone()]
-    seconds = (torch.arange(len(guess)) - segment_starts(guess)).double() * guess.dt
+    seconds = (torch.arange(len(guess)) - guess.segment_starts()).double() * guess.dt
     for follower in followers:
         others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
         offs = [torch.zeros_like(end) for end in ends]

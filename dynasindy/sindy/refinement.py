@@ -271,10 +271,10 @@ class _Fit:
         }
         error = settings.error or ("auto" if settings.method == "auto" else "simulation")
         if error != "auto":
-            return self._in_turn(first, rough, kinds[error])
+            return self._fit_with_delay(first, rough, kinds[error])
         whole: Refined | None = None
         try:
-            found = self._in_turn(first, rough, descent, HOPELESS)
+            found = self._fit_with_delay(first, rough, descent, HOPELESS)
             ratio = self._strain(found[:2], found.delay, descent)
         except RunsAway:
             why = "one simulation through all samples runs away"
@@ -303,10 +303,10 @@ class _Fit:
             f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why} "
             "(error=prediction)"
         )
-        found = self._in_turn(first, rough, kinds["prediction"])
+        found = self._fit_with_delay(first, rough, kinds["prediction"])
         return found._replace(notes=(note, *found.notes), in_pieces=True, aside=whole)
 
-    def _in_turn(self, found: Model, delay: float, descent: Descent, hopeless: float = math.inf) -> Refined:
+    def _fit_with_delay(self, found: Model, delay: float, descent: Descent, hopeless: float = math.inf) -> Refined:
         """Return the model that trajectories tell, and the delay, fitted in turn with it.
 
         Turns end where one trajectory strays more than `hopeless` times: no other delay mends that.

@@ -15,6 +15,8 @@ from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.steps import time_step_of
 from dynasindy.systems.transitions import Transitions
 
+REFITS = 20
+"""Refits of a target at most."""
 DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
 BETTER = 2.0
@@ -319,15 +321,25 @@ def least_squares(theta: Tensor, target: Tensor) -> Tensor:
     )
 
 
-def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float, max_iterations: int = 20) -> Tensor:
-    """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016); columns of unit norm."""
+def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tensor:
+    """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
+
+    Args:
+        theta: columns of unit norm, `(M, n_features)`.
+        targets: `(M, n_x)`.
+        support: coefficients to begin with, bool `(n_features, n_x)`.
+        limit: smallest coefficient that stays.
+
+    Returns:
+        Coefficients, `(n_features, n_x)`.
+    """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     if everything := bool(support.all()):
         coefficients = least_squares(theta, targets)
     for i in range(targets.shape[1]):
         active = support[:, i].nonzero().squeeze(-1)
         xi = coefficients[:, i].clone() if everything else least_squares(theta[:, active], targets[:, i])
-        for _ in range(max_iterations):
+        for _ in range(REFITS):
             big = xi.abs() >= limit
             if bool(big.all()):
                 break

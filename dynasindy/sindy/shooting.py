@@ -20,7 +20,7 @@ from dynasindy.systems.transitions import Transitions
 
 ENOUGH = 10_000
 """Rows of a recording on which functions are chosen; the coefficients are fitted on all."""
-PIECES = 10
+CHOSEN_STRETCHES = 10
 """Stretches that the rows lie in that are chosen of a long recording."""
 
 
@@ -99,8 +99,8 @@ def choose_stretches(n: int, wanted: int) -> Tensor:
     """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one."""
     if n <= wanted:
         return torch.ones(n, dtype=torch.bool)
-    length = wanted // PIECES
-    begins = torch.linspace(0, n - length, PIECES).long()
+    length = wanted // CHOSEN_STRETCHES
+    begins = torch.linspace(0, n - length, CHOSEN_STRETCHES).long()
     chosen = torch.zeros(n, dtype=torch.bool)
     chosen[(begins.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     return chosen
@@ -515,6 +515,11 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
 
 
 def require_bounded(flow: Flow) -> None:
+    """Refuse trajectories of a model that runs away within a window.
+
+    Raises:
+        RunsAway: it does.
+    """
     if bool((lost := flow.lost()).any()):
         raise RunsAway(
             f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "

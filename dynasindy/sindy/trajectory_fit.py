@@ -276,10 +276,8 @@ def refine_trajectory(
     else:
         found = _search_functions(found, free, windows, descent)
     if descent.coloured:  # errors of a first guess last whatever the plant does
-        found, windows = _in_turn(found, free, windows, descent)
-    if bool(some.all()):
-        found, windows = (found, windows) if descent.coloured else _finely(found, free, windows, descent)
-    else:
+        found, windows = _fit_with_lasting_errors(found, free, windows, descent)
+    if not bool(some.all()):
         support = (found.xi != 0) & free
         whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
         if descent.coloured:
@@ -287,6 +285,8 @@ def refine_trajectory(
         elif may_begin_anew:
             windows = replace(windows, joined=_grows(whole, windows)[1])
         found, _ = _descend(whole, support, windows, replace(descent, price=_price(len(data), free)))
+    elif not descent.coloured:
+        found, windows = _finely(found, free, windows, descent)
     return Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
 
 
@@ -310,7 +310,9 @@ def _lasting(estimate: Estimate, windows: Windows) -> Windows:
     return replace(windows, lasting=lasting)
 
 
-def _in_turn(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Windows]:
+def _fit_with_lasting_errors(
+    found: Estimate, free: Tensor, windows: Windows, descent: Descent
+) -> tuple[Estimate, Windows]:
     """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
     for _ in range(TURNS):
         windows = _lasting(found, windows)

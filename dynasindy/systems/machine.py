@@ -69,22 +69,21 @@ class Machine:
     Args:
         program: its formulas; programs that differ by their constants share their code.
         dtype: float32, fast for many rows, or float64, operation by operation as the formulas say.
-        width: rows that are handled at once in float32; of fewer rows those that lack are computed, too.
 
     Raises:
         ValueError: a formula holds something that is none, or the compiler refuses the text.
         FileNotFoundError: there is no compiler.
     """
 
-    def __init__(self, program: Program, dtype: torch.dtype = torch.float32, width: int = WIDTH) -> None:
+    def __init__(self, program: Program, dtype: torch.dtype = torch.float32) -> None:
         self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
         self.step = program.step
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)
         single = dtype == torch.float32
-        source = _source(replace(program, constants=()), width if single else 1, single)
+        source = _source(replace(program, constants=()), WIDTH if single else 1, single)
         self._code = load_library(source, ("advance", "sensitivities"), fast=single)
-        self._room = _arrays(program.n_x, program.n_u, width if single else 1)
+        self._room = _arrays(program.n_x, program.n_u, WIDTH if single else 1)
         self._large = self._room * ctypes.sizeof(self._real) > STACK
         self._ends: dict[Stops, tuple[object, ...]] = {}
 

@@ -112,6 +112,10 @@ class Transitions:
         first[1:] = self.segment[1:] != self.segment[:-1]
         return first
 
+    def segment_starts(self) -> Tensor:
+        """Return the row at which the segment of each row begins, `(N,)`."""
+        return torch.where(self.begins(), torch.arange(len(self)), 0).cummax(0).values
+
     def select(self, mask: Tensor) -> Transitions:
         """Keep the rows where `mask` `(N,)` bool is true; a gap begins a new segment."""
         if bool(mask.all()):

@@ -110,13 +110,12 @@ def _frame(axis: Axes, time: Array, reference: Array, output: Array) -> tuple[Li
     return past, now
 
 
-def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds: float = 10.0) -> Path:
-    """Write one row of an evaluation as an animation, in real time unless that takes too long.
+def animate(evaluation: Evaluation, path: Path, seconds: float = 10.0) -> Path:
+    """Write the episode of an evaluation that figures show as an animation, in real time unless that takes too long.
 
     Args:
         evaluation: What to show.
         path: File to write; its suffix, .gif or .mp4, says how.
-        row: Which of its episodes; the one that figures show, if omitted.
         seconds: Longest time it may take [s]; a longer run is shown a whole number of times as fast, and says so.
 
     Returns:
@@ -135,7 +134,7 @@ def animate(evaluation: Evaluation, path: Path, row: int | None = None, seconds:
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
     write = _write_gif if path.suffix == ".gif" else _write_mp4
-    row = representative_episode(evaluation).row if row is None else row
+    row = representative_episode(evaluation).row
     pictures = track("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     write(pictures, path, every * dt / speed)
     return path

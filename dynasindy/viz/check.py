@@ -52,7 +52,7 @@ NAMED = 9
 
 
 @styled
-def draw_check(found: Check, thresholds: Thresholds | None = None) -> dict[str, Figure]:
+def draw_check(found: Check) -> dict[str, Figure]:
     """Return all figures of a check by name, with the thresholds of its verdict.
 
     * `recovery`: from which initial errors the plant comes back, a panel per pair of states;
@@ -61,7 +61,7 @@ def draw_check(found: Check, thresholds: Thresholds | None = None) -> dict[str, 
       away, the axes end with what stays within reach, and the legend says how many are cut off;
     * `coefficients`: the spectral radius with each change of a coefficient, the worst first.
     """
-    limits = thresholds or Thresholds()
+    limits = Thresholds()
     figures: dict[str, Figure] = {}
     if found.planes:
         figures["recovery"] = _recovery(found, limits)

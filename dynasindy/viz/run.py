@@ -52,7 +52,7 @@ def draw_run(
     return save_figures(_figures(folder, signature, controller), folder / "figures", formats)
 
 
-def _figures(folder: Path, signature: Signature, controller: str = "policy") -> dict[str, Figure]:
+def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, Figure]:
     names, figures = signature.state_names, {}
     found = read_json(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")

@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from benchmarks.common import add_count, commit, published, run_command
+from benchmarks.common import add_count, commit, output_path, run_command
 from dynasindy.safe_io import Row, write_csv, write_rows
 from dynasindy.systems import Tras, integrate
 from dynasindy.systems.tras import TrasConstants
@@ -60,7 +60,7 @@ class Rig(Tras):
         return dx + torch.stack((zero, zero, push_a / inertia_a, push_p / k.inertia_p, zero, zero), -1)
 
 
-def closed_loop(seconds: float, logs: int, gust: float = 0.0) -> tuple[Tensor, Tensor]:
+def record_closed_loop(seconds: float, logs: int, gust: float = 0.0) -> tuple[Tensor, Tensor]:
     """Fly along random references and return what was logged, several logs side by side.
 
     Args:
@@ -129,11 +129,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def main(arguments: argparse.Namespace) -> None:
     """Fly, identify, print a table and write it as CSV."""
-    out = published(arguments.out, "standin", arguments.logs >= LOGS)
+    out = output_path(arguments.out, "standin", arguments.logs >= LOGS)
     torch.set_num_threads(1)
     rows: list[Row] = []
     for case, gust in CASES.items():
-        measured, commands = closed_loop(SECONDS, arguments.logs, gust)
+        measured, commands = record_closed_loop(SECONDS, arguments.logs, gust)
         for log in range(arguments.logs):
             with tempfile.TemporaryDirectory() as folder:
                 write_log(Path(folder) / "log.csv", measured[:, log], commands[:, log])

@@ -72,7 +72,7 @@ def add_count(parser: argparse.ArgumentParser, what: str, least: int) -> None:
     parser.add_argument("--out", type=Path, help=f"CSV file to write; the published one from {least} {what} on")
 
 
-def published(out: Path | None, name: str, enough: bool) -> Path | None:
+def output_path(out: Path | None, name: str, enough: bool) -> Path | None:
     """Return the file to write; a quick look does not replace the published one."""
     path = out or (RESULTS / f"{name}.csv" if enough else None)
     print(

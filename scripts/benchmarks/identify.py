@@ -20,7 +20,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from benchmarks.common import EquationSystem, add_count, commit, published
+from benchmarks.common import EquationSystem, add_count, commit, output_path
 from benchmarks.pysindy_regression import (
     Score,
     best_threshold,
@@ -62,7 +62,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(arguments: argparse.Namespace) -> None:
     """Measure, print a table and write it as CSV."""
     torch.set_num_threads(1)
-    out = published(arguments.out, "identification", arguments.seeds >= SEEDS)
+    out = output_path(arguments.out, "identification", arguments.seeds >= SEEDS)
     rows, names = [], arguments.only or list(CASES)
     for name in names:
         for found in CASES[name](arguments.seeds):

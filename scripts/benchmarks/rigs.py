@@ -81,7 +81,7 @@ def build_model(rig: str, name: str) -> SindyModel:
     return SindyModel(signature_of(facts), facts["functions"], Regression("bic"), refinement, **more)
 
 
-def published(rig: str) -> EquationSystem:
+def published_physics(rig: str) -> EquationSystem:
     """Return the published physics of a rig."""
     return EquationSystem(signature_of(FACTS[rig]), **FACTS[rig]["published"])
 
@@ -109,7 +109,7 @@ class Log:
         )
 
 
-def read_columns(path: Path) -> Mapping[str, Array]:
+def read_log_columns(path: Path) -> Mapping[str, Array]:
     """Return the columns of a log by the names in its first line."""
     with path.open(encoding="utf-8") as file:
         names = [name.split(" [")[0].strip() for name in file.readline().split(",")]
@@ -121,7 +121,7 @@ def read_log(
     path: Path, states: Mapping[int, str], n_x: int, u: Callable[[Mapping[str, Array]], Array], dt: float
 ) -> Log:
     """Return a log of `n_x` states, of which those at some places are columns of the file."""
-    columns = read_columns(path)
+    columns = read_log_columns(path)
     inputs = u(columns)
     y = np.full((len(inputs), n_x), np.nan)
     for place, name in states.items():
@@ -222,7 +222,7 @@ def emps(folder: Path) -> Result:
     models["pysindy"] = pysindy_of(
         build_model("emps", "ours"), data, lambda model: rms(axis_errors(model, logs["train"]))
     )
-    models["published physics"] = published("emps")
+    models["published physics"] = published_physics("emps")
     for name in ("pysindy", "published physics"):
         _score(name, ("train", "test"), {})
     drawn = [name for name in models if name != "ours, held by a spring"]
@@ -234,7 +234,7 @@ def emps(folder: Path) -> Result:
         rows.append(_row(name, f"force at {speed} m/s", steady_force(models[name], speed), "N"))
     held = 1e3 * (q[0] - q)
     rows.append(
-        _row("training log replayed", metric.format("test"), replay_error(logs["train"].y[:, 0], q), "mm"),
+        _row("training log replayed", metric.format("test"), replay_rmse(logs["train"].y[:, 0], q), "mm"),
     )
     rows.append(_row("last value held", metric.format("test"), rms(held), "mm"))
     courses = [course(name, axis_errors(models[name], logs["test"]), 2 * logs["test"].dt, "mm") for name in drawn]
@@ -264,7 +264,7 @@ def steady_force(model: System, speed: float) -> float:
     return FORCE * none / (none - full)
 
 
-def replay_error(before: Array, q: Array) -> float:
+def replay_rmse(before: Array, q: Array) -> float:
     """Return the RMSE [mm] if another log, in which the axis moves alike, is taken as the prediction of a log.
 
     Args:
@@ -304,7 +304,7 @@ def qube(folder: Path) -> Result:
     start = time.process_time()
     default = identify(read([str(files[name]) for name in ("train_1", "train_2")]), tell=print)
     models["ours by default"] = (default, _facts(default, start))
-    models["published physics"] = (published("qube"), {})
+    models["published physics"] = (published_physics("qube"), {})
     models["pysindy"] = (pysindy_of(build_model("qube", "ours"), train, _score), {})
     rows: list[Row] = []
     for name, (model, facts) in models.items():

@@ -61,6 +61,6 @@ def test_a_command_that_leaves_nothing_says_why(tmp_path):
 
 
 def test_a_quick_look_does_not_replace_published_figures(tmp_path):
-    assert common.published(None, "x", enough=False) is None
-    assert common.published(None, "x", enough=True) == common.RESULTS / "x.csv"
-    assert common.published(tmp_path, "x", enough=False) == tmp_path
+    assert common.output_path(None, "x", enough=False) is None
+    assert common.output_path(None, "x", enough=True) == common.RESULTS / "x.csv"
+    assert common.output_path(tmp_path, "x", enough=False) == tmp_path

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.data.csv import unwrapped
+from dynasindy.data.csv import unwrap_angle
 from dynasindy.evaluation.identification import LoggedData
 
 ROWS = 400
@@ -115,7 +115,7 @@ def test_a_time_that_is_misspelt_is_refused_also_where_the_sampling_time_is_give
         LoggedData(str(tmp_path / "l.csv"), {"a": "angle"}, {"u": "u"}, time="clok", dt=0.5).recording(None)
 
 
-def test_an_input_that_is_lost_for_long_is_not_held(tmp_path):
+def test_an_input_that_is_lost_for_long_is_not_hold_inputs(tmp_path):
     command = np.where(np.arange(ROWS) < 200, COMMAND, np.nan)
     found = recording(tmp_path / "l.csv", "time,angle,u", T, ANGLE, command)
     assert len(found.transitions) == 199
@@ -147,7 +147,7 @@ def test_an_angle_that_wraps_goes_on(unit, turn, start):
     whole = turn * ANGLE / 3
     whole = whole.round() if unit == "counts" else whole
     inside, notes = (whole - start * turn) % turn + start * turn, list[str]()
-    found = unwrapped("q", np.where(np.arange(ROWS) % 7, inside, np.nan), unit, notes)
+    found = unwrap_angle("q", np.where(np.arange(ROWS) % 7, inside, np.nan), unit, notes)
     seen = np.isfinite(found)
     assert seen.sum() == (np.arange(ROWS) % 7 > 0).sum() and len(notes) == 1
     assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
@@ -161,4 +161,4 @@ LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of 
 )
 def test_what_moves_within_its_range_stays(x):
     notes = list[str]()
-    assert np.array_equal(unwrapped("q", x, "-", notes), x) and not notes
+    assert np.array_equal(unwrap_angle("q", x, "-", notes), x) and not notes

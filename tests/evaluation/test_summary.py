@@ -15,6 +15,7 @@ from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, save_evaluation, summarise, to_text
+from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.systems import Pendulum, Signature, Xi
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave, wave
 
@@ -161,7 +162,8 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
     env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.2], [0.3, -0.1]])), substeps=1)
     scenario = Scenario("two", episodes=2, seconds=0.5)
     result = evaluate(env, lambda td: td.set("action", torch.full((*td.batch_size, 2), 0.25)), scenario)
-    figures, table = save_evaluation(result, tmp_path / "new", row=1)
+    figures, table = save_evaluation(result, tmp_path / "new")
+    episode = representative_episode(result).row
 
     record = json.loads(figures.read_text())
     assert (record.pop("scenario"), record.pop("rows")) == ("two", 2)
@@ -170,5 +172,6 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
     rows = list(csv.DictReader(table.open()))
     assert len(rows) == 10
     assert float(rows[3]["time [s]"]) == pytest.approx(0.15)
-    assert float(rows[3]["omega_p [rpm]"]) == pytest.approx(result.trajectory["state"][1, 3, 5].item(), rel=1e-8)
-    assert (rows[3]["u_a [-]"], float(rows[3]["reference_alpha_p [rad]"])) == ("0.25", pytest.approx(-0.1))
+    assert float(rows[3]["omega_p [rpm]"]) == pytest.approx(result.trajectory["state"][episode, 3, 5].item(), rel=1e-8)
+    aim = float(rows[3]["reference_alpha_p [rad]"])
+    assert rows[3]["u_a [-]"] == "0.25" and aim == pytest.approx([0.2, -0.1][episode])

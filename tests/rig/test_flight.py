@@ -270,6 +270,39 @@ def test_the_limits_of_a_plant_guard_what_has_no_range_of_its_own():
     assert own.or_limits({"theta": 0.5}, WIRING) is own
 
 
+def test_the_ranges_in_which_a_flight_goes_on_have_the_units_of_the_states():
+    wiring = Wiring(Pendulum().signature, (True, True), 0.05)
+    said = Guard({"theta": -1.5}, {"theta": 1.5, "Omega": 8.0}).summary(wiring)
+    assert "-1.5 to 1.5 rad" in said and "-inf to 8 rad/s" in said
+
+
+def test_inputs_that_end_a_flight_count_among_those_that_took_longest(tmp_path):
+    class Slow:
+        streams, number = False, None
+
+        def begin(self):
+            pass
+
+        def read(self, seconds):
+            return np.zeros(2)
+
+        def write(self, u):
+            pass
+
+        def rest(self):
+            pass
+
+    def act(y, t):
+        if t > 0.25:
+            clock.sleep(0.04)
+        return np.array([0.1])
+
+    clock = FastClock()
+    result = run_flight(Slow(), act, WIRING, 12, tmp_path / "log.csv", Guard(late=0.5), clock)
+    assert result.fault is not None and result.fault.kind == "late"
+    assert max(result.computing) == pytest.approx(0.04)
+
+
 def test_a_rig_that_never_sends_a_sample_is_told_with_what_came_instead(tmp_path):
     """Floats are sent in the place of doubles: 16 bytes, where a sample of two states has 24."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far:

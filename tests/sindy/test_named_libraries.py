@@ -200,13 +200,13 @@ def test_a_dead_zone_with_two_edges_is_identified_from_a_noisy_log():
     assert model.coefficients[:, 0].tolist() == pytest.approx(expected, rel=0.03)
 
 
-def test_friction_is_that_of_the_rates_of_a_plant_or_of_the_states_that_are_named():
+def test_friction_is_that_of_the_rates_of_a_plant_or_of_all_states_where_none_is_a_rate():
     assert {s.variables for s in build_library("friction", Xi().signature).shapes} == {("Omega_a",), ("Omega_p",)}
     headings = Signature(("y", "z"), ("-", "-"), ("u",), (2.0, 40.0))
     shapes = {(s.variables[0], s.function): s.frequency for s in build_library("friction", headings).shapes}
     # Full at a twentieth of the range, no longer sticking beyond a quarter of it.
     assert shapes == {("y", "tanh"): 10.0, ("y", "bell"): 2.0, ("z", "tanh"): 0.5, ("z", "bell"): 0.1}
-    assert len(dead_zone(Xi().signature)) == 9 + 4
+    assert {s.variables for s in dead_zone(Xi().signature).shapes} == {("u_a",), ("u_p",)}
 
 
 def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns():

@@ -46,6 +46,36 @@ def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_pla
     assert model.get_ydata()[-1] == pytest.approx(-0.4, abs=0.02)
 
 
+def held_pair() -> Check:
+    """Return the check of a' = u, b' = v, held by u = 2 (r - a) and v = 3 (r - b); u is up to 8 N, v up to 4 V."""
+    ends = {"input_ends": ((-8.0, 8.0), (-4.0, 4.0)), "input_units": ("N", "V")}
+    pair = Signature(("a", "b"), ("m", "m"), ("u", "v"), (1.0, 1.0), **ends)
+
+    def law(tensordict):
+        gains = torch.tensor([2.0, 3.0])
+        return tensordict.set("action", gains * tensordict["observation"][..., -2:])
+
+    model = SindyModel(pair, ["u", "v"])
+    model.set_coefficients(torch.eye(2, dtype=torch.float64))
+    task = Tracking(pair, Step([[0.0, 0.0]]), ["a", "b"], [], TrackingReward((1.0, 1.0)))
+    loop = ClosedLoop(Controller(law, ControlSetup(task, 0.1, 2, None)), Plant(model, 0.1, 0.05, None))
+    return check(loop, Settings((-0.4, -0.2), (0.4, 0.2), points=3, seconds=5.0, grid=3, draws=0))
+
+
+def test_each_input_has_its_loop_and_its_own_unit():
+    found = held_pair()
+    figures, row = draw_check(found), found.rest.linear.row(0)
+    loops = np.asarray(open_loop_response(row, frequencies(row)))
+    assert len(figures["nyquist"].axes) == 2 and not np.allclose(loops[:, 0], loops[:, 1])
+    for axis, loop in zip(figures["nyquist"].axes, loops.T, strict=True):
+        curve = np.stack([loop.real, loop.imag], -1)
+        assert any(c.shape == curve.shape and np.allclose(c, curve) for c in (line.get_xydata() for line in axis.lines))
+    force, voltage = figures["steps"].axes[-2:]
+    assert "[N]" in force.get_ylabel() and "[V]" in voltage.get_ylabel()
+    np.testing.assert_allclose(force.lines[0].get_ydata()[:-1], 8 * found.steps.u[0, :, 0], atol=1e-6)
+    np.testing.assert_allclose(voltage.lines[0].get_ydata()[:-1], 4 * found.steps.u[0, :, 1], atol=1e-6)
+
+
 def with_spread(labels, radius) -> Check:
     """Return the check with other changes of single coefficients and their spectral radii."""
     found = held_cart(draws=0)

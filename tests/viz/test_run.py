@@ -85,7 +85,10 @@ def test_empty_cells_are_nan_and_a_missing_file_is_named(tmp_path: Path) -> None
 
 def test_without_references_the_response_shows_all_states(folder: Path, figures) -> None:
     write(folder / "data" / "step_response.csv", HEADING.rpartition(",")[0], "0.1", "0.7", "0.3")
-    drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figures()["step_response"].axes]
+    (folder / "metrics.json").write_text('{"drawn": {"words": "episode 3 of 9"}, "untrained": {"return": 0}}')
+    figure = figures()["step_response"]
+    assert "episode 3 of 9" in figure.get_suptitle()
+    drawn = [[line.get_ydata()[0] for line in axis.lines] for axis in figure.axes]
     assert drawn == [[0.1], [0.7], [0.3]]
 
 
