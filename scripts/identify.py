@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     before = before_fit(model, source)
     if told := [*told, *before.lines]:
         say(*told)
-    found = identify_source(model, source, cfg.horizons, cfg.actuators)
+    found = identify_source(model, source, cfg.horizons)
     known = plants_with(source.signature) if source.logged and system is None else []
     source = found.source
     write_identification(found, source, folder, told)

@@ -16,7 +16,7 @@ NEXT = {
 """What a command shows or makes of a run."""
 SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
 """What tries every part of a training once."""
-OWN = ("actuators", "folder", "formats", "horizons", "hydra")
+OWN = ("folder", "formats", "horizons", "hydra")
 """Words of `identify` that other commands do not have."""
 
 

@@ -113,7 +113,6 @@ class Keys(TypedDict):
     error_shape: str
     longest_delay: float | None
     horizons: list[float] | None
-    actuators: bool
     source: Literal["simulated", "logged"]
     resume: str | None
     plugins: list[str]

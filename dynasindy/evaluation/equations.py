@@ -6,8 +6,8 @@ import numpy as np
 
 from dynasindy.evaluation.before_fit import rate_setting
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.actuators import InputNonlinearity, read_nonlinearity
 from dynasindy.sindy.functions import QUOTIENTS
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity, read_nonlinearity
 from dynasindy.sindy.library import Feature
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.transitions import Transitions

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,19 +18,17 @@ from dynasindy.data.table import read_columns
 from dynasindy.data.units import as_words, with_units
 from dynasindy.evaluation import verdict
 from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
-from dynasindy.evaluation.log_fit import FAILURES, attempt, fit_log
+from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.signal_resolution import describe_low_signals, low_signal_states, resolved_errors
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
-from dynasindy.limits import raise_if_memory
-from dynasindy.progress import report_progress, reporting_as
+from dynasindy.progress import report_progress
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.actuators import ActuatorFit, InputNonlinearity, find_actuator, find_missing_nonlinearity
 from dynasindy.sindy.delay import delay_and_trim, delay_inputs
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity, find_missing_nonlinearity
 from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.transitions import Transitions
 
 ExcitationBuilder = Callable[..., Excitation]
 
@@ -200,9 +197,7 @@ class Identified:
         metrics: error of each measured state, open loop and over each horizon.
         source: the data as the model has them, with one state more where one follows a signal.
         forecasts: errors from many start times; None where the validation data are too short for them.
-        found: what the training data tell of a rate limit or play of an input; None where it was not looked for.
         hidden: what came of the search for a state that no sensor sees, a line at most.
-        acting: the model whose equations stand behind the actuator that was found; `model` if it is None.
         bend: a dead zone or a saturation of an input that the equations seem to lack; None where there is none.
     """
 
@@ -212,10 +207,8 @@ class Identified:
     metrics: dict[str, dict[str, float]]
     source: Source
     forecasts: ForecastErrors | None = None
-    found: ActuatorFit | None = None
     hidden: Sequence[str] = ()
     bend: InputNonlinearity | None = None
-    acting: SindyModel | None = None
 
     @property
     def quiet(self) -> str:
@@ -235,16 +228,13 @@ class Identified:
         return set(rate_states(self.model.library, self.model.constraints))
 
 
-def identify_source(
-    model: SindyModel, source: Source, horizons: Sequence[float] | None = None, actuators: bool = True
-) -> Identified:
+def identify_source(model: SindyModel, source: Source, horizons: Sequence[float] | None = None) -> Identified:
     """Fit a model and predict the validation data: open loop, and from many start times.
 
     Args:
         model: what to fit.
         source: the data.
         horizons: times ahead over which predictions are judged [s]; found from the data if omitted.
-        actuators: whether rate limits and play of inputs are looked for.
 
     Raises:
         TypeError: The model is not sparse.
@@ -255,12 +245,8 @@ def identify_source(
             f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
             "or another that builds a SindyModel"
         )
-    bare, given = copy.deepcopy(model), source
     fit = fit_log(model, source)
-    model, source, acting = fit.model, fit.source, None
-    found = _actuators(model, source.training) if actuators else None
-    if found is not None and found.actuator is None and fit.report.in_pieces and (model.delay or fit.follower):
-        found, acting = _undelayed(bare, given.training, found)
+    model, source = fit.model, fit.source
     report_progress("prediction of the validation data")
     validation, names = source.validation, source.signature.state_names
     predicted = open_loop(model, with_start_states(model, validation))
@@ -277,32 +263,7 @@ def identify_source(
     # A bend would stand for a rate that is missing.
     lacking = lacking and not find_missing_rates(model.library, delay_and_trim(source.training, model.delay))
     bend = find_missing_nonlinearity(model, source.training) if lacking else None
-    return Identified(model, fit.report, predicted, metrics, source, forecasts, found, fit.hidden, bend, acting)
-
-
-def _actuators(model: SindyModel, data: Transitions) -> ActuatorFit:
-    """Look for actuators; where that fails, the model that was fitted stays, and the reason is said."""
-    try:
-        with reporting_as("actuators"):
-            return find_actuator(model, data)
-    except FAILURES as error:
-        raise_if_memory(error)
-        return ActuatorFit.none(model, " ".join(str(error).split()) or type(error).__name__)
-
-
-def _undelayed(bare: SindyModel, data: Transitions, before: ActuatorFit) -> tuple[ActuatorFit, SindyModel | None]:
-    """Look for actuators of equations that were fitted without a delay, and without a lag: these may stand for one.
-
-    Returns:
-        What was found, and the equations; what was found before and None where there is nothing new.
-    """
-    with attempt():
-        bare.refinement = replace(bare.refinement, longest_delay=0.0) if bare.refinement else None
-        with reporting_as("fit without a delay"):
-            bare.fit(data)
-        if (found := _actuators(bare, data)).actuator is not None:
-            return found, bare
-    return before, None
+    return Identified(model, fit.report, predicted, metrics, source, forecasts, fit.hidden, bend)
 
 
 def _heading(name: str, given: object) -> str:

@@ -12,12 +12,9 @@ from dynasindy.evaluation.identification import Identified
 from dynasindy.evaluation.source import Source
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.actuators import add_actuator
 from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
 from dynasindy.systems.transitions import Transitions
 
-BEHIND = "model_with_actuator.json"
-"""File of a model one of whose states is an actuator, which no sensor sees."""
 UNKNOWN = "the refinement, which tells them, found no equations, or ones that run away from the data"
 """Why coefficients that were fitted may have none."""
 
@@ -32,9 +29,6 @@ def to_words(found: Identified, source: Source, columns: int | None = None) -> s
     """
     signature, shown = source.signature, found.forecasts
     seen = [*describe_model(found.model, found.report), *verdict.describe_data(source.training, signature)]
-    if found.found is not None and found.found.actuator:
-        alone = "" if found.acting is None else ", with equations of their own, as a delay or a lag may stand for it"
-        seen.append(f"{found.found.words}; {BEHIND} has it{alone}")
     lines = [
         *found.model.equations(),
         *_errors(found.model),
@@ -55,8 +49,6 @@ def to_words(found: Identified, source: Source, columns: int | None = None) -> s
         "deviation of each state"
     )
     lines += [f"  {state:<10} {_percent(error)}" for state, error in free.items()]
-    unsought = (found.found.words,) if found.found is not None and not found.found.sought else ()
-    lines += [f"note: {note}" for note in unsought]
     if shown is None:
         return "\n".join([*lines, "the validation data are too short to judge how far ahead the model predicts"])
     lines += verdict.judge(told, signature) if (told := found.heard()) is not None else []
@@ -87,8 +79,6 @@ def _percent(error: float) -> str:
 def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[str] = ()) -> None:
     """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
 
-    Where an input has a rate limit or play, the model that has it too is written beside.
-
     Args:
         found: the model and its figures.
         source: the data.
@@ -96,8 +86,6 @@ def write_identification(found: Identified, source: Source, folder: Path, before
         before: lines with which the report begins.
     """
     found.model.save(folder / "model.json")
-    if found.found is not None and found.found.actuator:
-        add_actuator(found.acting or found.model, found.found, source.training.dt).save(folder / BEHIND)
     write_json(folder / "metrics.json", found.metrics, indent=1, finite=False)
     write_text(folder / "report.txt", "\n".join([*before, to_words(found, source)]) + "\n")
     for ending, text in coefficient_tables(found.model.library, found.model.coefficients).items():

@@ -347,7 +347,7 @@ class _Fit:
 
         def _cost(trial: float) -> float:
             measured, start = recording.measured(trial), recording.guessed(trial).x
-            return few_steps(*found, self.constraints.free, measured, few, start)[0]
+            return few_steps(*found, self.constraints.free, measured, few, start)
 
         return self._refined_delay(delay, found, recording.data, _cost)
 

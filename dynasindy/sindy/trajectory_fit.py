@@ -348,20 +348,16 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma()
 
 
-def few_steps(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
-) -> tuple[float, Estimate, Tensor | None]:
-    """Return N/2 log of the squared errors that a few steps leave, summed, their estimate, and errors by window.
+def few_steps(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> float:
+    """Return N/2 log of the squared errors that a few steps leave, summed.
 
-    There are no errors by window, `(W, n_x)`, where the model runs away in windows of the wanted length. The support of
-    `xi` stays, and `start` is a guess of the states before each transition, `(N, n_x)`.
+    The support of `xi` stays, and `start` is a guess of the states before each transition, `(N, n_x)`.
     """
     some = choose_stretches(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
-    flow, model = _settle(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)
-    errors = (model.errors * model.sigma).square().sum(1) if windows.length == descent.window else None
-    return left_over(model, windows), flow.estimate, errors
+    model = _settle(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)[1]
+    return left_over(model, windows)
 
 
 def trajectory_error_ratio(

@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.evaluation.equations import bend_hint, describe_model, hidden_states, idle
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.actuators import InputNonlinearity
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity
 from dynasindy.sindy.regression import RunningSums
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature

@@ -1,7 +1,6 @@
 """From a source of data to a model, its figures and its files."""
 
 import math
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,15 +9,11 @@ import torch
 
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.evaluation import identification
 from dynasindy.evaluation.identification import LoggedData, identify_source
 from dynasindy.evaluation.identification_report import to_words
-from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Aprbs, Chirp
-from dynasindy.progress import listening
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
-from dynasindy.sindy.actuators import Actuator, ActuatorFit
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
@@ -235,26 +230,6 @@ def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
     assert equation == pytest.approx([12.0, -0.5, -9.81], rel=0.02)
 
 
-@pytest.mark.parametrize(
-    "error", [ValueError("it runs\naway"), Diverged("it runs away"), torch.linalg.LinAlgError("it runs away")]
-)
-def test_a_search_for_actuators_that_fails_costs_a_note_and_may_be_switched_off(error, monkeypatch):
-    def failing(model, data):
-        raise error
-
-    monkeypatch.setattr(identification, "find_actuator", failing)
-    source, heard = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0)), []
-    model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
-    with listening(heard.append):
-        found = identify_source(model, source)
-    assert [told.phase for told in heard if told.phase in ("fit", "actuators")][-1] == "actuators"
-    note = "note: rate limits and play of inputs were not looked for: it runs away"
-    assert note in to_words(found, source).splitlines() and found.found.actuator is None
-    assert torch.equal(found.found.coefficients, model.coefficients)
-    without = identify_source(model, source, actuators=False)
-    assert without.found is None and "play" not in to_words(without, source)
-
-
 def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     """An angle read by an encoder of 4096 steps a turn, which moves by some four of them."""
     step, t = 2 * math.pi / 4096, 0.02 * torch.arange(1001, dtype=torch.float64)
@@ -267,7 +242,6 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
         return identify_source(
             model,
             Source(signature, log.select(torch.arange(1000) < 750), log.select(torch.arange(1000) >= 750)),
-            actuators=False,
         )
 
     quiet, loud = found(2 * step), found(500 * step)
@@ -275,31 +249,6 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
     assert "quiet" in words
     assert "this model" not in words and not quiet.predicts
     assert "this model" in to_words(loud, loud.source) and not loud.quiet
-
-
-@pytest.mark.parametrize("in_pieces", [False, True])
-def test_where_a_delay_may_stand_for_an_actuator_one_is_looked_for_without_it(in_pieces, monkeypatch):
-    source = Simulated(validation_seconds=2.0).load(Pendulum(), partial(Chirp, duration=3.0))
-    model = SindyModel(source.signature, ["theta", "Omega", "u", "sin(theta)"], Regression("bic"))
-
-    def late(given, data):
-        found = fit_log(given, data)
-        given.delay = 0.05
-        return replace(found, report=replace(found.report, in_pieces=in_pieces))
-
-    def sought(given, data):
-        actuator = None if given.delay else Actuator(0, "rate limit", 1.5)
-        return ActuatorFit(actuator, given.coefficients, 0.5, "u has a rate limit", given.library)
-
-    monkeypatch.setattr(identification, "fit_log", late)
-    monkeypatch.setattr(identification, "find_actuator", sought)
-    found = identify_source(model, source)
-    assert found.model is model and model.delay == 0.05
-    if in_pieces:
-        assert found.acting is not None and found.acting.delay == 0.0 and found.found.actuator is not None
-        assert "model_with_actuator.json" in to_words(found, source)
-    else:
-        assert found.acting is None and found.found.actuator is None
 
 
 def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_path):

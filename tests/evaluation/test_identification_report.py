@@ -26,7 +26,7 @@ def test_coefficients_without_standard_errors_say_why():
     x = torch.randn(1001, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     noise = replace(source, training=replace(source.training, x=x[:-1], x_next=x[1:]))
     model = SindyModel(source.signature, ["u", "1"], refinement=Refinement("one_step"))
-    words = to_words(identify_source(model, noise, actuators=False), noise)
+    words = to_words(identify_source(model, noise), noise)
     said = "the refinement, which tells them, found no equations, or ones that run away from the data"
     assert (
         f"coefficients have no standard errors (±): {said}" in words.splitlines() and "dropped every function" in words

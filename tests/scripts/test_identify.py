@@ -113,7 +113,7 @@ def test_ends_of_actuators_that_are_guessed_are_asked_about_until_they_are_given
         level.append(level[-1] + 0.01 * (5 * valve - 7 * level[-1] - 2 * fan))
     heads, x = ["level [m]", "u_valve [%]", "u_fan"], torch.tensor(level, dtype=torch.float64).unsqueeze(-1)
     log = write_log(tmp_path / "log.csv", heads, x, u * torch.tensor([100.0, 1.0]))
-    first = _run(tmp_path / "first", "data=csv", f"data.path={log}", "longest_delay=0", "actuators=false")
+    first = _run(tmp_path / "first", "data=csv", f"data.path={log}", "longest_delay=0")
     plan, asks = first.stdout.partition("next:\n")[2].splitlines()
     assert shlex.split(plan)[1] == "scripts/train.py"
     _, script, *words = shlex.split(asks, comments=True)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import Regression, SindyModel
-from dynasindy.sindy.actuators import InputNonlinearity, find_missing_nonlinearity, read_nonlinearity
+from dynasindy.sindy.input_nonlinearity import InputNonlinearity, find_missing_nonlinearity, read_nonlinearity
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
