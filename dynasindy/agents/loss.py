@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim import Adam
 from torchrl.objectives import SoftUpdate as TorchRLSoftUpdate
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
@@ -144,11 +144,10 @@ class GradientSteps:
         loss: the loss module.
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
-        bound: bound of each gradient's norm; 0 leaves gradients as they are.
     """
 
-    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
-        self.loss, self.optimizers, self.bound = loss, (critics, actor), bound
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
+        self.loss, self.optimizers = loss, (critics, actor)
 
     def stands(self) -> bool:
         """Return whether the steps still fit what they were made of."""
@@ -181,6 +180,4 @@ class GradientSteps:
     def _descend(self, loss: Tensor, optimizer: Adam) -> None:
         optimizer.zero_grad()
         loss.backward()
-        if self.bound:
-            nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], self.bound)
         optimizer.step()

@@ -27,24 +27,23 @@ FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
 
 
-def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, bound: float, machine_code: bool = True) -> GradientSteps:
+def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = True) -> GradientSteps:
     """Return machine code for these networks where there can be, and otherwise automatic differentiation.
 
     Args:
         loss: the loss module.
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
-        bound: bound of each gradient's norm; 0 leaves gradients as they are.
         machine_code: whether machine code is wanted.
     """
     if machine_code and _readable(loss) and all(map(_usual, (critics, actor))):
         try:
-            return _MachineSteps(loss, critics, actor, bound)
+            return _MachineSteps(loss, critics, actor)
         except FileNotFoundError:
             pass  # there is no compiler
         except (ValueError, OSError) as error:
             warnings.warn(f"TD3 learns by torch code, which is slower: {error}", stacklevel=3)
-    return GradientSteps(loss, critics, actor, bound)
+    return GradientSteps(loss, critics, actor)
 
 
 def _readable(loss: TD3Loss) -> bool:
@@ -72,7 +71,6 @@ class _MachineSteps(GradientSteps):
         loss: the loss module, whose networks are `_readable`.
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
-        bound: bound of each gradient's norm; 0 leaves gradients as they are.
 
     Raises:
         FileNotFoundError: there is no compiler.
@@ -80,8 +78,8 @@ class _MachineSteps(GradientSteps):
         OSError: what the compiler wrote cannot be loaded.
     """
 
-    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam, bound: float) -> None:
-        super().__init__(loss, critics, actor, bound)
+    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
+        super().__init__(loss, critics, actor)
         source = resources.files("dynasindy.agents").joinpath("c", "td3.c").read_text(encoding="utf-8")
         self._code = load_library(source, FUNCTIONS, fast=True)
         self._code.room.restype = ctypes.c_long
@@ -147,7 +145,7 @@ class _MachineSteps(GradientSteps):
 
     def _step(self, weights: _Weights, optimizer: Adam) -> None:
         group = optimizer.param_groups[0]
-        numbers = group["lr"], *group["betas"], group["eps"], self.bound
+        numbers = group["lr"], *group["betas"], group["eps"]
         self._code.descend(ctypes.byref(weights), *map(ctypes.c_double, numbers))
 
     def _tensor(self, batch: TensorDictBase, key: str, width: int, dtype: torch.dtype = torch.float32) -> Tensor:

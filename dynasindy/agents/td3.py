@@ -46,7 +46,6 @@ class Hyperparameters:
         hidden: widths of the hidden layers of actor and critics.
         actor_lr: learning rate of the actor [1/update].
         critic_lr: learning rate of the critics [1/update].
-        lr_decay: share of both learning rates lost per update [-].
         gamma: discount factor per control step [-].
         tau: target smooth factor [-].
         policy_delay: critic updates per actor update.
@@ -57,7 +56,6 @@ class Hyperparameters:
         noise_decay: share of the exploration noise lost per real control step [-].
         noise_min: lower bound of the exploration noise [-].
         critics: number of critics, of which the target takes the smallest.
-        max_grad_norm: bound of each gradient's norm; 0 leaves gradients as they are.
         policy_average: share of the actor that enters the deployed average per actor update;
             0 deploys the actor itself.
         machine_code: learn by machine code on one core of the CPU, if there is a C compiler.
@@ -66,7 +64,6 @@ class Hyperparameters:
     hidden: Sequence[int] = (400, 300)
     actor_lr: float = 1e-4
     critic_lr: float = 1e-4
-    lr_decay: float = 0.0
     gamma: float = 0.995
     tau: float = 0.005
     policy_delay: int = 2
@@ -77,7 +74,6 @@ class Hyperparameters:
     noise_decay: float = 1e-3
     noise_min: float = 0.0
     critics: Annotated[int, range(2, 101), "the limit is arbitrary"] = 2
-    max_grad_norm: float = 0.0
     policy_average: float = 0.0
     machine_code: bool = True
 
@@ -97,8 +93,8 @@ class Hyperparameters:
 _RANGES: tuple[tuple[tuple[str, ...], tuple[type, ...], Callable[[Any], bool], str], ...] = (
     (("actor_lr", "critic_lr"), (int, float), lambda v: v > 0, "a number > 0"),
     (("gamma", "tau"), (int, float), lambda v: 0 < v <= 1, "a number in (0, 1]"),
-    (("lr_decay", "policy_average"), (int, float), lambda v: 0 <= v < 1, "a number in [0, 1)"),
-    (("policy_noise", "noise_clip", "max_grad_norm"), (int, float), lambda v: v >= 0, "a number >= 0"),
+    (("policy_average",), (int, float), lambda v: 0 <= v < 1, "a number in [0, 1)"),
+    (("policy_noise", "noise_clip"), (int, float), lambda v: v >= 0, "a number >= 0"),
     (("policy_delay", "target_update_interval"), (int,), lambda v: v > 0, "a whole number > 0"),
     (("critics",), (int,), lambda v: v > 1, "a whole number > 1: the target takes the smallest of them"),
 )
@@ -194,10 +190,8 @@ class TD3:
             if s.policy_average:
                 self._average()
 
-        self._targets()
-
-        if s.lr_decay:
-            self._decay_learning_rates()
+        if self.updates % s.target_update_interval == 0:
+            self.target_updater.step()
         return {"critic_loss": critic_loss, "q_value": value, "actor_loss": self.actor_loss}
 
     def check(self) -> None:
@@ -237,9 +231,8 @@ class TD3:
     @property
     def _steps(self) -> GradientSteps:
         if self._made is None or not self._made.stands():
-            s = self.settings
             optimizers = self.critic_optimizer, self.actor_optimizer
-            self._made = best_steps(self.loss, *optimizers, s.max_grad_norm, s.machine_code)
+            self._made = best_steps(self.loss, *optimizers, self.settings.machine_code)
         return self._made
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "TD3":
@@ -262,17 +255,8 @@ class TD3:
         s = self.settings
         return Diverged(
             f"policy learning: {what} at update {self.updates} (critic_lr={s.critic_lr}, actor_lr={s.actor_lr}, "
-            f"gamma={s.gamma}, max_grad_norm={s.max_grad_norm}); lower agent.critic_lr and agent.actor_lr, bound "
-            "agent.max_grad_norm, or make the rewards of the task smaller"
+            f"gamma={s.gamma}); lower agent.critic_lr and agent.actor_lr, or make the rewards of the task smaller"
         )
-
-    def _targets(self) -> None:
-        if self.updates % self.settings.target_update_interval == 0:
-            self.target_updater.step()
-
-    def _decay_learning_rates(self) -> None:
-        for optimizer in (self.actor_optimizer, self.critic_optimizer):
-            optimizer.param_groups[0]["lr"] *= 1.0 - self.settings.lr_decay
 
     def _average(self) -> None:
         averaged, latest = list(self.deployed.parameters()), list(self.policy.parameters())

@@ -156,25 +156,22 @@ class LoopSettings:
     Attributes:
         episodes: Real episodes after the excitation.
         updates_per_step: Gradient updates per real step (update-to-data ratio).
-        recent_steps: Newest real steps that a refit reads; all if None.
         held_out: Every n-th window of 20 periods of the newest episode tests the refit instead of entering it; 0 tests
             nothing.
 
     Raises:
-        ValueError: A number is negative, updates_per_step above 10000, recent_steps is not positive, or held_out is 1.
+        ValueError: A number is negative, updates_per_step above 10000, or held_out is 1.
     """
 
     episodes: Count
     updates_per_step: float = 1.0
-    recent_steps: int | None = None
     held_out: int = 4
 
     def __post_init__(self) -> None:
-        no_steps = self.recent_steps is not None and self.recent_steps < 1
-        if self.episodes < 0 or not 0 <= self.updates_per_step <= 1e4 or no_steps:
+        if self.episodes < 0 or not 0 <= self.updates_per_step <= 1e4:
             raise ValueError(
-                "train needs episodes >= 0, updates_per_step >= 0 and, an arbitrary limit, <= 10000, and "
-                f"recent_steps >= 1 or null, got {self}; mend train"
+                "train needs episodes >= 0, updates_per_step >= 0 and, an arbitrary limit, <= 10000, "
+                f"got {self}; mend train"
             )
         if self.held_out < 0 or self.held_out == 1:
             raise ValueError(

@@ -46,7 +46,7 @@ def train(
         replay.extend_real(excited)
         cost.real_steps += excited.numel()
         # Model learning: f_SINDy from D_real.
-        callback.fitted(first_fit(parts, settings, excited), excited, cost)
+        callback.fitted(first_fit(parts, excited), excited, cost)
         callback.reached(place.past_excitation())
     if not place.planned:
         # Departure: the first planning phase comes before the first episode, with the model of the excitation.

@@ -45,12 +45,11 @@ class Refit:
     error: ModelError
 
 
-def fit(parts: Components, settings: LoopSettings, held_out: Tensor | None = None) -> object:
-    """Fit the world model to the recent real transitions and return its report.
+def fit(parts: Components, held_out: Tensor | None = None) -> object:
+    """Fit the world model to the real transitions and return its report.
 
     Args:
         parts: The model and the data.
-        settings: How many steps count as recent.
         held_out: Which of the newest steps stay out, `(n,)` bool.
 
     Raises:
@@ -58,8 +57,6 @@ def fit(parts: Components, settings: LoopSettings, held_out: Tensor | None = Non
     """
     report_progress("fit")
     rows = parts.replay.real_in_order()
-    if settings.recent_steps is not None:
-        rows = rows[-settings.recent_steps :]
     if held_out is not None:
         used = torch.ones(len(rows), dtype=torch.bool)
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
@@ -83,12 +80,12 @@ def _added(parts: Components, data: Transitions) -> object:
     return report
 
 
-def _adds(parts: Components, settings: LoopSettings) -> bool:
+def _adds(parts: Components) -> bool:
     """Return whether the fit to all real data may be had at the cost of the newest ones."""
     real, learns = parts.replay.real, parts.plant.task.learns  # a reward is told by all data
     kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
     seen = parts.sensing is None  # else what is estimated of a row depends on its neighbours
-    return parts.world_model.additive and seen and settings.recent_steps is None and not learns and kept
+    return parts.world_model.additive and seen and not learns and kept
 
 
 def _require_finite(model: WorldModel, count: int) -> None:
@@ -100,18 +97,17 @@ def _require_finite(model: WorldModel, count: int) -> None:
             )
 
 
-def first_fit(parts: Components, settings: LoopSettings, newest: TensorDictBase) -> object:
-    """Fit the world model to all that counts as recent, let the observer rely on it, and return its report.
+def first_fit(parts: Components, newest: TensorDictBase) -> object:
+    """Fit the world model to all real data, let the observer rely on it, and return its report.
 
     Args:
         parts: The model and the data.
-        settings: Lengths of the loop.
         newest: What was seen in the excitation, or in the newest episode, `(T,)`.
 
     Raises:
         Diverged: What the model has learnt is not finite.
     """
-    report = fit(parts, settings)
+    report = fit(parts)
     _observe(parts, newest)
     return report
 
@@ -133,15 +129,15 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
     starts = _held_out_windows(rollout.numel(), length, settings.held_out)
     if not len(starts):
         unseen = replay_error(parts.model_env, rollout)
-        return Refit(first_fit(parts, settings, rollout), torch.nan, torch.nan, True, unseen)
+        return Refit(first_fit(parts, rollout), torch.nan, torch.nan, True, unseen)
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
-    adds, take_back = _adds(parts, settings), parts.world_model.kept()
+    adds, take_back = _adds(parts), parts.world_model.kept()
     logged = LoggedPeriods(rollout, parts.model_env.log_dt) if adds else None
     before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
     report: object
     try:
-        report = fit(parts, settings, held_out) if logged is None else _added(parts, logged.transitions(~held_out))
+        report = fit(parts, held_out) if logged is None else _added(parts, logged.transitions(~held_out))
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
         after = replay_error(parts.model_env, _acting(rollout, later), starts, length)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)

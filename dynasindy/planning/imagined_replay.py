@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -202,13 +201,11 @@ class ImaginedReplay(Planner):
         agent: Agent whose exploring policy acts in it.
         replay: Both storages; the `Imagination` transform is appended to the model's.
         rollouts: Imagined rollouts per planning phase (paper: 400 or 800); 0 plans nothing.
-        horizon: Length of a rollout [control periods]; or `(first, last, phases)`, which grows linearly from the
-            first planning phase to the last of so many.
+        horizon: Length of a rollout [control periods].
         every: Episodes between two planning phases (paper: N).
         generations: Planning phases whose transitions are kept; all, within the storage, if None.
         state_bound: Multiple of the largest value of each state on the plant beyond which the model is not believed: a
             rollout is cut there.
-        recent_steps: Newest real steps from whose states rollouts branch; all if None.
         seed: Seed of the choice of start states.
 
     Raises:
@@ -224,32 +221,29 @@ class ImaginedReplay(Planner):
         agent: TD3,
         replay: DynaReplay,
         rollouts: int = 400,
-        horizon: int | tuple[int, int, int] = 100,
+        horizon: int = 100,
         every: int = 1,
         generations: int | None = 5,
         state_bound: Bound = 1.5,
-        recent_steps: int | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        if rollouts < 0 or min(1 if n is None else n for n in (generations, recent_steps)) < 1:
+        if rollouts < 0 or (generations is not None and generations < 1):
             raise ValueError(
-                "planning needs rollouts >= 0, and generations and recent_steps >= 1 or null, "
-                f"got {rollouts}, {generations} and {recent_steps}; mend planning"
+                f"planning needs rollouts >= 0 and generations >= 1 or null, got {rollouts} and {generations}; mend "
+                "planning"
             )
         if not state_bound > 0:
             raise ValueError(f"planning.state_bound must be positive, got {state_bound}")
         self.agent, self.env, self.replay, self.rollouts, self.generations = agent, env, replay, rollouts, generations
-        self.horizons = _schedule(horizon)
-        self.state_bound, self.recent_steps = state_bound, recent_steps
+        self.state_bound = state_bound
         self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
-        longest = max(horizon) if isinstance(horizon, Sequence) else horizon
         check_memory(
-            4.0 * rollouts * longest * (2 * env.task.n_o + (2 + env.substeps) * env.system.signature.n_x),
-            f"planning.rollouts={rollouts} of planning.horizon={longest} periods",
+            4.0 * rollouts * horizon * (2 * env.task.n_o + (2 + env.substeps) * env.system.signature.n_x),
+            f"planning.rollouts={rollouts} of planning.horizon={horizon} periods",
         )
-        self.imagination = Imagination(env, agent.explore_imagined, self.horizons(0))
+        self.imagination = Imagination(env, agent.explore_imagined, horizon)
         replay.model.append_transform(self.imagination)
 
     def plan(self) -> Planned:
@@ -264,9 +258,7 @@ class ImaginedReplay(Planner):
         if self.generations is not None:
             self.replay.keep_imagined(sum(self.made[max(0, len(self.made) + 1 - self.generations) :]))
         real = self.replay.real_as_stored()
-        recent = min(self.recent_steps or len(real), len(real))
-        rows = len(real) - 1 - torch.randint(recent, (self.rollouts,), generator=self.generator)
-        self.imagination.horizon = self.horizons(len(self.made))
+        rows = len(real) - 1 - torch.randint(len(real), (self.rollouts,), generator=self.generator)
         self.imagination.limit = self.state_bound * real["next", "state"].abs().amax(0)
         starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
         self.made.append(len(self.replay.model.extend(starts)))
@@ -284,20 +276,10 @@ class ImaginedReplay(Planner):
         self.replay.keep_imagined(0)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return how much each phase imagined, and the generator; horizon and limit are set anew by each phase."""
+        """Return how much each phase imagined, and the generator; the limit is set anew by each phase."""
         return {"made": list(self.made), "generator": self.generator.get_state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         self.made = list(state["made"])
         self.generator.set_state(state["generator"])
-
-
-def _schedule(horizon: int | tuple[int, int, int]) -> Callable[[int], int]:
-    """Return the horizon of each planning phase, counted from 0."""
-    first, last, phases = (horizon, horizon, 1) if isinstance(horizon, int) else horizon
-    if min(first, last, phases) < 1:
-        raise ValueError(
-            f"planning.horizon is {horizon}; give control periods >= 1, or [first, last, phases], such as [1, 20, 10]"
-        )
-    return lambda phase: round(first + (last - first) * min(1.0, phase / max(1, phases - 1)))

@@ -21,10 +21,10 @@ def batch():
     return TensorDict({"observation": seen, "action": acted, "next": TensorDict(following, [8])}, [8])
 
 
-def steps(bound=0.0):
+def steps():
     loss = TD3(3, 2, hidden=(6,), machine_code=False).loss
     networks = loss.qvalue_network_params, loss.actor_network_params
-    return GradientSteps(loss, *(Adam(list(network.parameters()), lr=1e-2) for network in networks), bound)
+    return GradientSteps(loss, *(Adam(list(network.parameters()), lr=1e-2) for network in networks))
 
 
 NAMES = {"critics": "the critics' loss", "actor": "the actor's loss"}

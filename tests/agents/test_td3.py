@@ -57,7 +57,7 @@ def test_constructing_leaves_the_global_generator_as_it_was():
 
 
 def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
-    settings = {"policy_average": 0.1, "lr_decay": 0.01, "policy_delay": 2, "target_update_interval": 3}
+    settings = {"policy_average": 0.1, "policy_delay": 2, "target_update_interval": 3}
     agent, resumed = small(**settings), small(**settings, seed=9)
     data = list(batches(14))
     explored = TensorDict({"observation": torch.zeros(5, 4)}, [5])
@@ -92,21 +92,6 @@ def test_a_copy_learns_for_itself_and_as_the_agent_would(machine_code):
 def test_without_average_the_actor_is_deployed():
     agent = small()
     assert agent.deployed is agent.policy
-
-
-@pytest.mark.parametrize("machine_code", [True, False])
-@pytest.mark.parametrize("bound", [1e-3, 1e3])
-def test_gradients_are_clipped_to_the_norm_given(machine_code, bound):
-    sizes = []
-    for norm in (bound, 0.0):
-        agent = small(max_grad_norm=norm, machine_code=machine_code)
-        agent.update(next(batches(1)))
-        # After one step the running mean of Adam is a tenth of the gradient.
-        means = [state["exp_avg"].flatten() for state in agent.critic_optimizer.state_dict()["state"].values()]
-        sizes.append(10 * torch.cat(means).norm().item())
-    clipped, free = sizes
-    assert 1e-3 < free < 1e3
-    assert clipped == pytest.approx(min(bound, free), rel=2e-3)
 
 
 def test_imagined_steps_do_not_count_as_exploration_steps():
@@ -197,10 +182,6 @@ class Plain:
     def descend(self, loss, optimizer):
         optimizer.zero_grad()
         loss.backward()
-        weights = optimizer.param_groups[0]["params"]
-        size = torch.cat([w.grad.flatten() for w in weights]).norm()
-        for w in weights:
-            w.grad *= min(1.0, self.settings.max_grad_norm / (size.item() + 1e-6))
         optimizer.step()
 
     def update(self, batch):
@@ -223,8 +204,6 @@ class Plain:
             for target, critic in zip(self.target_critics, self.critics, strict=True):
                 self.follow(target, critic, s.tau)
             self.follow(self.target_actor, self.actor, s.tau)
-        for optimizer in (self.actor_optimizer, self.critic_optimizer):
-            optimizer.param_groups[0]["lr"] *= 1 - s.lr_decay
         return loss.item(), torch.stack(values).mean().item()
 
     def follow(self, slow, fast, share):
@@ -235,7 +214,7 @@ class Plain:
 @pytest.mark.parametrize("machine_code", [True, False])
 def test_updates_are_those_of_the_algorithm_written_with_torch_alone(machine_code):
     settings = {"gamma": 0.9, "tau": 0.3, "policy_delay": 2, "target_update_interval": 3, "critics": 3}
-    settings |= {"actor_lr": 2e-3, "critic_lr": 3e-3, "lr_decay": 0.05, "max_grad_norm": 0.5, "policy_average": 0.2}
+    settings |= {"actor_lr": 2e-3, "critic_lr": 3e-3, "policy_average": 0.2}
     agent = small(**settings, policy_noise=0.4, noise_clip=0.3, machine_code=machine_code)
     plain = Plain(agent, seed=3)
     generator = torch.Generator().manual_seed(11)
@@ -293,7 +272,7 @@ def test_settings_reach_their_parts():
 def test_defaults_that_the_paper_does_not_set_are_td3s():
     s = Hyperparameters()
     assert (s.policy_delay, s.policy_noise, s.noise_clip, s.critics) == (2, 0.2, 0.5, 2)  # Fujimoto 2018
-    assert (s.lr_decay, s.noise_min, s.max_grad_norm, s.policy_average) == (0, 0, 0, 0)
+    assert (s.noise_min, s.policy_average) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -303,11 +282,9 @@ def test_defaults_that_the_paper_does_not_set_are_td3s():
         ("critic_lr", (1e-9, 1), (0,)),
         ("gamma", (1, 1e-9), (0.0, 1.0001, math.nan)),
         ("tau", (1, 1e-9), (0, 1.0001, "fast")),
-        ("lr_decay", (0, 0.999), (1.0, -1e-9)),
         ("policy_average", (0, 0.999), (1.0, -1e-9)),
         ("policy_noise", (0, 3), (-1e-9,)),
         ("noise_clip", (0, 3), (-1e-9,)),
-        ("max_grad_norm", (0, 3), (-1e-9,)),
         ("policy_delay", (1,), (0, 1.0, 2.5)),
         ("target_update_interval", (1,), (0, -1, 1.0)),
         ("critics", (2,), (1, 2.0)),

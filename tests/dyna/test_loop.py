@@ -95,12 +95,6 @@ def test_the_phases_come_in_the_order_of_algorithm_1():
     ]
 
 
-def test_a_refit_reads_the_recent_steps_only():
-    log, made = recipe(Recording, recent_steps=8)
-    train(made.build(), made.train, Callback())
-    assert "fit 40" in log
-
-
 def test_a_closed_gate_lets_nothing_in():
     # The paper's plant is no model of this one: its reward error never falls to 0, so a shut gate stays shut.
     log, made = recipe(Recording, gate=Gate(0.0, 0.0, is_open=False), model=Xi())

@@ -69,14 +69,14 @@ def setting(*factors):
 
 def test_a_worse_refit_is_rolled_back_and_a_better_one_stays():
     parts, rollout = setting(1.5, 1.2, 1.0)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     better, best = refit(parts, LoopSettings(1), rollout), refit(parts, LoopSettings(1), rollout)
     assert better.kept and best.kept
     assert best.error.state_error == best.error_after and best.error.reward_error < better.error.reward_error
     assert best.error_after < 1e-4 < best.error_before == better.error_after < better.error_before
 
     parts, rollout = setting(1.0, 1.5)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     worse = refit(parts, LoopSettings(1), rollout)
     assert not worse.kept and worse.error_after > worse.error_before
     assert worse.error.state_error == worse.error_before  # the gate judges the model that stays
@@ -99,7 +99,7 @@ class Learning(Tracking):
 def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it(factor, learnt, kept):
     parts, rollout = setting(1.0, factor)
     parts.plant.task.__class__ = Learning
-    fit(parts, LoopSettings(1))
+    fit(parts)
     result = refit(parts, LoopSettings(1), rollout)
     assert (result.kept, parts.plant.task.learnt, parts.world_model.factor) == (kept, learnt, 1.0)
     starts = _held_out_windows(rollout.numel(), 20, 4)
@@ -108,7 +108,7 @@ def test_what_a_task_learns_stays_and_the_gate_judges_the_model_that_stays_by_it
 
 def test_a_refit_that_diverges_is_rolled_back():
     parts, rollout = setting(1.2, math.nan)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     result = refit(parts, LoopSettings(1), rollout)
     assert not result.kept and result.error_after == math.inf
     assert parts.world_model.factor == pytest.approx(1.2)
@@ -121,24 +121,18 @@ def test_the_held_out_windows_are_in_no_fit_before_the_next():
     assert len(seen) == 60 * 5  # the last of four seconds is held out
     held = rollout["next", "state"][60:].to(seen.x_next)
     assert not (seen.x_next.unsqueeze(1) == held).all(-1).any()
-    fit(parts, LoopSettings(1))
+    fit(parts)
     assert len(parts.world_model.seen[1]) == 80 * 5
 
 
 def test_without_a_test_every_refit_stays():
     parts, rollout = setting(1.0, 9.0)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     unseen = replay_error(parts.model_env, rollout)
     result = refit(parts, LoopSettings(1, held_out=0), rollout)
     assert result.error.reward_error == unseen.reward_error  # the whole episode, before the fit has read it
     assert result.kept and math.isnan(result.error_before)
     assert parts.world_model.factor == 9.0 and len(parts.world_model.seen[1]) == 80 * 5
-
-
-def test_recent_steps_and_held_out_windows_go_together():
-    parts, rollout = setting(1.0)
-    refit(parts, LoopSettings(1, recent_steps=30), rollout)
-    assert len(parts.world_model.seen[0]) == 10 * 5
 
 
 def test_every_fourth_window_is_held_out():
@@ -150,14 +144,14 @@ def test_every_fourth_window_is_held_out():
 @pytest.mark.parametrize("factor", [math.nan, math.inf])
 def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
     parts, _ = setting(1.0, factor)
-    assert fit(parts, LoopSettings(1)) == "report"
+    assert fit(parts) == "report"
     with pytest.raises(Diverged, match="learning"):
-        fit(parts, LoopSettings(1))
+        fit(parts)
 
 
 def test_without_a_test_a_refit_that_is_not_finite_ends_the_phase():
     parts, rollout = setting(1.0, math.nan)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     with pytest.raises(Diverged, match="model learning"):
         refit(parts, LoopSettings(1, held_out=0), rollout)
 
@@ -169,18 +163,17 @@ def samples_of(rollout, steps):
 
 
 @pytest.mark.parametrize(
-    ("recent_steps", "held_out", "used"),
+    ("held_out", "used"),
     [
-        (30, 0, [*range(50, 80)]),
-        (30, 4, [*range(50, 60)]),  # the last second, periods 60 to 79, is held out
-        (None, 2, [*range(20), *range(40, 60)]),
-        (45, 3, [*range(35, 40), *range(60, 80)]),
-        (500, 4, [*range(60)]),
+        (0, [*range(80)]),
+        (2, [*range(20), *range(40, 60)]),
+        (3, [*range(40), *range(60, 80)]),
+        (4, [*range(60)]),  # the last second, periods 60 to 79, is held out
     ],
 )
-def test_a_refit_reads_the_recent_periods_but_the_held_out_ones(recent_steps, held_out, used):
+def test_a_refit_reads_all_periods_but_the_held_out_ones(held_out, used):
     parts, rollout = setting(1.0)
-    refit(parts, LoopSettings(1, recent_steps=recent_steps, held_out=held_out), rollout)
+    refit(parts, LoopSettings(1, held_out=held_out), rollout)
     (seen,) = parts.world_model.seen
     ends, inputs = samples_of(rollout, used)
     assert torch.equal(seen.x_next, ends) and torch.equal(seen.u, inputs)
@@ -198,7 +191,7 @@ def test_earlier_episodes_are_read_whole():
 
 def test_the_errors_are_those_of_the_held_out_seconds_before_and_after():
     parts, rollout = setting(1.5, 1.2)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     windows = torch.tensor([20, 60])  # every second of four
     before = replay_error(parts.model_env, rollout, windows, 20)
     result = refit(parts, LoopSettings(1, held_out=2), rollout)
@@ -213,7 +206,7 @@ def test_the_errors_are_those_of_the_held_out_seconds_before_and_after():
 )
 def test_a_refit_may_be_a_tenth_worse_or_off_by_what_no_plan_feels(monkeypatch, before, after, kept):
     parts, rollout = setting(2.0, 3.0)
-    fit(parts, LoopSettings(1))
+    fit(parts)
     errors = iter([ModelError(0.1, before, torch.zeros(0)), ModelError(0.2, after, torch.zeros(0))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *_: next(errors))
     result = refit(parts, LoopSettings(1), rollout)
@@ -264,7 +257,7 @@ def test_a_refit_at_the_cost_of_the_newest_episode_equals_one_to_all_data():
     parts = _model()
     excited = interact(parts.env, parts.excitation, 100)
     parts.replay.extend_real(excited)
-    first_fit(parts, LoopSettings(3), excited)
+    first_fit(parts, excited)
     assert parts.world_model.additive
     rows = [excited]
     for _ in range(3):
@@ -288,7 +281,7 @@ def test_a_refit_that_is_taken_back_leaves_its_data_to_the_next(monkeypatch):
     parts = replace(parts, world_model=model, model_env=parts.plant.with_model(model, torch.float32))
     excited = interact(parts.env, parts.agent.explore, 80)
     parts.replay.extend_real(excited)
-    first_fit(parts, LoopSettings(1), excited)
+    first_fit(parts, excited)
     kept, before = model.coefficients.clone(), model.sums.count
     errors = iter([ModelError(0.0, 1e-3, torch.zeros(1, 6)), ModelError(0.0, 1.0, torch.zeros(1, 6))])
     monkeypatch.setattr("dynasindy.dyna.refit.replay_error", lambda *given: next(errors))

@@ -22,7 +22,7 @@ from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
 
-REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=[2, 4, 2], generations=2)
+REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=4, generations=2)
 GRADIENT = partial(
     GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, searches=0,
     randomization=Randomization(parameters=0.1),
@@ -60,7 +60,7 @@ def recipe(planning, episodes=3):
         env=partial(ControlEnv, dt=0.1, substeps=2, dtype=torch.float64),
         excitation=partial(Multisine, duration=2.0),
         world_model=model,
-        agent=partial(TD3, hidden=(8, 8), policy_average=0.01, lr_decay=1e-3),
+        agent=partial(TD3, hidden=(8, 8), policy_average=0.01),
         replay=partial(DynaReplay, 60, 16, 0.5, model_capacity=30),  # both rings turn over
         planning=planning,
         gate=Gate(),

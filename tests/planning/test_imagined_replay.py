@@ -49,18 +49,6 @@ def test_the_newest_generations_are_the_ones_that_stay():
     assert torch.equal(replay.model[:]["action"][:60], before["action"][60:])
 
 
-def test_the_horizon_grows_over_the_phases_and_stays():
-    _, planner, _ = make(rollouts=2, horizon=[1, 7, 4])
-    assert [planner.plan().imagined for _ in range(6)] == [2, 6, 10, 14, 14, 14]
-
-
-def test_distrust_does_not_set_the_horizon_back():
-    _, planner, _ = make(rollouts=2, horizon=[1, 7, 4])
-    planner.plan()
-    planner.distrust()
-    assert planner.plan().imagined == 6
-
-
 def test_what_lies_beyond_the_states_of_the_plant_is_not_stored():
     _, planner, _ = make(rollouts=12, horizon=5, state_bound=1e-9)
     assert planner.plan().imagined == 0
@@ -106,8 +94,7 @@ def test_no_planning_is_never_due():
     assert not any(planner.due(episode) for episode in range(1, 10))
 
 
-IMPOSSIBLE = [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"horizon": [1, 0, 3]}]
-IMPOSSIBLE += [{"generations": 0}, {"recent_steps": 0}]
+IMPOSSIBLE = [{"rollouts": -1}, {"every": 0}, {"horizon": 0}, {"generations": 0}]
 
 
 @pytest.mark.parametrize("settings", IMPOSSIBLE)
@@ -157,15 +144,13 @@ def starts_of(replay, rows=slice(None)):
     return replay.model[:]["observation"][rows, :6]
 
 
-@pytest.mark.parametrize(("recent_steps", "newest"), [(1, 1), (4, 4), (None, 60), (500, 60)])
-def test_branches_begin_at_every_one_of_the_newest_states_and_at_no_other(recent_steps, newest):
-    replay, planner, _ = make(rollouts=600, horizon=1, recent_steps=recent_steps)
+def test_branches_begin_at_every_one_of_the_real_states():
+    replay, planner, _ = make(rollouts=600, horizon=1)
     planner.plan()
-    real = replay.real_in_order()["observation"][:, :6]
-    same = (starts_of(replay).unsqueeze(1) == real).all(-1)
-    assert same.any(0).nonzero().flatten().tolist() == [*range(60 - newest, 60)]
+    same = (starts_of(replay).unsqueeze(1) == replay.real_in_order()["observation"][:, :6]).all(-1)
+    assert bool(same.any(0).all())
     # Each as often as any other: the counts of 600 draws deviate by the root of their mean.
-    assert float((same.sum(0)[-newest:] - 600 / newest).abs().max()) <= 5 * (600 / newest) ** 0.5
+    assert float((same.sum(0) - 10).abs().max()) <= 5 * 10**0.5
 
 
 def test_the_seed_of_the_planner_chooses_the_starts_and_nothing_else_does():
@@ -197,27 +182,15 @@ def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted(monkeypatch):
     assert [(planner.plan().imagined, len(replay.model)) for _ in range(2)] == [(60, 60), (60, 120)]
 
 
-def test_the_first_horizon_holds_until_a_phase_counts():
-    _, planner, _ = make(rollouts=0, horizon=[2, 8, 4])
-    assert [planner.plan().imagined for _ in range(3)] == [0, 0, 0] and planner.made == []
-    assert [planner.horizons(phase) for phase in range(6)] == [2, 4, 6, 8, 8, 8]
-    assert planner.imagination.horizon == 2
-
-
-@pytest.mark.parametrize(("horizon", "grown"), [([9, 3, 1], [9, 3, 3]), ([9, 3, 5], [9, 8, 3]), (7, [7, 7, 7])])
-def test_a_horizon_may_shrink_and_stays_at_its_end(horizon, grown):
-    assert [make(horizon=horizon)[1].horizons(phase) for phase in (0, 1, 5)] == grown
-
-
-@pytest.mark.parametrize("fine", [{"rollouts": 0}, {"generations": 1}, {"recent_steps": 1}, {"horizon": [1, 1, 1]}])
+@pytest.mark.parametrize("fine", [{"rollouts": 0}, {"generations": 1}])
 def test_the_smallest_plans_are_allowed(fine):
     assert make(**({"rollouts": 1, "horizon": 1} | fine))[1].plan().imagined <= 1
 
 
 def test_by_default_four_hundred_rollouts_of_a_hundred_periods_are_kept_for_five_phases():
     _, planner, _ = make()
-    assert (planner.rollouts, planner.horizons(0), planner.every, planner.generations) == (400, 100, 1, 5)
-    assert planner.state_bound == 1.5 and planner.recent_steps is None
+    assert (planner.rollouts, planner.imagination.horizon, planner.every, planner.generations) == (400, 100, 1, 5)
+    assert planner.state_bound == 1.5
 
 
 def test_no_planning_costs_nothing():

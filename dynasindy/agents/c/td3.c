@@ -358,15 +358,9 @@ typedef struct {
     float **weight, **gradient, **mean, **square, **steps;
 } Weights;
 
-/* One step of Adam (Kingma and Ba 2015, Algorithm 1), after the gradients are cut to a norm of `bound`, if there is one. */
-void descend(const Weights *w, double lr, double beta_1, double beta_2, double epsilon, double bound)
+/* One step of Adam (Kingma and Ba 2015, Algorithm 1). */
+void descend(const Weights *w, double lr, double beta_1, double beta_2, double epsilon)
 {
-    double norm = 0;
-    for (int t = 0; bound > 0 && t < w->tensors; t++)
-        for (long i = 0; i < w->sizes[t]; i++)
-            norm += (double)w->gradient[t][i] * (double)w->gradient[t][i];
-    norm = sqrt(norm) + 1e-6; /* as torch's clip_grad_norm_ */
-    float cut = bound > 0 && norm > bound ? (float)(bound / norm) : 1;
     for (int t = 0; t < w->tensors; t++) {
         float *restrict p = w->weight[t], *restrict g = w->gradient[t], *restrict m = w->mean[t], *restrict v = w->square[t];
         double step = *w->steps[t] += 1;
@@ -374,9 +368,8 @@ void descend(const Weights *w, double lr, double beta_1, double beta_2, double e
         float kept = (float)beta_1, kept_square = (float)beta_2, small = (float)epsilon;
         float fresh = (float)(1 - beta_1), fresh_square = (float)(1 - beta_2);
         for (long i = 0; i < w->sizes[t]; i++) {
-            float slope = cut * g[i];
-            m[i] = kept * m[i] + fresh * slope;
-            v[i] = kept_square * v[i] + fresh_square * slope * slope;
+            m[i] = kept * m[i] + fresh * g[i];
+            v[i] = kept_square * v[i] + fresh_square * g[i] * g[i];
             p[i] -= rate * m[i] / (sqrtf(v[i]) * root + small);
         }
     }
