@@ -56,6 +56,21 @@ def test_each_member_moves_its_share_of_the_rows():
     torch.testing.assert_close(moved, torch.cat([Xi()(x[:3], u[:3]), Tras()(x[3:], u[3:])]))
 
 
+def test_machine_code_of_an_ensemble_does_what_each_member_does_with_its_share(monkeypatch):
+    members, (x, u) = [Xi(), Tras(), Tras(azimuth_stop=1.0)], [values.double() for values in states(8)]
+    ensemble, parts = ModelEnsemble(members), ((0, 3), (3, 6), (6, 8))
+    moved, touched = integrate(ensemble, x, u, 0.05, 3, members[2].stops)
+    code = ensemble.compiled(x, u)
+    assert code is not None and touched.any() and not touched.all()
+    slopes = code.sensitivities(x, u, 0.05, 3)
+    monkeypatch.setattr(ModelEnsemble, "compiled", lambda *_: None)
+    expected = integrate(ensemble, x, u, 0.05, 3, members[2].stops)
+    torch.testing.assert_close((moved, touched), expected, rtol=1e-12, atol=1e-12)
+    for member, (first, last) in zip(members, parts, strict=True):
+        own = member.compiled(x, u).sensitivities(x[first:last], u[first:last], 0.05, 3)
+        torch.testing.assert_close([slope[first:last] for slope in slopes], [*own], rtol=0, atol=0)
+
+
 def test_members_of_a_difference_equation_move_by_its_steps():
     """x[k+1] = a x[k] + u[k] with a of -0.6 and -0.4, each two rows, over two steps: a^2 x + (1 + a) u."""
     models = []
