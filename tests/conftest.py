@@ -7,6 +7,8 @@ os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import re
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,10 @@ import pytest
 import torch
 
 torch.set_num_threads(1)
+
+if (found := shutil.which(os.environ.get("CC") or "cc")) and "CC_KEPT" not in os.environ and os.name == "posix":
+    kept = tempfile.TemporaryDirectory(prefix="dynasindy_compiled_")  # of this session and of all its processes
+    os.environ |= {"CC_OF_TESTS": found, "CC_KEPT": kept.name, "CC": str(Path(__file__).parent / "warm" / "cc")}
 
 
 @pytest.fixture(autouse=True)

@@ -136,10 +136,10 @@ def pendulum(periods, sensors=None):
             outputs=["theta"],
             rates=["Omega"],
             reward=TrackingReward((4.0,)),
-            max_steps=80,
+            max_steps=50,
         ),
         env=partial(DelayedEnv, substeps=2, delay=0.05 * periods, dtype=torch.float64),
-        excitation=partial(Multisine, duration=4.0, amplitude=[0.3]),
+        excitation=partial(Multisine, duration=2.5, amplitude=[0.3]),
         world_model=partial(
             SindyModel,
             library=WORDS,
@@ -170,8 +170,7 @@ class Heard(Callback):
         self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
 
 
-@pytest.mark.parametrize("periods", [1, 2.5])
-def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives(periods):
+def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives(periods=2.5):
     made = pendulum(periods)
     parts, place = made.build(), Place()
     heard = Heard(parts, place)
@@ -198,7 +197,7 @@ class Later(Heard):
         self.parts.world_model.refinement = Refinement("integral", longest_delay=None)
 
 
-@pytest.mark.parametrize(("periods", "held_out"), [(1, 2), (2.5, 2), (2.5, 0)])
+@pytest.mark.parametrize(("periods", "held_out"), [(1, 2), (2.5, 0)])
 def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_out):
     made = pendulum(periods)
     made.world_model.keywords["refinement"] = Refinement("integral", longest_delay=0.0)
@@ -212,8 +211,8 @@ def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_ou
     if held_out:  # the refit is judged by inputs as late as it says, by which it predicts what it has not seen
         assert heard.refits[0].error_after < 0.01 * heard.refits[0].error_before
     # Every period that was flown still counts, and the fit reads what was seen of the first ones.
-    assert len(parts.replay.real) == 80 + len(first) + len(second)
-    seen = parts.replay.real_in_order()["measurement"][80 : 80 + len(first)]
+    assert len(parts.replay.real) == 50 + len(first) + len(second)
+    seen = parts.replay.real_in_order()["measurement"][50 : 50 + len(first)]
     torch.testing.assert_close(seen, first["state"])
 
 
@@ -228,10 +227,11 @@ def test_states_that_are_seen_at_once_stay_as_they_are():
 
 def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():
     made = pendulum(2)
+    made = replace(made, train=replace(made.train, episodes=1))
     whole, place = made.build(), Place()
     heard = Heard(whole, place)
     train(whole, made.train, heard, place)
-    assert len(heard.states) == 4
+    assert len(heard.states) == 3
     for where, state in heard.states[:-1]:
         again, place = made.build(), Place()
         again.load_state_dict(state)

@@ -95,18 +95,18 @@ def kept(folder):
     return files | {"metrics.json": metrics}
 
 
-@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("name", ["replay", "gradient"])
 def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path, name):
     go(tmp_path / "whole", name)
     calls = Plug.calls
     stops = 0
-    for share in (0.03, 0.3, 0.25, 0.2, 0.1):
+    for share in (0.03, 0.3, 0.25):
         with pytest.raises(Stopped, match="stopped; "):
             go(tmp_path / "parts", name, last=round(share * calls))
         stops += 1
     go(tmp_path / "parts", name)
     assert Plug.calls < calls  # what was done is not repeated
-    assert stops == 5 and kept(tmp_path / "parts") == kept(tmp_path / "whole")
+    assert stops == 3 and kept(tmp_path / "parts") == kept(tmp_path / "whole")
     assert not (tmp_path / "parts" / "checkpoints").exists()
 
 

@@ -101,9 +101,9 @@ def test_on_a_linear_plant_it_is_the_textbooks_filter_with_lost_samples_too():
 
 
 def test_the_covariance_settles_where_the_riccati_equation_says():
-    ours, (y, _, _) = observer(), logged(400)
+    ours, (y, _, _) = observer(substeps=5), logged(200)
     belief = ours.begin(y[0])
-    for k in range(400):
+    for k in range(200):
         belief, _, _ = ours.correct(ours.advance(belief, torch.zeros(ours.memory, 1)), y[k])
     f, _ = held(DT)
     c = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
@@ -182,7 +182,7 @@ def test_its_width_is_the_memory_that_a_rollout_takes_up_for_it():
 
 @pytest.mark.parametrize("q", [1e-2, 5e-2])
 def test_the_process_noise_is_found_that_the_innovations_show(q):
-    ours, (y, u, x) = observer(), logged(2000, q=q)
+    ours, (y, u, x) = observer(substeps=1), logged(1000, q=q)
     estimates = ours.learn(y, u)
     assert 0.5 * q < ours.q[0].item() < 2 * q and ours.nis == pytest.approx(1.0, abs=0.15)
     assert ours.learnt and ours.system is ours.model and estimates.shape == x.shape
@@ -203,7 +203,7 @@ def test_a_plant_that_is_pushed_is_believed_to_move_at_its_rates():
     x = torch.stack(x)
     y = x + torch.tensor([0.02, 0.0, 0.01]) * torch.randn(x.shape, generator=rng, dtype=torch.float64)
     y[:, 1] = math.nan
-    ours, alike = observer(rates={"p": "v"}), observer()
+    ours, alike = observer(rates={"p": "v"}, substeps=1), observer(substeps=1)
     estimates, others = ours.learn(y, u), alike.learn(y, u)
     assert ours.q[0] < 0.01 * q and 0.5 * q < ours.q[1].item() < 2 * q and ours.q[1] == ours.q[2]
     assert (estimates - x)[:, 1].std() < 0.9 * (others - x)[:, 1].std()
@@ -276,9 +276,9 @@ def test_what_no_plant_can_do_counts_as_lost_in_its_row_and_its_state_is_doubted
 
 
 @pytest.mark.parametrize("first", [False, True])
-@pytest.mark.parametrize("glitch", [30.0, 500.0, 1e5, 1e38, 1e200])
+@pytest.mark.parametrize("glitch", [30.0, 1e5, 1e200])
 def test_estimates_are_right_soon_after_a_broken_sample(glitch, first):
-    ours, (y, u, x) = observer(), logged(100)
+    ours, (y, u, x) = observer(substeps=2), logged(100)
     y[0 if first else 40, 0] = glitch
     means = ours.follow(y, u)[0]
     assert (means - x)[60:].abs().max() < 0.2 and means.isfinite().all()
@@ -334,12 +334,12 @@ def test_a_delay_beyond_all_memory_is_refused():
 
 def test_a_rough_model_is_leant_on_until_there_is_a_better_one():
     """Estimates on it are those of a filter on that model, and its process noise is that of the innovations."""
-    (y, u, _), ours, rough = logged(600, q=3e-2), observer(), Linear()
+    (y, u, _), ours, rough = logged(400, q=3e-2), observer(substeps=1), Linear()
     ours.nis = None
-    ours.lean(rough, [(y[:301], u[:300]), (y[300:], u[300:])])
+    ours.lean(rough, [(y[:201], u[:200]), (y[200:], u[200:])])
     assert not ours.learnt and ours.system is rough
     assert 0.5 * 3e-2 < ours.q[0].item() < 2 * 3e-2
-    wanted = observer(q=ours.q[0].item()).follow(y, u)[0]
+    wanted = observer(q=ours.q[0].item(), substeps=1).follow(y, u)[0]
     torch.testing.assert_close(ours.follow(y, u)[0], wanted)
     ours.learn(y, u)
     assert ours.learnt and ours.system is ours.model

@@ -61,7 +61,7 @@ def test_before_there_is_a_model_nothing_is_counteracted():
 def pushed(disturbance=True):
     plant = Linear()
     task = Tracking(SIGNATURE, Step([[0.0]]), ["p"], ["v"], TrackingReward([1.0]))
-    env = ControlEnv(plant, task, dtype=torch.float64)
+    env = ControlEnv(plant, task, substeps=1, dtype=torch.float64)
     sensors = Sensors({"p": {"resolution": 1e-3}}, {"p": "v"}, disturbance=disturbance)
     sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
     sensing.observer.nis = 1.0
@@ -78,7 +78,7 @@ def steer(tensordict):
 
 
 def test_a_constant_push_leaves_no_steady_error_and_without_it_does():
-    scenario = Scenario("s", Step([[0.2], [-0.1]]), 2, 20.0, plant=partial(Pushed, push={"v": 0.3}))
+    scenario = Scenario("s", Step([[0.2], [-0.1]]), 2, 15.0, plant=partial(Pushed, push={"v": 0.3}))
     errors = {}
     for disturbance in (True, False):
         _, sensing, env = pushed(disturbance)
@@ -131,21 +131,21 @@ class Vessel(System):
         super().__init__(Signature(("level", "flow"), ("cm", "cm3/s"), ("u",), (2.0, 1.0)))
 
     def forward(self, x, u):
-        return torch.stack([0.05 * u[..., 0] - 0.02 * x[..., 0], 2.0 * (u[..., 0] - x[..., 1])], -1)
+        return torch.stack([0.05 * u[..., 0] - 0.02 * x[..., 0], 0.5 * (u[..., 0] - x[..., 1])], -1)
 
 
 def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
     """At rest 0 = 0.05 (0.4 r + r - x) - 0.02 x + 0.01, which leaves x - r = 0.01 / 0.07 cm."""
     plant = Vessel()
     task = Tracking(plant.signature, Step([[0.0]]), ["level"], [], TrackingReward([1.0]))
-    env, rng = ControlEnv(plant, task, 1.0, dtype=torch.float64), torch.Generator().manual_seed(0)
+    env, rng = ControlEnv(plant, task, 1.0, 1, dtype=torch.float64), torch.Generator().manual_seed(0)
 
     def feed(tensordict):
         seen = tensordict["observation"]
         error, level = 0.5 * seen[..., 2:3], 2.0 * seen[..., :1]
         return tensordict.set("action", 0.4 * (level + error) + error)
 
-    scenario, left = Scenario("s", Step([[0.5], [-0.5]]), 2, 400.0, plant=partial(Pushed, push={"level": 0.01})), {}
+    scenario, left = Scenario("s", Step([[0.5], [-0.5]]), 2, 250.0, plant=partial(Pushed, push={"level": 0.01})), {}
     u = 2 * torch.rand(300, 1, generator=rng, dtype=torch.float64) - 1
     x = [torch.zeros(2, dtype=torch.float64)]
     for one in u:

@@ -41,7 +41,7 @@ KNOWN = {"alpha_a": "Omega_a", "alpha_p": "Omega_p"}
 def behind(channels=None, task=None, **settings):
     plant = Tras()
     task = task or Tracking(plant.signature, Wave([0.3, 0.2], [0.5, 0.4]))
-    env = ControlEnv(plant, task, dtype=torch.float64)
+    env = ControlEnv(plant, task, substeps=2, dtype=torch.float64)
     sensors = Sensors(channels or BENCH, rates=KNOWN, **settings)
     sensing = Sensing(env, Observer(Tras(), sensors, env), torch.Generator().manual_seed(0))
     sensing.observer.nis = 1.0
@@ -56,7 +56,8 @@ def chirp(steps=80):
 @pytest.mark.parametrize("batch", [(), (4,)])
 def test_specs_hold(batch, disturbance):
     plant = Tras()
-    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64, batch_size=batch)
+    task = Tracking(plant.signature, Step([[0.1, 0.1]]))
+    env = ControlEnv(plant, task, substeps=2, dtype=torch.float64, batch_size=batch)
     sensors = Sensors(BENCH, rates=KNOWN, delay=2, lost=0.1, actuator_delay=1, disturbance=disturbance)
     check_env_specs(Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0)).around(env))
 
@@ -229,8 +230,8 @@ def recipe(seed=0, sensors=None):
     plant = Tras()
     return Recipe(
         system=plant,
-        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=40),
-        env=partial(ControlEnv, dtype=torch.float64),
+        task=partial(Tracking, reference=RandomStep([-0.5, -0.5], [0.5, 0.4]), max_steps=30),
+        env=partial(ControlEnv, substeps=1, dtype=torch.float64),
         excitation=partial(Multisine, duration=1.5),
         world_model=partial(Learner, system=Tras()),
         agent=partial(TD3, hidden=(8,)),
@@ -287,8 +288,7 @@ def test_no_number_of_the_replay_is_true():
     assert not (stored["next", "reward"] == rollout["next", "true_reward"]).any()
 
 
-@pytest.mark.parametrize("disturbance", [False, True])
-def test_a_run_resumed_at_any_place_is_the_uninterrupted_one(disturbance):
+def test_a_run_resumed_at_any_place_is_the_uninterrupted_one():
     class Saved(Callback):
         def __init__(self, parts, place):
             self.parts, self.place, self.states = parts, place, []
@@ -296,7 +296,7 @@ def test_a_run_resumed_at_any_place_is_the_uninterrupted_one(disturbance):
         def reached(self, place):
             self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
 
-    made = recipe(sensors=Sensors(BENCH, rates=KNOWN, lost=0.05, actuator_delay=1, disturbance=disturbance))
+    made = recipe(sensors=Sensors(BENCH, rates=KNOWN, lost=0.05, actuator_delay=1, disturbance=True))
     whole, place = made.build(), Place()
     saved = Saved(whole, place)
     train(whole, made.train, saved, place)
