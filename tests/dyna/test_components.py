@@ -170,8 +170,8 @@ class Heard(Callback):
         self.states.append(copy.deepcopy((place.state_dict(), self.parts.state_dict())))
 
 
-def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives(periods=2.5):
-    made = pendulum(periods)
+def test_the_policy_is_shown_where_the_plant_will_be_when_its_input_arrives():
+    made, periods = pendulum(2.5), 2.5
     parts, place = made.build(), Place()
     heard = Heard(parts, place)
     train(parts, made.train, heard, place)
