@@ -42,7 +42,6 @@ class Plant(TypedDict):
         rates: The rate of each output, whose changes cost; null for an output without one.
         start: Where episodes begin: state to value, or to the two ends of a range.
         bounds: Limits that end an excitation or a real episode, by state.
-        equilibria: Where the plant rests, each as `x`, a number per state, and `u`, the inputs that hold it there.
         low: Lower ends of the targets, one per output [unit of the output].
         high: Upper ends of the targets, one per output [unit of the output].
         library: Candidate functions of the model: a name, a builder, or functions in words.
@@ -62,7 +61,6 @@ class Plant(TypedDict):
     rates: list[str | None]
     start: dict[str, float | list[float]] | None
     bounds: dict[str, float | list[float]]
-    equilibria: list[dict[Literal["x", "u"], list[float]]] | None
     low: list[float]
     high: list[float]
     known: dict[str, str] | None

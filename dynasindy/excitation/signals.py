@@ -61,14 +61,6 @@ class Chirp(Excitation):
         return torch.cos(2 * math.pi * turns + self.phase)
 
 
-class SquaredChirp(Chirp):
-    """Give `0.5 chirp^2`, the form in the paper's source text: never negative, for rotors that turn one way."""
-
-    def wave(self, t: Tensor) -> Tensor:
-        """Give the squared sweep in [0, 0.5] at times `(*batch,)` [s], `(*batch, n_u)`."""
-        return 0.5 * super().wave(t) ** 2
-
-
 class PrintedChirp(Excitation):
     """Give the signal as the paper prints it, eq. (chirp): `cos(pi t/T (1 - t/T))`, the same on all inputs.
 

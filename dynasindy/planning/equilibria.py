@@ -96,48 +96,6 @@ def find_equilibria(
     return rests if len(rests) else _found(search, targets, NEARLY)
 
 
-def between(
-    system: System,
-    outputs: Sequence[int],
-    targets: Tensor,
-    start: Tensor,
-    given: tuple[Tensor, Tensor],
-    limits: Tensor,
-) -> Equilibria:
-    """Return the rests of some references that follow from those that are known, without a search.
-
-    Between the known ones they are quadratic in the tracked states where there are enough of them, else linear; a
-    single one serves all references. Those beyond the limits of inputs are left out.
-
-    Args:
-        system: Vector field.
-        outputs: Places of the tracked states.
-        targets: References, `(n, n_r)`.
-        start: State around which it is seen which states matter, `(n_x,)`.
-        given: States that rest, `(m, n_x)`, and the inputs that hold them, `(m, n_u)`.
-        limits: Least and largest inputs, `(2, n_u)`.
-    """
-    targets, both = targets.double(), torch.cat(given, -1).double()
-    places = list(outputs)
-    centre, spread = both[:, places].mean(0), (both[:, places] - both[:, places].mean(0)).abs().amax(0)
-    spread = torch.where(spread > 0, spread, torch.inf)
-    known, asked = ((values - centre) / spread for values in (both[:, places], targets))
-    quadratic = torch.combinations(torch.arange(len(places)), 2, with_replacement=True)
-
-    def _terms(r: Tensor) -> Tensor:
-        products = r[:, quadratic[:, 0]] * r[:, quadratic[:, 1]]
-        terms = torch.cat([torch.ones_like(r[:, :1]), r, products], -1)
-        return terms if len(both) >= terms.shape[1] else terms[:, : 1 + len(places)]
-
-    through = torch.linalg.lstsq(_terms(known), both, driver="gelsd").solution
-    x, u = (_terms(asked) @ through).split([given[0].shape[1], given[1].shape[1]], -1)
-    x[:, places] = targets
-    a, b = slopes(system, x, u)
-    good = ((u >= limits[0] - 1e-6) & (u <= limits[1] + 1e-6)).all(-1)
-    moved = states_that_matter(system, places, start)
-    return Equilibria(targets[good], x[good], u[good], a[good], b[good], moved, targets[~good], u[~good])
-
-
 def _found(search: _Search, targets: Tensor, left: float) -> Equilibria:
     centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
     first = search.solve(centre.expand(STARTS, -1), search.guesses())

@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria, between, find_equilibria, growth, modes, slopes
+from dynasindy.planning.equilibria import Equilibria, find_equilibria, growth, modes, slopes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
@@ -101,8 +101,6 @@ def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
     targets = _targets(task, generator)
-    if task.equilibria is not None:
-        return between(env.system, task.outputs, targets, start, task.equilibria, task.input_limits)
     return find_equilibria(env.system, task.outputs, targets, start, env.dt, task.input_limits)
 
 

@@ -377,14 +377,6 @@ class Library:
         """Count the features."""
         return len(self.features)
 
-    def __add__(self, other: Library) -> Library:
-        """Unite two libraries; what was allowed where is forgotten."""
-        return Library(self.signature, self.features + other.features)
-
-    def __mul__(self, other: Library) -> Library:
-        """Multiply every feature of one library with every feature of the other; `allowed` is forgotten."""
-        return Library(self.signature, (a * b for b in other.features for a in self.features))
-
     def subset(self, indices: Sequence[int]) -> Library:
         """Keep the features at the given positions."""
         return Library(self.signature, [self.features[i] for i in indices], step=self.step)

@@ -221,30 +221,10 @@ def dead_zone(signature: Signature) -> Library:
     return Library(signature, [CONSTANT, *(variable(n) for n in _variables(signature)), *bends])
 
 
-def terms(signature: Signature, functions: Iterable[str], variables: Iterable[str]) -> Library:
-    """Build registered functions, user functions included, of each given state or input.
-
-    Args:
-        signature: names of states and inputs.
-        functions: names of elementary functions, e.g. `tanh`.
-        variables: states and inputs to use.
-    """
-    names = tuple(variables)
-    return Library(signature, [of(f, n) for f in functions for n in names])
-
-
 def sum_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
     """Unite libraries given as builders (a config's `libraries` list of partials)."""
     built = [build(signature) for build in libraries]
     return Library(signature, [f for library in built for f in library.features])
-
-
-def product_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
-    """Multiply libraries given as builders: every product of one feature of each."""
-    product = Library(signature, [CONSTANT])
-    for build in libraries:
-        product = product * build(signature)
-    return product
 
 
 def rotor_reaction(signature: Signature) -> Library:

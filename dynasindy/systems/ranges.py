@@ -53,33 +53,6 @@ def sample_states(ends: Tensor, batch: torch.Size, generator: torch.Generator) -
     return low + (high - low) * torch.rand(*batch, len(low), generator=generator)
 
 
-def read_equilibria(
-    signature: Signature, given: Sequence[Mapping[str, Sequence[float]]] | None, key: str = "plant.equilibria"
-) -> tuple[Tensor, Tensor] | None:
-    """Return states `(n, n_x)` that rest, and the inputs `(n, n_u)` that hold them; None where none are given.
-
-    Args:
-        signature: Names of the states and inputs.
-        given: One rest each: `x`, a number per state, and `u`, a number in [-1, 1] per input.
-        key: Setting in which they were given.
-
-    Raises:
-        ValueError: One has other keys, or other numbers of states and inputs, or a number is not finite or no input.
-    """
-    if not given:
-        return None
-    for rest in given:
-        sound = set(rest) == {"x", "u"} and (len(rest["x"]), len(rest["u"])) == (signature.n_x, signature.n_u)
-        if not sound or not all(map(math.isfinite, (*rest["x"], *rest["u"]))) or max(map(abs, rest["u"])) > 1:
-            raise ValueError(
-                f"{key} has {rest}; give each rest as {{x: [..], u: [..]}}, with a finite number for each of the "
-                f"states {', '.join(signature.state_names)} and one in [-1, 1] for each of the inputs "
-                f"{', '.join(signature.input_names)}"
-            )
-    x, u = (torch.tensor([list(rest[part]) for rest in given], dtype=torch.float64) for part in ("x", "u"))
-    return x, u
-
-
 def _put(signature: Signature, given: Mapping[str, Ends], key: str, ends: Tensor) -> Tensor:
     """Return the ends with those that are given put in."""
     for name, value in given.items():

@@ -47,13 +47,10 @@ class Tracking(Task):
             others.
         bounds: Limits of the plant that end an excitation or a real episode: state to a value, for both sides of zero,
             or to two ends.
-        equilibria: Where the plant rests: `x`, a number per state, and `u`, the inputs in [-1, 1] that hold it there.
-            They are searched in the model if omitted.
 
     Raises:
         ValueError: No output is named, a named state does not exist, the numbers of outputs, rates, references and
-            error weights differ, error_scale or max_steps is not positive, or a target range, a start or a rest is
-            none.
+            error weights differ, error_scale or max_steps is not positive, or a target range or a start is none.
     """
 
     # Departure: the paper's S_tt lists the six states alone; without the errors no policy could know where
@@ -73,7 +70,6 @@ class Tracking(Task):
         high: Sequence[float] | None = None,
         start: Mapping[str, Ends] | None = None,
         bounds: Mapping[str, Ends] | None = None,
-        equilibria: Sequence[Mapping[str, Sequence[float]]] | None = None,
     ) -> None:
         super().__init__(signature, max_steps)
         if not outputs:
@@ -115,7 +111,6 @@ class Tracking(Task):
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.start_ranges(signature, start or {}, "task.start")
         self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
-        self.equilibria = ranges.read_equilibria(signature, equilibria, "task.equilibria")
         self.fence = 0.0
         self.followers: Mapping[int, int] = {}
         self._given = set(start or {})

@@ -95,13 +95,6 @@ def test_plants_of_the_package_are_known_to_stay(system):
     assert parts.excitation.first == 1.0 and parts.excitation.gain is None
 
 
-def test_rests_of_a_plant_reach_its_task():
-    _, parts = build("system=pendulum", "experiment=smoke", "+plant.equilibria=[{x: [0.5, 0.0], u: [0.39]}]")
-    assert [part.tolist() for part in parts.plant.task.equilibria] == [[[0.5, 0.0]], [[0.39]]]
-    with pytest.raises(ValueError, match=r"task\.equilibria has"):
-        build("system=pendulum", "experiment=smoke", "+plant.equilibria=[{x: [0.5], u: [0.39]}]")
-
-
 def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
     with pytest.raises(ValueError, match="has 4 columns"):
         build("system=xi", "~plant.first", "experiment=smoke", "+plant.gain=[[1,2,3,4],[1,2,3,4]]")

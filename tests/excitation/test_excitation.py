@@ -7,9 +7,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.excitation import Aprbs, Chirp, Multisine, Prbs, PrintedChirp, Sphs, SquaredChirp
+from dynasindy.excitation import Aprbs, Chirp, Multisine, Prbs, PrintedChirp, Sphs
 
-MOVING = [Chirp, Aprbs, Multisine, Prbs, Sphs, SquaredChirp]
+MOVING = [Chirp, Aprbs, Multisine, Prbs, Sphs]
 
 
 @pytest.mark.parametrize("kind", [*MOVING, PrintedChirp])
@@ -160,13 +160,11 @@ def test_a_sweep_is_its_formula_in_plain_numbers():
             assert math.isclose(given[i], math.cos(2 * math.pi * turns + phase), abs_tol=1e-12)
 
 
-def test_the_printed_and_the_squared_form_are_their_formulas():
+def test_the_printed_form_is_its_formula():
     t = torch.tensor([0.0, 2.0, 9.0], dtype=torch.float64)
     printed = PrintedChirp(2, duration=10.0, amplitude=1.0).signal(t)
     expected = [math.cos(math.pi * share * (1 - share)) for share in (0.0, 0.2, 0.9)]
     assert torch.allclose(printed, torch.tensor(expected, dtype=torch.float64).unsqueeze(-1).expand(3, 2), atol=1e-12)
-    squared = SquaredChirp(2, amplitude=1.0).signal(t)
-    assert torch.allclose(squared, 0.5 * Chirp(2, amplitude=1.0).signal(t) ** 2, atol=1e-12)
 
 
 @pytest.mark.parametrize("band", [(0.1,), (0.1, 0.2, 0.3), (-0.1, 1.0)])

@@ -209,14 +209,3 @@ def test_a_difference_equation_settles_as_its_regulated_map_does(mapped):
 
 def test_it_does_not_matter_how_long_a_plant_takes_that_is_held_or_that_no_input_holds():
     assert settling(Linear(4.0, 0.0, 4.0), 0.0) == 0 and settling(Linear(-100.0, 1.0, 1e-3), 0.0) == 0
-
-
-def test_rests_that_are_given_are_taken_instead_of_searched_ones():
-    """x' = v, v' = 4 x - v + 8 u rests with u = -x / 2; another input is given, and believed."""
-    plant, box = Linear(4.0, 1.0, 8.0), ([-0.5], [0.5])
-    given = [{"x": [-0.5, 0.0], "u": [0.3]}, {"x": [0.5, 0.0], "u": [-0.3]}]
-    for rests, share in ((None, -0.5), (given, -0.6)):
-        task = Tracking(plant.signature, RandomStep(*box), ["x"], ["v"], TrackingReward((4.0,)), equilibria=rests)
-        found = find_task_equilibria(ControlEnv(plant, task, 0.05, 1))
-        assert len(found) > 10
-        torch.testing.assert_close(found.u, share * found.targets, atol=1e-5, rtol=0)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Signature
-from dynasindy.systems.ranges import read_equilibria, sample_states, start_ranges, state_limits
+from dynasindy.systems.ranges import sample_states, start_ranges, state_limits
 
 SIGNATURE = Signature(("q", "v", "w"), ("m", "m/s", "1"), ("u",), (1.0, 1.0, 1.0))
 
@@ -38,26 +38,3 @@ def test_states_are_drawn_evenly_between_their_ends():
     before = generator.get_state()
     assert sample_states(start_ranges(SIGNATURE, {"q": 1.0}), torch.Size(), generator).tolist() == [1.0, 0.0, 0.0]
     assert torch.equal(before, generator.get_state())
-
-
-def test_rests_are_a_number_per_state_and_per_input():
-    x, u = read_equilibria(SIGNATURE, [{"x": [1.0, 0.0, 2.0], "u": [0.5]}, {"x": [2, 0, 4], "u": [1]}])
-    assert x.tolist() == [[1.0, 0.0, 2.0], [2.0, 0.0, 4.0]] and u.tolist() == [[0.5], [1.0]]
-    assert x.dtype == u.dtype == torch.float64
-    assert read_equilibria(SIGNATURE, None) is read_equilibria(SIGNATURE, []) is None
-
-
-@pytest.mark.parametrize(
-    "rest",
-    [
-        {"x": [1.0, 0.0], "u": [0.5]},
-        {"x": [1.0, 0.0, 2.0], "u": [0.5, 0.5]},
-        {"x": [1.0, 0.0, math.nan], "u": [0.5]},
-        {"x": [1.0, 0.0, 2.0], "u": [1.5]},
-        {"x": [1.0, 0.0, 2.0]},
-        {"x": [1.0, 0.0, 2.0], "u": [0.5], "v": [0.0]},
-    ],
-)
-def test_what_is_no_rest_is_refused_with_the_names_of_states_and_inputs(rest):
-    with pytest.raises(ValueError, match="equilibria"):
-        read_equilibria(SIGNATURE, [{"x": [0.0, 0.0, 0.0], "u": [0.0]}, rest], "task.equilibria")
