@@ -93,8 +93,8 @@ def test_the_library_does_what_the_command_does(log, tmp_path):
     assert {name: value for name, value in found.items() if value} == pytest.approx(
         {"u": 12.0, "Omega": -0.5, "sin(theta)": -9.81}, rel=0.02
     )
-    task, settings = tracking_task(model, {"theta": (-0.6, 0.6)}), {"updates": 50, "rollouts": 32, "window": 30}
-    task.max_steps = 120
+    task, settings = tracking_task(model, {"theta": (-0.6, 0.6)}), {"updates": 40, "rollouts": 16, "window": 30}
+    task.max_steps = 80
     controllers = [dynasindy.plan(model, task, read, seed=3, **settings) for _ in range(2)]
     save(controllers[0], tmp_path / "controller.json")
     flights = [flight(each.act) for each in (*controllers, dynasindy.load(tmp_path))]

@@ -74,7 +74,7 @@ def whole(tmp_path_factory, command):
     def make(name):
         if name not in found:
             home, begun = tmp_path_factory.mktemp(name), time.perf_counter()
-            done = command("train", *EXPERIMENTS[name], *SMALL, "hydra.run.dir=run", cwd=home, figures=False)
+            done = command("train", *EXPERIMENTS[name], *SMALL, "hydra.run.dir=run", cwd=home)
             assert done.code == 0, done
             found[name] = kept(home / "run"), time.perf_counter() - begun
         return found[name]
@@ -93,7 +93,7 @@ def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(
     expected, seconds = whole(name)
     moment = random.Random(f"{how} {name} {number}").uniform(0.0, 1.0)
     words, home = [*EXPERIMENTS[name], *SMALL, "hydra.run.dir=run"], tmp_path / "home"
-    running = start("train", *words, cwd=home, figures=False)
+    running = start("train", *words, cwd=home)
     time.sleep(moment * seconds)
     running.send(getattr(signal, how))
     done = running.end()
@@ -105,7 +105,7 @@ def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(
         assert len(re.findall(r"(?:^|[\r\n])stopped", done.err)) == 1, done
     begun = (home / "run" / "config.yaml").is_file()
     place = re.findall(r"up to the end of ([^:]*):", done.err)
-    again = command("train", *(["resume=run"] if begun else words), cwd=home, figures=False)
+    again = command("train", *(["resume=run"] if begun else words), cwd=home)
     assert again.code == 0, again
     found = kept(home / "run")
     if file := os.environ.get("DYNASINDY_MOMENTS_CSV"):
@@ -122,14 +122,14 @@ def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, start, comm
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))  # as a full disk, larger files cannot be written
     try:
-        running = start("train", *words, cwd=home, figures=False)
+        running = start("train", *words, cwd=home)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     done = running.end()
     assert done.code == 2 and "Traceback" not in done.err
     last = done.err.splitlines()[-1]
     assert last.startswith("error: ") and "checkpoints/" in last, done
-    again = command("train", "resume=run", cwd=home, figures=False)
+    again = command("train", "resume=run", cwd=home)
     assert again.code == 0 and kept(home / "run") == expected
 
 
@@ -154,15 +154,15 @@ def test_a_run_with_a_class_of_the_user_s_own_goes_on_by_the_command_that_is_pri
     for name in ("whole", "parts"):
         (tmp_path / name).mkdir()
     (tmp_path / "whole" / "stopped").touch()
-    assert command("train", *words, cwd=tmp_path / "whole", figures=False).code == 0
-    done = command("train", *words, cwd=tmp_path / "parts", figures=False)
+    assert command("train", *words, cwd=tmp_path / "whole").code == 0
+    done = command("train", *words, cwd=tmp_path / "parts")
     assert done.code == 130, done
     (told,) = re.findall(r"(python scripts/train\.py .*?) \(", done.err)
     _, _, *again = shlex.split(told)
     assert "plugins=[fickle]" in again
     refused = command("train", *(word for word in again if "plugins" not in word), cwd=tmp_path / "parts")
     assert refused.code == 2 and "fickle" in refused.err
-    assert command("train", *again, cwd=tmp_path / "parts", figures=False).code == 0
+    assert command("train", *again, cwd=tmp_path / "parts").code == 0
     ours, theirs = (kept(tmp_path / name / "run") for name in ("parts", "whole"))
     assert ours == theirs and {"policy.pt", "metrics.json", "progress.csv", "model.json"} <= set(ours)
 

@@ -35,7 +35,7 @@ def rows(folder):
 def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(command, tmp_path):
     times = []
     for _ in range(2):
-        done = command("train", *SWEEP, cwd=tmp_path, figures=False)
+        done = command("train", *SWEEP, cwd=tmp_path)
         last = done.err.splitlines()[-1]
         assert done.code == 2 and last.startswith("error: 1 ") and "Traceback" not in done.err
         (metrics,) = (tmp_path / "runs").glob("*/*/metrics.json")
@@ -49,7 +49,7 @@ def test_a_job_that_fails_ends_no_sweep_and_what_is_finished_is_not_repeated(com
 @pytest.mark.slow
 def test_a_sweep_runs_a_job_for_each_setting(command, tmp_path):
     words = ("-m", "experiment=smoke", *TINY, "planning.rollouts=0,10", "seed=0,1", "hydra.sweep.dir=sweep")
-    done = command("train", *words, cwd=tmp_path, figures=False)
+    done = command("train", *words, cwd=tmp_path)
     assert done.code == 0, done
     runs = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("*/metrics.json"))]
     imagined = sorted((run["seed"], run["cost"]["imagined_transitions"] > 0) for run in runs)
@@ -87,7 +87,7 @@ def test_an_interrupted_ablation_goes_on_and_ends_with_tables_and_figures(comman
     interrupted, other = jobs(tmp_path)
     interrupted.unlink()
     before = other.stat().st_mtime_ns
-    done = command("ablation", *words, cwd=tmp_path)
+    done = command("ablation", *words, cwd=tmp_path, figures=True)
     assert done.code == 0 and other.stat().st_mtime_ns == before
     assert json.loads(interrupted.read_text())["seed"] == 1
     with (interrupted.parent / "scalars" / "scalars" / "return.csv").open() as file:
