@@ -15,7 +15,7 @@ def scripts() -> Path:
     """
     inside, beside = PACKAGE / "scripts", PACKAGE.parent / "scripts"
     for folder in (inside, beside):
-        if (folder / "commands.py").is_file():
+        if (folder / "cli.py").is_file():
             return folder
     raise FileNotFoundError(f"neither {inside} nor {beside} holds the scripts; install dynasindy again")
 
@@ -24,7 +24,7 @@ def main() -> None:
     """Run the command that the first word names."""
     # First, as Python puts the folder of a script that it is given: the scripts import each other by name.
     sys.path.insert(0, str(scripts()))
-    import_module("commands").main()
+    import_module("cli").main()
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
 """Check a controller on its model before it touches metal: `python scripts/check.py run=PATH [low=[..] high=[..]]`."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from admitted import read_config
-from command import command
-from omegaconf import DictConfig, OmegaConf
-
-from dynasindy.dyna import Stopped
-from dynasindy.safe_io import output_folder, reading
+from cli import command
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
     from dynasindy.checking import Check
 
 ENDS = ("low", "high")
@@ -29,9 +28,10 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.checking import ClosedLoop, Plant, Settings, check, check_verdict
     from dynasindy.checking.closed_loop import step_for
     from dynasindy.checking.verdict import check_record, in_figures, in_lines, in_short, unstable_targets
+    from dynasindy.dyna import Stopped
     from dynasindy.export.write import Exported
     from dynasindy.progress import say
-    from dynasindy.safe_io import add_to_json, write_json
+    from dynasindy.safe_io import add_to_json, output_folder, write_json
     from dynasindy.viz.check import draw_check
     from dynasindy.viz.style import save_figures
 
@@ -73,7 +73,7 @@ def main(cfg: DictConfig) -> None:
         sys.exit(1)
 
 
-def _keep(found: "Check", file: Path) -> str:
+def _keep(found: Check, file: Path) -> str:
     """Write what was found until a check was stopped, and say so in one line."""
     from dynasindy.checking import check_verdict
     from dynasindy.checking.verdict import check_record
@@ -92,6 +92,11 @@ def _keep(found: "Check", file: Path) -> str:
 
 def _places(cfg: DictConfig, run: Path) -> dict[str, Any]:
     """Return the ends of the target range, as given or as the run has them, and where its episodes begin and end."""
+    from omegaconf import OmegaConf
+    from trust import read_config
+
+    from dynasindy.safe_io import reading
+
     file = (run if run.is_dir() else run.parent) / "config.yaml"
     absent = [key for key in ENDS if cfg[key] is None]
     if absent and not file.is_file():
@@ -107,7 +112,7 @@ def _places(cfg: DictConfig, run: Path) -> dict[str, Any]:
 
 def _by_state(ends: Mapping[str, Any]) -> dict[str, Any]:
     """Return a value, or two ends, by the name of a state."""
-    return {str(name): list(end) if OmegaConf.is_list(end) else float(end) for name, end in ends.items()}
+    return {str(name): float(end) if isinstance(end, int | float) else list(end) for name, end in ends.items()}
 
 
 if __name__ == "__main__":

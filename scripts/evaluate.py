@@ -1,9 +1,14 @@
 """Evaluate a policy: `python scripts/evaluate.py run=PATH 'scenarios=[step,sine,noise]' [animate=true]`."""
 
-from pathlib import Path
+from __future__ import annotations
 
-from command import command
-from omegaconf import DictConfig
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli import command
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 @command("evaluate")
@@ -11,7 +16,7 @@ def main(cfg: DictConfig) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
     import torch
     from saved_run import load_config, load_policy, load_scenario, load_sensing
-    from schema import check
+    from settings import check
 
     from dynasindy.control.integral import IntegralAction
     from dynasindy.evaluation.scenarios import evaluate

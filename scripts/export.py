@@ -1,9 +1,14 @@
 """Export a controller and its model: `python scripts/export.py run=PATH 'formats=[c,onnx,fmu,model]' [folder=PATH]`."""
 
-from pathlib import Path
+from __future__ import annotations
 
-from command import command
-from omegaconf import DictConfig
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cli import command
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 @command("export")

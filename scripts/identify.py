@@ -1,17 +1,16 @@
 """Identify a model: `python scripts/identify.py [system=xi] [data=csv data.path=log.csv]`."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command import command
-from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
-from loaded import loaded
-from next_steps import listed, planning, with_ends, with_plant, with_rates
-from omegaconf import DictConfig, OmegaConf
+from cli import command
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
     from dynasindy.evaluation.identification import Identified
     from dynasindy.evaluation.source import Source
 
@@ -20,6 +19,10 @@ if TYPE_CHECKING:
 def main(cfg: DictConfig) -> None:
     """Load data, fit, judge, write everything and print it."""
     import torch
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.utils import instantiate
+    from logged import loaded
+    from next_steps import listed, with_ends
 
     from dynasindy.evaluation.before_fit import before_fit, plants_with
     from dynasindy.evaluation.identification import identify_source
@@ -51,7 +54,7 @@ def main(cfg: DictConfig) -> None:
     say(to_words(found, source, width()), f"written to {folder}", listed(*steps))
 
 
-def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates: Mapping[str, str]) -> str:
+def following(cfg: DictConfig, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> str:
     """Return the command that comes next, which holds all that was given, and what comes of it.
 
     Args:
@@ -62,6 +65,10 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     """
     if found.quiet and not found.predicts:
         return "a log in which the inputs move further, by the same command; this one tells too little to plan on"
+    from hydra.core.hydra_config import HydraConfig
+    from next_steps import planning, with_plant, with_rates
+    from omegaconf import OmegaConf
+
     from dynasindy.evaluation.before_fit import rate_setting
     from dynasindy.evaluation.period import closest_period
     from dynasindy.evaluation.targets import targets_like
@@ -87,7 +94,7 @@ def following(cfg: DictConfig, found: "Identified", known: Sequence[str], rates:
     return f"{planning(words, logged, system, targets)}  # {does}"
 
 
-def draw(found: "Identified", source: "Source", folder: Path, formats: list[str]) -> None:
+def draw(found: Identified, source: Source, folder: Path, formats: list[str]) -> None:
     """Draw the training data and the open-loop prediction against the real states."""
     import torch
 

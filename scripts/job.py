@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from admitted import packages
-from command import CONF
-from commands import IN_CLONE, called
+from cli import CONF, IN_CLONE, called
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from saved_run import load_config
-from schema import check
+from settings import check
+from trust import packages
 
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result

@@ -13,12 +13,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
-from loaded import loaded
 from next_steps import following, mending, planning_on
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
+from dynasindy.evaluation.before_fit import with_missing_rates
 from dynasindy.evaluation.period import PERIOD, closest_period, sampled_in_words, suited_period
 from dynasindy.evaluation.signal_resolution import describe_low_signal_targets
 from dynasindy.evaluation.source import Source
@@ -48,6 +48,25 @@ class Prepared:
     source: Source | None
     parts: Mapping[str, Any]
     told: Sequence[str]
+
+
+def loaded(cfg: DictConfig) -> tuple[Source, list[str]]:
+    """Return the data of a config, and what is told of them, in lines.
+
+    Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
+    `plant.known`.
+
+    Args:
+        cfg: The settings. `plant.known` is written into them where nobody gave it.
+    """
+    data, system, excitation = (instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation"))
+    source = data.load(system, excitation)
+    named = system is not None and system.known
+    if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:
+        return source, []
+    build = instantiate(cfg.world_model, _convert_="all")
+    source, cfg.plant.known, told = with_missing_rates(build, source, None)
+    return source, told
 
 
 def prepared(cfg: DictConfig) -> Prepared:

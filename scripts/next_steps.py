@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 
-from commands import called
+from cli import called
 
 NEXT = {
     "evaluate": "flies it to steps, along sines and along squares, and draws that",

@@ -1,19 +1,22 @@
 """The paper's figures and tables beside ours: `python scripts/report.py [save=runs/ablation | save=RUN name=NAME]`."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from admitted import read_config
-from command import command
-from omegaconf import DictConfig, OmegaConf
+from cli import command
 
-from dynasindy.evaluation.saved import check_copy, keep_run, to_save
-from dynasindy.safe_io import output_folder
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 @command("report")
 def main(cfg: DictConfig) -> None:
     """Save runs if asked to, then build the report from all that is saved."""
     import torch
+    from omegaconf import OmegaConf
+    from trust import read_config
 
     from dynasindy.progress import say
     from dynasindy.viz.report import Results, build
@@ -39,6 +42,8 @@ def main(cfg: DictConfig) -> None:
 
 def keep(cfg: DictConfig, target: Path) -> list[str]:
     """Evaluate and save the runs that are asked for, and return the names of their copies."""
+    from dynasindy.evaluation.saved import check_copy, keep_run, to_save
+
     runs = to_save(Path(cfg.save), cfg.name, cfg.seed, cfg.settings)
     for folder, name in runs.items():
         check_copy(folder, target / name, cfg.any_commit)
@@ -54,6 +59,7 @@ def measure(folder: Path, scenarios: list[str], plugins: list[str]) -> None:
 
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import save_evaluation
+    from dynasindy.safe_io import output_folder
 
     config, ended = load_config(folder, plugins), (folder / "metrics.json").stat().st_mtime
     out = output_folder(folder, "evaluation")

@@ -1,28 +1,31 @@
 """Fly a rig: `python scripts/rig.py system=tras rig=udp rig.host=ADDRESS`; without `rig=`, a simulated one."""
 
+from __future__ import annotations
+
 import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from command import command
-from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
-from next_steps import after_flights
-from omegaconf import DictConfig, OmegaConf
-
-from dynasindy.dyna import Stopped
+from cli import command
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
     from dynasindy.rig.session import Session
 
 
-@command("rig", shown=False)  # a clock of its own keeps the time
+@command("rig", progress=False)  # a clock of its own keeps the time
 def main(cfg: DictConfig) -> None:
     """Excite, identify, plan while the rig rests, fly; or fly a controller that is there."""
     import torch
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.utils import instantiate
+    from next_steps import after_flights
+    from omegaconf import OmegaConf
 
     from dynasindy import load
+    from dynasindy.dyna import Stopped
     from dynasindy.progress import Progress, say
     from dynasindy.rig import Wiring
     from dynasindy.rig.session import Knowledge, Session, targets_within
@@ -89,7 +92,7 @@ def again(folder: str) -> str:
     return f"the same command with folder={folder} goes on and learns from all logs in it"
 
 
-def draw(session: "Session") -> None:
+def draw(session: Session) -> None:
     """Draw the excitations of the folder, and each flight with its references and what ended it early."""
     from dynasindy.rig.log import samples
     from dynasindy.viz.response import draw_flight, draw_rig_excitation

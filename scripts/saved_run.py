@@ -6,8 +6,8 @@ from pathlib import Path
 
 import hydra
 import torch
-from admitted import check, read_config, trusted
-from commands import called
+from cli import CONF, called
+from errors import MENDABLE
 from hydra._internal.config_search_path_impl import ConfigSearchPathImpl
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
@@ -15,10 +15,10 @@ from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from mistakes import CONF, MENDABLE
 from omegaconf import DictConfig, OmegaConf
-from schema import check as check_values
-from schema import register_functions
+from settings import check as check_values
+from settings import register_functions
+from trust import check, read_config, trusted
 
 from dynasindy.dyna.folder import read_weights
 from dynasindy.envs import ControlEnv

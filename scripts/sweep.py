@@ -1,40 +1,182 @@
-"""What is wrong with a sweep, said before any of its jobs begins."""
+"""What happens around the jobs of a sweep: mistakes are found before the first, and the end says what came of them."""
 
+import logging
+import os
 import shutil
 import sys
+import threading
+import time
+import traceback
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import ClassVar
 
-from command import needs_score, number_of_jobs, remove_jobless, swept
+from cli import called
+from errors import in_words, mendable
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from hydra.utils import instantiate
-from mistakes import in_words, mendable
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from dynasindy.progress import report_progress, say
+from dynasindy.safe_io import LinkError
+
+JOBS, SWEPT, LIST = "DYNASINDY_JOBS", "DYNASINDY_SWEPT", "DYNASINDY_LIST"
+"""Variables that tell workers how many jobs there are, in which settings they differ, and where they note their end."""
+TASK = {"system", "task", "plant", "experiment", "setting"}
+"""Groups that a task is made of; where jobs differ in them, each has a task of its own."""
+LOGGED = {"seed", "planning", "evaluation", "scenario", "threads"}
+"""Groups and settings in which jobs on a log may differ without reading it in different ways."""
+HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
+"""Launchers whose jobs run on this machine."""
 
 
-class Checking(Callback):
-    """Check what the jobs of a sweep have in common; a mistake costs one line and exit code 2."""
+class Sweep(Callback):
+    """Check what the jobs of a sweep share, show how many are done, and say at the end what came of them."""
+
+    here: ClassVar[bool] = False
+    """Whether a command was started in this process; a worker of a launcher has none."""
+    running: ClassVar[str | None] = None
+    """Folder of the sweep that is under way."""
+    wrong: ClassVar[list[str]] = []
+    """What is told as an error when all is over, a line each."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
-        """Check the config, its launcher, its log and where the results of an ablation go."""
+        """Find mistakes, which cost one line and exit code 2, and show how many of the jobs are done."""
+        from command import remove_jobless, show
+
+        folder = Path(config.hydra.sweep.dir)
+        Sweep.running = str(folder)
+        for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
+            logging.getLogger(name).setLevel(logging.WARNING)
+        if needs_score(config.hydra):
+            _quiet_search()
+        show()
         try:
+            for file in (folder / "multirun.yaml", folder / "optimization_results.yaml"):
+                if file.is_symlink():  # Hydra and Optuna would write through it
+                    raise LinkError(file)
             _check(config.copy())
         except Exception as error:
             if not mendable(error):
                 raise
-            remove_jobless(Path(config.hydra.sweep.dir))
+            remove_jobless(folder)
             print(f"error: {in_words(error, config.hydra.job.config_name)}", file=sys.stderr)
             sys.exit(2)  # Hydra makes warnings of other exceptions
+        os.environ[JOBS] = str(number_of_jobs(config.hydra))
+        os.environ[SWEPT] = " ".join(swept(config.hydra))
+        os.environ[LIST] = str((folder / f".jobs_{os.getpid()}_{time.time_ns()}").absolute())
+        threading.Thread(target=_watch, daemon=True).start()
+
+    def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
+        """Say which job of a sweep begins."""
+        if JOBS in os.environ and config.hydra.mode == RunMode.MULTIRUN:
+            names = os.environ[SWEPT].split()
+            words = " ".join(word for word in config.hydra.overrides.task if word.partition("=")[0] in names)
+            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}{words and f': {words}'}", flush=True)
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        """Say where the results are, which are best, and which jobs failed."""
+        folder, Sweep.running = Path(config.hydra.sweep.dir), None
+        done, reasons = ended()
+        if LIST in os.environ:
+            Path(os.environ.pop(LIST)).unlink(missing_ok=True)
+        if reasons:
+            Sweep.wrong.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(sorted(reasons))}")
+        print(f"Sweep: {folder}")
+        if (found := folder / "optimization_results.yaml").is_file():
+            best = OmegaConf.load(found)
+            if "best_params" in best:  # a search with several objectives has no best trial
+                short = {name: f"{v:.4g}" if isinstance(v, float) else v for name, v in best.best_params.items()}
+                values = " ".join(f"{name}={value}" for name, value in short.items())
+                score = f"{best.best_value:.4g}"
+                print(f"Best trial: {values}, score {score}; plan with these words, and judge on another log")
+        if done and config.hydra.job.get("config_name") == "train":
+            say(f"next:\n  {called('table')} {folder}  # the table of its jobs")
 
 
-PARTS = ("system", "task", "plant", "experiment", "setting")
-"""Groups that a task is made of; where jobs differ in them, each has a task of its own."""
+class Gathering(Callback):
+    """When every job of an ablation is done, make the tables and figures of all finished runs."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        """Gather what lies in the folder of the sweep; what is in the way is told as an error when all is over."""
+        from dynasindy.evaluation.ablation import gather
+        from dynasindy.viz.learning import draw_ablation
+
+        root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
+        try:
+            if not gather(root, results, level):
+                print(f"No run in {root} has finished, so there are no tables and figures.")
+                return
+            draw_ablation(results, level.error, share=level.share)
+            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
+            if not mendable(error):
+                traceback.print_exc()
+            Sweep.wrong.append(in_words(error, "ablation"))
 
 
-LOGGED = ("seed", "planning", "evaluation", "scenario", "threads")
-"""Groups and settings in which jobs on a log may differ without reading it in different ways."""
-HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
-"""Launchers whose jobs run on this machine."""
+def note_end(reason: Path | None) -> None:
+    """Note in the list of the sweep that a job has ended, and the file that says why it failed."""
+    if LIST in os.environ:
+        with suppress(OSError), Path(os.environ[LIST]).open("a") as file:
+            file.write(f"{reason or ''}\n")
+
+
+def ended() -> tuple[int, list[str]]:
+    """Return how many jobs of the sweep are done, and the files that say why others failed."""
+    try:
+        lines = Path(os.environ[LIST]).read_text().splitlines()
+    except (KeyError, OSError):
+        return 0, []
+    return lines.count(""), [line for line in lines if line]
+
+
+def _watch() -> None:
+    """Show how many jobs of a sweep have ended, wherever they run."""
+    while Sweep.running:
+        done, reasons = ended()
+        words = f"{len(reasons)} failed" if reasons else ""
+        report_progress("sweep", done, int(os.environ[JOBS]), "jobs", words, outer=True)
+        time.sleep(1.0)
+
+
+def needs_score(hydra: DictConfig) -> bool:
+    """Return whether the sweeper chooses its next jobs by the score of those before, as Optuna does."""
+    return "n_trials" in hydra.sweeper
+
+
+def _quiet_search() -> None:
+    """Let Optuna say nothing of its own: that a search begins is known, and why a trial failed stands in its line."""
+    logging.getLogger("hydra_plugins.hydra_optuna_sweeper").setLevel(logging.CRITICAL)
+    with suppress(ImportError):  # it need not be installed, and another sweeper may want scores, too
+        import optuna  # first, as its import sets what it says
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+
+
+def number_of_jobs(hydra: DictConfig) -> int:
+    """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
+    if needs_score(hydra):
+        return int(hydra.sweeper.n_trials)
+    (jobs,) = BasicSweeper.split_arguments(_overrides(hydra), None)
+    return len(jobs)
+
+
+def swept(hydra: DictConfig) -> list[str]:
+    """Return the names of the settings in which the jobs of a sweep differ; the last word on each counts."""
+    last = {override.get_key_element(): override for override in _overrides(hydra)}
+    return [name for name, override in last.items() if override.is_sweep_override()]
+
+
+def _overrides(hydra: DictConfig) -> list[Override]:
+    """Return the settings that a sweep was given, the sweeper's own first."""
+    words = [f"{name}={value}" for name, value in (hydra.sweeper.get("params") or {}).items()]
+    return OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
 
 
 def require_sweep(hydra: DictConfig) -> None:
@@ -59,28 +201,16 @@ def require_targets(cfg: DictConfig, hydra: DictConfig) -> None:
     """
     task = instantiate(cfg.task, _convert_="all")(signature=instantiate(cfg.system, _convert_="all").signature)
     if task.n_r == 0:
-        given = hydra.runtime.choices.get("task", "own")
         raise ValueError(
-            f"task={given} has no targets, so its jobs have no score by which the sweeper could choose the next; "
-            "take a task that tracks plant.outputs, such as task=random_step, or hydra/sweeper=basic"
+            f"task={hydra.runtime.choices.get('task', 'own')} has no targets, so its jobs have no score by which the "
+            "sweeper could choose the next; take a task that tracks plant.outputs, such as task=random_step, or "
+            "hydra/sweeper=basic"
         )
 
 
-def _check_plant(config: DictConfig, hydra: DictConfig, different: set[str]) -> None:
-    """Check what the jobs track, on the plant or in the log that they share."""
-    if config.get("data") is not None or config.get("model") is not None:
-        if different <= {*LOGGED}:
-            from logged import prepared
-
-            prepared(config)
-    elif config.get("system") is not None and config.get("task") is not None and not different & {*PARTS}:
-        if needs_score(hydra):
-            require_targets(config, hydra)
-        instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
-
-
 def _check(config: DictConfig) -> None:
-    from schema import check  # it imports torch; this module is imported before anything is shown
+    """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
+    from settings import check  # it imports torch, and this module is imported before anything is shown
 
     from dynasindy.limits import device
 
@@ -92,9 +222,7 @@ def _check(config: DictConfig) -> None:
             "hydra/launcher=joblib, or submitit_local"
         )
     if not needs_score(hydra) and not number_of_jobs(hydra):
-        raise ValueError(
-            "the sweep has no job, as a range in it is empty; give one with values, such as 'seed=range(0,5)'"
-        )
+        raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
     different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept(hydra)}
     if needs_score(hydra) and not (different or any(map(hydra.sweeper.get, ("search_space", "custom_search_space")))):
         raise ValueError("nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'")
@@ -104,14 +232,21 @@ def _check(config: DictConfig) -> None:
     check(config)
     if "device" in config and launcher in HERE and "device" not in different:
         device(config.device)
-    if config.get("resume") is None:
-        _check_plant(config, hydra, different)
+    if config.get("data") is not None or config.get("model") is not None:
+        if different <= LOGGED and config.get("resume") is None:
+            from logged import prepared
+
+            prepared(config)
+    elif None not in map(config.get, ("system", "task")) and config.resume is None and not different & TASK:
+        if needs_score(hydra):
+            require_targets(config, hydra)
+        instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
     if "level" in config:
+        from dynasindy.evaluation.ablation import read_tables
+
         instantiate(config.level)
         results = Path(config.results)
         results.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=results):  # permissions alone do not tell
             pass
-        from dynasindy.evaluation.ablation import read_tables
-
         read_tables(results)  # one that is damaged is told now, and not after hours of runs

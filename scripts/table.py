@@ -3,15 +3,14 @@
 import sys
 from pathlib import Path
 
-from commands import asks, called, purpose
-from reader import while_read
+from cli import HELP, called, purpose, refuse, while_read
 
 
 def main() -> None:
     """Print the table of the folder that the command line names."""
     with while_read():
         try:
-            if asks(sys.argv[1:]):
+            if set(HELP) & set(sys.argv):
                 print(purpose("table"))
                 return
             if len(sys.argv) != 2:
@@ -21,8 +20,7 @@ def main() -> None:
 
             say(sweep_table(Path(sys.argv[1])))
         except (FileNotFoundError, ValueError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            sys.exit(2)
+            refuse(str(error))
 
 
 if __name__ == "__main__":

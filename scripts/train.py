@@ -1,21 +1,27 @@
 """Train a controller: `python scripts/train.py [system=xi] [-m seed=0,1]`, or from a log alone: `data=csv`."""
 
+from __future__ import annotations
+
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from admitted import read_config
-from command import command, needs_score
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
-from next_steps import following, mending
-from omegaconf import DictConfig
-from sweep import require_sweep, require_targets
+from cli import command
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 
 @command("train")
 def main(cfg: DictConfig) -> float:
     """Build the experiment, run it, draw its figures, print what came of it and return its score."""
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+    from next_steps import following, mending
+    from sweep import needs_score, require_sweep, require_targets
+    from trust import read_config
+
     hydra = HydraConfig.get()
     swept = hydra.mode == RunMode.MULTIRUN
     if not swept:

@@ -15,7 +15,7 @@ def test_the_scripts_lie_inside_an_installed_package_and_beside_that_of_a_clone(
         entry.scripts()
     for folder in (tmp_path / "scripts", tmp_path / "dynasindy" / "scripts"):  # the second one hides the first
         folder.mkdir(parents=True)
-        (folder / "commands.py").touch()
+        (folder / "cli.py").touch()
         assert entry.scripts() == folder
 
 

@@ -94,7 +94,7 @@ def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command
         "-c",
         "import sys, hydra, hydra.utils\n"
         "sys.path.insert(0, 'scripts')\n"
-        "from schema import check\n"
+        "from settings import check\n"
         f"with hydra.initialize_config_dir({str(extended / 'conf')!r}, version_base='1.3'):\n"
         "    cfg = hydra.compose('train', [*sys.argv[1:], 'agent=keen', 'folder=run'])\n"
         "check(cfg)\n"

@@ -16,16 +16,16 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 sys.path.append(str(Path(__file__).parents[1] / "scripts"))
-import mistakes
+import errors
+from cli import CONF
 from saved_run import load_config, load_policy
-from schema import check
+from settings import check
 
 from dynasindy.data.columns import infer
 from dynasindy.data.csv import CsvLog
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.sindy.model import SindyModel
 
-CONF = mistakes.CONF
 VALUES = (
     "text", "", "1e-3", ".inf", None, [], [1, "x"], [[]], {}, {"a": 1}, -1, -0.5, 0, 1, 2.5, 10.0, 1e12, 10**15, 10**30,
     1e-12, 1e-300, 1e300, float("nan"), float("inf"), -float("inf"), True, False, "\u00e9\n\0", [1e15] * 2, ["x"] * 3,
@@ -76,8 +76,8 @@ def judged(use, command: str, *names: str) -> str:
     """Use an input and return what is wrong with how it is refused."""
     try:
         use()
-    except mistakes.MENDABLE as error:
-        line = mistakes.in_words(error, command)
+    except errors.MENDABLE as error:
+        line = errors.in_words(error, command)
         wrong = complaint(line, *names)
         return f"{wrong} | {line}" if wrong else ""
     except Exception as error:

@@ -2,7 +2,7 @@
 
 Nothing is written here a second time. The sentence on a key is the comment above it in its file, or, where a file says
 nothing, the sentence on the argument in the docstring of what `_target_` names. What a key may hold is the annotation
-by which `scripts/schema.py` checks it before a command begins.
+by which `scripts/settings.py` checks it before a command begins.
 """
 
 import inspect

@@ -47,8 +47,7 @@ def test_the_jobs_of_a_cluster_are_gathered_too(tmp_path):
 GATHER = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from ablation import Gathering
-from command import Sweep
+from sweep import Gathering, Sweep
 from omegaconf import OmegaConf
 config = {"hydra": {"sweep": {"dir": "runs"}}, "results": "results"}
 config["level"] = {"_target_": "dynasindy.evaluation.ablation.Level"}

@@ -23,14 +23,14 @@ def test_no_admitted_class_takes_a_file(monkeypatch):
     import inspect
     import pkgutil
 
-    import admitted
+    import trust
 
     import dynasindy
 
     seen = 0
     for found in pkgutil.walk_packages(dynasindy.__path__, "dynasindy."):
         for part in vars(importlib.import_module(found.name)).values():
-            if inspect.isclass(part) and part.__module__ == found.name and admitted._is_part(part, "dynasindy"):
+            if inspect.isclass(part) and part.__module__ == found.name and trust._is_part(part, "dynasindy"):
                 seen += 1
                 given = set(inspect.signature(part.__init__).parameters)
                 assert not given & {"path", "file", "folder", "root", "command", "filename"}, part
@@ -38,7 +38,7 @@ def test_no_admitted_class_takes_a_file(monkeypatch):
 
 
 def test_every_part_of_the_groups_and_every_saved_run_is_admitted(saved_run):
-    from admitted import check
+    from trust import check
 
     for folder in sorted((REPOSITORY / "docs" / "results" / "runs").iterdir()):
         assert saved_run.load_config(folder).seed == 0

@@ -10,20 +10,20 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 def as_text(monkeypatch):
     """Return the function that reads a word."""
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
-    import places
+    import command
 
-    return places.as_text
+    return command.as_text
 
 
 @pytest.fixture
 def completed(monkeypatch):
     """Return the words of a command with what they imply."""
     monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "scripts")
-    import places
+    import command
 
     def complete(*words):
         line = ["scripts/train.py", *words]
-        places.complete(line)
+        command.complete(line)
         return line[1:]
 
     return complete

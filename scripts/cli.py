@@ -1,0 +1,359 @@
+"""The commands of `dynasindy`: which there are, what `--help` says of them, and how their processes end.
+
+It imports no library that takes long, so that help comes at once, and a signal that comes early is one line, too.
+"""
+
+from __future__ import annotations
+
+import ast
+import errno
+import os
+import select
+import shutil
+import signal
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache, wraps
+from importlib import import_module
+from io import UnsupportedOperation
+from pathlib import Path
+from tempfile import TemporaryFile
+from types import FrameType
+from typing import Any
+
+COMMANDS = ("train", "identify", "evaluate", "check", "export", "rig", "ablation", "table", "report")
+"""Each is the script of that name, with a function `main` without arguments."""
+SCRIPTS = Path(__file__).resolve().parent
+CONF = SCRIPTS.parent / "conf"
+IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
+HELP, COMPLETION = ("-h", "--help"), ("-sc", "--shell-completion")
+WIDEST = 110
+"""Columns that a line of help takes at most, also where the terminal is wider."""
+
+
+def leave(number: int, frame: FrameType | None) -> None:
+    """End at once: nothing was begun, or everything is done."""
+    os.write(2, b"stopped\n")
+    os._exit(128 + number)
+
+
+def stop(number: int, frame: FrameType | None) -> None:
+    """Leave what is under way; a second signal leaves at once."""
+    from dynasindy.dyna import Stopped
+
+    listen(leave)
+    raise Stopped("stopped", number)
+
+
+def listen(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Let a handler hear of Ctrl-C and SIGTERM; only the main thread may say so."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, handler)
+
+
+listen(leave)  # the imports of a script take seconds, in which a traceback would be all that a user sees
+
+
+@cache
+def end_with_parent() -> None:
+    """End this process, a worker of a sweep, when its parent is gone, so that it races no later sweep.
+
+    At once, since its launcher would catch an exception and go on with the next job; what is kept survives that.
+    """
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(128 + signal.SIGTERM)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def while_read() -> Iterator[None]:
+    """End with the exit code of a broken pipe, 141, when whoever reads stdout has left; other errors stay theirs."""
+    try:
+        yield
+    except SystemExit as end:
+        if end.code or not _reader_left():
+            raise
+        sys.exit(141)
+    except BrokenPipeError:
+        if not _reader_left():  # another pipe broke, as that of a worker that died
+            raise
+        sys.exit(141)
+    if _reader_left():
+        sys.exit(141)
+
+
+def _reader_left() -> bool:
+    """Write what is left of the output; return whether nobody reads it, and then let it go nowhere."""
+    try:
+        sys.stdout.flush()
+        poll = select.poll()
+        poll.register(sys.stdout.fileno(), 0)
+        left = any(event & select.POLLERR for _, event in poll.poll(0))
+    except BrokenPipeError:
+        left = True
+    except (UnsupportedOperation, AttributeError):  # no file, as under pytest; no poll, as on Windows
+        return False
+    if left:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter flushes at its end
+    return left
+
+
+def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any], float | None]], Callable[[], None]]:
+    """Make a function of a config a command, which is composed by Hydra; see `command.run`.
+
+    Args:
+        config_name: File `conf/NAME.yaml`.
+        progress: Whether what is under way is shown; a thread that draws would disturb one that keeps a clock.
+    """
+
+    def decorate(task: Callable[[Any], float | None]) -> Callable[[], None]:
+        @wraps(task)
+        def start() -> None:
+            with while_read():
+                if any(word in HELP for word in sys.argv[1:]):
+                    print(help_page(config_name, sys.argv[1:]))
+                else:
+                    from command import run
+
+                    run(config_name, task, progress)
+
+        return start
+
+    return decorate
+
+
+def main() -> None:
+    """Run the command that the first word names, with the words after it."""
+    sys.argv[0] = "dynasindy"
+    name, *rest = _answer_shell(sys.argv[1:]) or ["--help"]
+    if name in HELP or name == "--version":
+        import dynasindy
+
+        with while_read():
+            print(overview() if name in HELP else dynasindy.__version__)
+    elif name in COMMANDS:
+        sys.argv[1:] = rest
+        import_module(name).main()
+    else:
+        from dynasindy.text import did_you_mean
+
+        refuse(f"'{name}' is no command; there are {', '.join(COMMANDS)}{did_you_mean(name, COMMANDS)}")
+
+
+def require_writable(path: Path) -> None:
+    """Make sure, before the work that fills it, that a folder can be made and written.
+
+    Raises:
+        OSError: It cannot.
+    """
+    place = path.absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
+    try:
+        with TemporaryFile(dir=place):  # permissions alone do not tell
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def refuse(line: str) -> None:
+    """End with a line and the exit code of a bad setting."""
+    print(f"error: {line}", file=sys.stderr)
+    sys.exit(2)
+
+
+def called(name: str) -> str:
+    """Return how a command is called here: as its script in a clone, unless it was called otherwise."""
+    installed = not IN_CLONE or Path(sys.argv[0]).name == "dynasindy"
+    return f"dynasindy {name}" if installed else f"python scripts/{name}.py"
+
+
+def purpose(name: str) -> str:
+    """Return the docstring of a command's script, which says what it does and how it is called."""
+    words = " ".join((ast.get_docstring(ast.parse((SCRIPTS / f"{name}.py").read_text())) or "").split())
+    return words.replace(f"python scripts/{name}.py", called(name))
+
+
+def overview() -> str:
+    """Return what there is to be called."""
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {purpose(name).partition(': `')[0]}" for name in COMMANDS]
+    return "\n".join(
+        [
+            "Identify nonlinear systems and learn to control them, from little data.",
+            "",
+            "dynasindy COMMAND [--help] [words of the command]",
+            *lines,
+            "",
+            "What a command makes goes into the folder in which it is called.",
+            "Tab completion in bash, in other shells as Hydra has it:",
+            '  eval "$(dynasindy -sc install=bash)"',
+        ]
+    )
+
+
+def _answer_shell(words: list[str]) -> list[str]:
+    """Return the words that answer a shell's question of how a line goes on; those of other lines as they are.
+
+    A shell asks `dynasindy -sc query=bash`, and the line stands in COMP_LINE. Hydra knows what a command takes, and is
+    asked as if the command were a program of its own. What the commands are it does not know.
+    """
+    if not words or words[0] not in COMPLETION:
+        return words
+    line = os.environ.get("COMP_LINE", "").lstrip()
+    typed = line.split()
+    if not any(word.startswith("query=") for word in words) or not typed:
+        return [COMMANDS[0], *words]  # what a shell has to know of any of them
+    if len(typed) - (not line.endswith(" ")) <= 1:
+        print(*(name for name in COMMANDS if name.startswith("".join(typed[1:]))))
+        sys.exit(0)
+    name, *rest = line.split(maxsplit=2)[1:]
+    if not (CONF / f"{name}.yaml").is_file():
+        sys.exit(0)  # the shell goes on with names of files
+    os.environ["COMP_LINE"] = " ".join(["dynasindy", *rest]) if rest else "dynasindy "
+    return [name, *words]
+
+
+def help_page(name: str, words: Sequence[str]) -> str:
+    """Return the help of a command, from the comments of `conf/NAME.yaml`; an option of a group shows in its values.
+
+    Args:
+        name: Command.
+        words: The other words of the command line. `group` asks for its options, `group=option` for the keys of one.
+    """
+    folders = [CONF, *(Path(b.partition("=")[2] or c) for b, c in zip(words, [*words[1:], ""]) if "-config-dir" in b)]
+    files = {group: _options(group, folders) for group in _folders(CONF)}
+    given = dict(word.partition("=")[::2] for word in words if not word.startswith(("-", "+", "~")))
+    if asked := {group: option for group, option in given.items() if group in files}:
+        lines: list[str] = []
+        for group, option in asked.items():
+            for each in [option] if option in files[group] else files[group]:
+                lines += [f"{group}={each}", *_wrapped(_heading(files[group][each]), "    "), ""]
+                lines += _setting_lines(_settings(files[group][each])) if option else []
+        return "\n".join(lines).rstrip()
+    file = CONF / f"{name}.yaml"
+    chosen, settings = _defaults(file), _settings(file)
+    for group, option in list(chosen.items()):
+        if option in files.get(group, {}) and _is_global(files[group][option]):
+            chosen |= _defaults(files[group][option])
+            changed = _settings(files[group][option])
+            settings |= {key: (changed[key][0], said) for key, (_, said) in settings.items() if key in changed}
+    settings |= {key: (value, settings[key][1]) for key, value in given.items() if key in settings}
+    lines = [*_wrapped(purpose(name)), "", *_wrapped(_heading(file))]
+    if made_of := {group: option for group, option in chosen.items() if group in files}:
+        lines += ["", f"What it is made of; `{called(name)} GROUP --help` says what the options are:"]
+        for group, option in made_of.items():
+            others = ", ".join(other for other in files[group] if other != option)
+            text = f"{group}={option}".ljust(20) + f"  or {others}"
+            lines += textwrap.wrap(text, _width(), initial_indent="  ", subsequent_indent=" " * 27)
+    lines += ["", "Settings:", *_setting_lines(settings), ""]
+    if made_of:
+        lines.append("Settings of an option:       {} {}={} --help".format(called(name), *next(iter(made_of.items()))))
+    lines.append(f"The whole config:            {called(name)} --cfg job")
+    if name in ("train", "ablation"):
+        lines.append(f"A sweep:                     {called(name)} -m seed=0,1,2 [hydra/launcher=joblib]")
+    return "\n".join([*lines, f"What Hydra itself can do:    {called(name)} --hydra-help"])
+
+
+def _folders(conf: Path) -> list[str]:
+    return sorted(place.name for place in conf.iterdir() if place.is_dir())
+
+
+def _options(group: str, folders: Iterable[Path]) -> dict[str, Path]:
+    """Return the files of a group by their names; those with a leading underscore are parts of others."""
+    return {file.stem: file for folder in folders for file in sorted((folder / group).glob("[!_]*.yaml"))}
+
+
+def _is_global(file: Path) -> bool:
+    return file.parent == CONF or file.read_text().startswith("# @package _global_")
+
+
+def _defaults(file: Path) -> dict[str, str]:
+    """Return which option of each group a file chooses; those of the files that it begins with first."""
+    import yaml
+
+    chosen: dict[str, str] = {}
+    for entry in (yaml.safe_load(file.read_text()) or {}).get("defaults", ()):
+        if isinstance(entry, dict):
+            chosen |= {key.removeprefix("override ").lstrip("/"): str(option) for key, option in entry.items()}
+        elif entry != "_self_" and "@" not in entry and (file.parent / f"{entry}.yaml").is_file():
+            chosen |= _defaults(file.parent / f"{entry}.yaml")
+    return {group: option.replace("None", "null") for group, option in chosen.items()}
+
+
+def _settings(file: Path) -> dict[str, tuple[str, str]]:
+    """Return the keys of a file, each as a command line has it, with its value and the sentences above it.
+
+    What is said above several keys is said of the first, and so is what is said above a group.
+    """
+    import yaml
+
+    text = file.read_text()
+    lines, found = text.splitlines(), {}
+    for entry in (yaml.safe_load(text) or {}).get("defaults", ()):
+        if isinstance(entry, str) and (base := file.parent / f"{entry}.yaml").is_file():
+            found |= _settings(base)
+
+    def walk(node: yaml.Node | None, prefix: str, above: str) -> None:
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            name = f"{prefix}{key.value}"
+            if key.value.startswith("_") or name in ("defaults", "hydra"):
+                continue
+            start = key.start_mark.line
+            while start and lines[start - 1].lstrip().startswith("#"):
+                start -= 1
+            said = f"{above} {_joined(lines[start : key.start_mark.line]) if start else ''}".strip()
+            above = ""
+            if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
+                walk(value, f"{name}.", said)
+            else:
+                written = text[value.start_mark.index : value.end_mark.index].rstrip()
+                written = (
+                    "[...]" if "\n" in written else written.replace("${hydra:runtime.output_dir}", "runs/DATE_TIME")
+                )
+                found[name] = (written, said or found.get(name, ("", ""))[1])
+
+    walk(yaml.compose(text, Loader=yaml.SafeLoader), "" if _is_global(file) else f"{file.parent.name}.", "")
+    return found
+
+
+def _heading(file: Path) -> str:
+    """Return the sentences at the top of a file."""
+    lines = file.read_text().splitlines()
+    end = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    return _joined(line for line in lines[:end] if not line.startswith("# @package"))
+
+
+def _setting_lines(settings: dict[str, tuple[str, str]]) -> list[str]:
+    """Return each setting and what is said of it; one of which nothing is said stands beside its neighbour."""
+    found: list[tuple[str, str]] = []
+    for key, (value, said) in settings.items():
+        if said or not found or not key.startswith(found[-1][0].partition("=")[0].rpartition(".")[0]):
+            found.append((f"{key}={value}", said))
+        else:
+            found[-1] = (f"{found[-1][0]}  {key}={value}", found[-1][1])
+    return [line for setting, said in found for line in (f"  {setting}", *_wrapped(said, "      "))]
+
+
+def _joined(comment: Iterable[str]) -> str:
+    return " ".join(" ".join(line.strip().lstrip("#") for line in comment).split())
+
+
+def _wrapped(text: str, indent: str = "") -> list[str]:
+    return textwrap.wrap(text, _width(), initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
+
+
+def _width() -> int:
+    return min(shutil.get_terminal_size((WIDEST, 24)).columns, WIDEST)

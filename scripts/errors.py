@@ -1,0 +1,178 @@
+"""A user's mistake in one line: what was given, what is allowed, what to do."""
+
+import argparse
+import re
+import sys
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+
+import hydra
+import yaml
+from cli import CONF
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from dynasindy.limits import is_memory_error, memory_wanted
+
+MENDABLE = (
+    *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
+    *(HydraException, OmegaConfBaseException),
+)
+EXTRAS = {
+    **{"joblib": "sweep", "submitit": "slurm", "ray": "ray", "optuna": "tune", "tensorboard": "tensorboard"},
+    **{"casadi": "export", "control": "export", "onnx": "export"},
+}
+"""Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
+MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
+"""What Hydra says of a key that is misspelt, or given with a + and there."""
+LOWERED = {
+    "train": "replay.capacity, planning.rollouts, planning.horizon or agent.hidden, or give shorter logs",
+    "identify": "excitation.duration, or the terms of the library, or give a shorter log or a larger data.dt",
+    "check": "grid, draws, points or seconds",
+}
+"""What takes less memory, by the command."""
+
+
+def mendable(error: BaseException) -> bool:
+    """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
+    return isinstance(error, MENDABLE) or is_memory_error(error)
+
+
+def in_words(error: BaseException, config_name: str, settings: object = None) -> str:
+    """Return the innermost message of an error on one line, with what is allowed where it names a key.
+
+    Args:
+        error: The error.
+        config_name: The command.
+        settings: Its settings as they were given, which say of a key that takes its value from another from which one;
+            the message then names that one, where the value was given.
+
+    Raises:
+        BrokenPipeError: The error is that, which is nobody's mistake.
+    """
+    part = ""
+    while isinstance(error, InstantiationException) and error.__cause__ is not None:
+        part = str(error).rpartition("full_key: ")[2].strip()
+        error = error.__cause__
+    words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
+    text = " ".join(words.split()).partition(" Config search path:")[0]
+    if isinstance(error, BrokenPipeError):
+        raise error
+    if is_memory_error(error):
+        wanted = memory_wanted(error)
+        said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
+        lower = LOWERED.get(config_name, LOWERED["train"])
+        return f"memory ran out{said}; lower {lower}; or allow this command more (ulimit -v)"
+    if isinstance(error, OSError) and error.strerror:
+        # Of a connection, which is no file, the system names none.
+        place = f"{error.filename}: " if error.filename is not None else ""
+        return f"{place}{error.strerror}; {'choose another' if place else 'check what the setting names'}"
+    if isinstance(error, yaml.MarkedYAMLError) and (mark := error.problem_mark) is not None:
+        where = f"{mark.name}, line {mark.line + 1}"
+        return f"{where}: {error.problem}; mend the file, in which blanks tell what belongs where"
+    if isinstance(error, OverrideParseException):
+        return (
+            f"'{error.override}' cannot be read; write key=value, close all brackets and quotes, and put a word with "
+            "brackets, quotes, commas or blanks between quotes of the shell, such as 'plant.outputs=[angle]'"
+        )
+    if missing := _missing_package(error):
+        return missing
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return unknown(option, (choice for choice in error.options if not choice.startswith("_")), group)
+    if part and not isinstance(error, ValueError):
+        return f"{part} got a setting of the wrong type or name ({text}); compare it with conf/"
+    if text.startswith("Error merging override "):
+        return f"'{text[23:]}' gives one value where a group of keys stands, or a group for one value; compare conf/"
+    if text.startswith("Config group override must be"):
+        for group, _, option in (word.partition("=") for word in sys.argv[1:]):
+            choices = {file.stem for file in (CONF / group).glob("[!_]*.yaml")} if option else ()
+            if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
+                return unknown(option, choices, group)
+    if several := re.match(r"Ambiguous value for argument '((.+?)=(.*?))' 1\. ", text):
+        more = "add -m for a job with each of them" if config_name in ("train", "ablation") else "give one of them"
+        return f"{several[1]} gives several values; {more}, or write '{several[2]}=[{several[3]}]' for a list"
+    if misspelt := MISSPELT.search(text):
+        return _misspelt(misspelt[1], config_name) or f"{text}; replace the whole of a group's keys in a file"
+    if text == "No trials are completed yet.":  # Optuna's
+        return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
+    return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: _taken_from(key[0], settings) or key[0], text)
+
+
+def _missing_package(error: BaseException) -> str:
+    """Return how to install what an error misses, nothing if it misses no optional package."""
+    engine = re.search(r"Could not find '(hydra/(?:launcher|sweeper))/((\w+?)(_\w+)?)'", str(error))
+    name = engine[3] if engine else str(getattr(error, "name", None)).partition(".")[0]
+    if name not in EXTRAS:
+        return ""
+    wanted = f"{engine[1]}={engine[2]}" if engine else f"what was asked for needs {name}, which"
+    instead = f", or choose {engine[1]}=basic" if engine else ""
+    return f"{wanted} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
+
+
+def _misspelt(key: str, config_name: str) -> str:
+    """Return which keys stand where a misspelt one was given; '' if it exists."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd")
+    own, words = parser.parse_known_args(sys.argv[1:])
+    chosen = [word.partition(",")[0] for word in words if (CONF / word.partition("=")[0]).is_dir() and "=" in word]
+    folder = [f"hydra.searchpath=[file://{Path(own.config_dir).absolute()}]"] if own.config_dir else []
+    GlobalHydra.instance().clear()
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        node = whole = hydra.compose(config_name, overrides=[*folder, *chosen])
+    if source := _taken_from(key, OmegaConf.to_container(whole)):
+        return f"'{key}' follows another key; give {source} instead"
+    *parents, name = key.split(".")
+    place: list[str] = []
+    for step in parents:
+        if not isinstance(node, DictConfig) or not isinstance(node._get_node(step), DictConfig):
+            name = ".".join([*parents[len(place) :], name])
+            break
+        node = node[step]
+        place.append(step)
+    names = [str(each) for each in node if not str(each).startswith("_")]
+    return "" if name in names else unknown(name, names, ".".join(place), _keys(OmegaConf.to_container(whole)))
+
+
+def _taken_from(key: str, node: object) -> str:
+    """Return the key that another one takes its value from, as `sensors.channels` does from `plant.sensors`, or ''."""
+    steps = key.split(".")
+    for place, step in enumerate(steps):
+        if not isinstance(node, dict) or step not in node:
+            return ""
+        node = node[step]
+        if isinstance(node, str) and (source := re.fullmatch(r"\$\{(?:oc\.select:)?([\w.]+)(,.*)?\}", node)):
+            return ".".join([source[1], *steps[place + 1 :]])
+    return ""
+
+
+def _keys(node: object, parent: str = "") -> list[str]:
+    """Return all keys of a config with the groups that they stand in, the shallowest first."""
+    if not isinstance(node, dict):
+        return []
+    own = {f"{parent}{step}": child for step, child in node.items() if not str(step).startswith("_")}
+    return sorted([*own, *(key for step, child in own.items() for key in _keys(child, f"{step}."))], key=_depth)
+
+
+def _depth(key: str) -> int:
+    return key.count(".")
+
+
+def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
+    """Return which names are allowed instead of one that does not exist in a group.
+
+    Args:
+        name: The one that does not exist.
+        names: Those that are allowed.
+        where: The group.
+        elsewhere: All keys that exist, with their groups, of which one may be meant.
+    """
+    names, word = sorted(names), name.rpartition(".")[2]
+    same = [key for key in elsewhere if key.rpartition(".")[2] == word]
+    meant = [key for key in same if _depth(key) == _depth(same[0])][:3] or get_close_matches(name, names, 1, 0.7)
+    hint = f"; did you mean {' or '.join(map(repr, meant))}?" if meant else ""
+    place = f" in '{where}'" if where else ""
+    return f"'{name}' does not exist{place}; allowed are {', '.join(names)}{hint}"
