@@ -11,6 +11,7 @@ import hydra
 import yaml
 from cli import CONF
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -93,6 +94,10 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
             if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
                 return unknown(option, choices, group)
     if several := re.match(r"Ambiguous value for argument '((.+?)=(.*?))' 1\. ", text):
+        try:  # Hydra says first that there are several values, which is no mistake in a command that sweeps
+            _compose(config_name, _words())
+        except MENDABLE as wrong:
+            return in_words(wrong, config_name, settings)
         more = "add -m for a job with each of them" if config_name in ("train", "ablation") else "give one of them"
         return f"{several[1]} gives several values; {more}, or write '{several[2]}=[{several[3]}]' for a list"
     if misspelt := MISSPELT.search(text):
@@ -115,14 +120,7 @@ def _missing_package(error: BaseException) -> str:
 
 def _misspelt(key: str, config_name: str) -> str:
     """Return which keys stand where a misspelt one was given; '' if it exists."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--config-dir", "-cd")
-    own, words = parser.parse_known_args(sys.argv[1:])
-    chosen = [word.partition(",")[0] for word in words if (CONF / word.partition("=")[0]).is_dir() and "=" in word]
-    folder = [f"hydra.searchpath=[file://{Path(own.config_dir).absolute()}]"] if own.config_dir else []
-    GlobalHydra.instance().clear()
-    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        node = whole = hydra.compose(config_name, overrides=[*folder, *chosen])
+    node = whole = _compose(config_name, [word for word in _words() if (CONF / word.partition("=")[0]).is_dir()])
     if source := _taken_from(key, OmegaConf.to_container(whole)):
         return f"'{key}' follows another key; give {source} instead"
     *parents, name = key.split(".")
@@ -135,6 +133,24 @@ def _misspelt(key: str, config_name: str) -> str:
         place.append(step)
     names = [str(each) for each in node if not str(each).startswith("_")]
     return "" if name in names else unknown(name, names, ".".join(place), _keys(OmegaConf.to_container(whole)))
+
+
+def _words() -> list[str]:
+    """Return the settings that the command line gives, each with the first of its values."""
+    read = [word for word in sys.argv[1:] if "=" in word and not word.startswith("-")]
+    found = zip(read, OverridesParser.create().parse_overrides(read))
+    sweeping = [(w, o, o.is_choice_sweep() or o.is_range_sweep()) for w, o in found if not o.is_interval_sweep()]
+    return [f"{o.get_key_element()}={next(o.sweep_string_iterator())}" if many else w for w, o, many in sweeping]
+
+
+def _compose(config_name: str, words: list[str]) -> DictConfig:
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd")
+    own = parser.parse_known_args(sys.argv[1:])[0].config_dir
+    folder = [f"hydra.searchpath=[file://{Path(own).absolute()}]"] if own else []
+    GlobalHydra.instance().clear()
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        return hydra.compose(config_name, overrides=[*folder, *words])
 
 
 def _taken_from(key: str, node: object) -> str:
