@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -42,10 +43,16 @@ def known(hertz, damping):
     return model
 
 
+@cache
+def recorded():
+    """Return four seconds of a spring."""
+    u = Multisine(1, duration=4, dt=0.05, amplitude=[0.8], seed=0).samples(0.01)
+    return record_plant(Spring(2.0, 0.2), u, 0.01)
+
+
 def logged(dt, signature):
     """Return a log with a sampling time."""
-    u = Multisine(1, duration=4, dt=0.05, amplitude=[0.8], seed=0).samples(0.01)
-    return Source.of(Recording(replace(record_plant(Spring(2.0, 0.2), u, 0.01), dt=dt), signature))
+    return Source.of(Recording(replace(recorded(), dt=dt), signature))
 
 
 def suited(hertz, damping, dt):

@@ -27,7 +27,7 @@ from dynasindy.tasks import Step, Tracking, TrackingReward
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
 
-def flown(act, plant, controller, r, rate, periods=100):
+def flown(act, plant, controller, r, rate, periods=60):
     """Fly a plant behind noisy encoders that lose samples; every state that has no sensor is NaN."""
     rng = np.random.default_rng(4)
     names = controller.signature.state_names

@@ -50,6 +50,10 @@ def written(controller, tmp_path):
     return Step(path)
 
 
+SHORT = {"step": 0.04, "delay": 0.0, "stops": False}
+"""Settings of a controller whose observer takes one step a period, of which the exporter writes few operations."""
+
+
 def long(settings):
     """Whether an observer looks far ahead, of which the exporter writes thousands of operations."""
     return bool(settings) and settings.get("observer", True) and settings.get("step") != 0.04
@@ -83,7 +87,7 @@ def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pu
 
 @pytest.mark.parametrize("seed", range(2))
 def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, seed, tmp_path):
-    controller = pendulum(integral={"gain": 3.0}, delay=0.0, stops=False)
+    controller = pendulum(integral={"gain": 3.0}, **SHORT)
     readings, u = flights_in_c.glitched(controller, seed), np.zeros(1)
     expected = flights_in_c.answers(controller.act, readings, [0.1])
     step = written(controller, tmp_path)
@@ -93,7 +97,7 @@ def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, seed, t
 
 
 def test_what_is_no_number_changes_nothing(pendulum, tmp_path):
-    step = written(pendulum(), tmp_path)
+    step = written(pendulum(**SHORT), tmp_path)
     first = step.act([0.1, math.nan], [0.2], [0.0])
     before = step.state.copy()
     assert step.act([0.1, math.nan], [math.nan], [0.0]).tolist() == first.tolist()
@@ -102,23 +106,23 @@ def test_what_is_no_number_changes_nothing(pendulum, tmp_path):
     assert second != first and not np.array_equal(step.state, before)
 
 
-def test_the_file_says_what_goes_in_and_comes_out(rotors, tmp_path):
-    told = written(rotors(), tmp_path).session.get_modelmeta().custom_metadata_map
-    assert told["reference"] == "alpha_a, alpha_p" and told["period"] == "0.05 s"
-    # begun, 2 inputs, 8 states with 64 covariances, two inputs more than whole periods of delay, 8 of the shift
+def test_the_file_says_what_goes_in_and_comes_out(pendulum, tmp_path):
+    told = written(pendulum(**SHORT), tmp_path).session.get_modelmeta().custom_metadata_map
+    assert (told["reference"], told["measurement"], told["period"]) == ("theta", "theta, Omega", "0.04 s")
+    # begun, 1 input, 3 states with 9 covariances, two inputs more than the one period of delay, 3 of the shift
     assert "units of u" not in told
-    assert told["state"] == f"{1 + 2 + 8 + 64 + 2 * 2 + 8} numbers, zeros at the start"
+    assert told["state"] == f"{1 + 1 + 3 + 9 + 3 + 3} numbers, zeros at the start"
 
 
 def test_the_file_says_what_inputs_are_in_their_own_unit(pendulum, tmp_path):
     """Of 0 to 12 V, zero is 6 V."""
     volts = replace(Pendulum().signature, input_ends=((0, 12),))
-    told = written(pendulum(signature=volts), tmp_path).session.get_modelmeta().custom_metadata_map
+    told = written(pendulum(observer=False, signature=volts), tmp_path).session.get_modelmeta().custom_metadata_map
     assert told["units of u"].startswith("the plant's u is 6 + 6 times the controller's")
 
 
 def test_each_call_is_that_of_python_also_where_samples_are_lost_or_wild_or_no_action_follows(pendulum, tmp_path):
-    controller = pendulum(integral={"band": 0.9})
+    controller = pendulum(integral={"band": 0.9}, **SHORT)
     step, rng, last, refused = written(controller, tmp_path), np.random.default_rng(7), np.zeros(1), 0
     for k in range(60):
         y = [0.1 * math.sin(0.3 * k) + 0.01 * rng.standard_normal(), math.nan]

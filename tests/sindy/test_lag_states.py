@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -39,12 +40,13 @@ def moved(field, start, u, dt):
     x = [torch.tensor(start, dtype=torch.float64)]
     for held in u:
         now = x[-1]
-        for _ in range(4):
-            now = rk4(field, now, held, dt / 4)
+        for _ in range(2):
+            now = rk4(field, now, held, dt / 2)
         x.append(now)
     return torch.stack(x)
 
 
+@cache
 def arm(lag=0.0, creep=0.0):
     """An arm that hangs, read by an encoder: its motor may lag, and a spring may be fixed to what creeps after it."""
 
@@ -53,7 +55,7 @@ def arm(lag=0.0, creep=0.0):
         rates = [(u[0] - x[2]) / (lag or 1), (x[0] - x[3]) / 0.4]
         return torch.stack([x[1], 8 * acting - 0.5 * x[1] - 9 * torch.sin(x[0]) - creep * (x[0] - x[3]), *rates])
 
-    u = levels(50, 25)
+    u = levels(36, 25)
     angle = (moved(field, [0.0] * 4, u, DT)[:, :1] / STEP).round() * STEP
     return Transitions.from_trajectory(torch.cat([angle, torch.full_like(angle, math.nan)], -1), u, DT)
 

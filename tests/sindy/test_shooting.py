@@ -241,7 +241,7 @@ def test_standard_errors_are_those_of_cramer_and_rao_and_of_the_scatter_over_see
     """Van der Pol's oscillator with 10 % of white noise: the bound says how small errors can be at all."""
     case, fits, stated, bounds = TEXTBOOK["van_der_pol"], [], [], []
     library, truth = case.library(), case.truth()
-    for seed, clean in enumerate(case.clean(20)):
+    for seed, clean in enumerate(case.clean(10)):
         found = refine_trajectory(library, truth, truth != 0, disturb(clean, 0.1, 1000 + seed), Descent(20))
         known = shooting_covariance(found)
         fits.append(found.estimate.xi[known.features, known.states])
@@ -267,8 +267,8 @@ def pushed(seed: int, n: int = 1500, lasts: float = 0.3) -> Transitions:
 @pytest.mark.parametrize("joined", [True, False])
 def test_standard_errors_are_those_of_the_scatter_where_errors_last(joined):
     fits, stated, alone = [], [], []
-    for seed in range(20):
-        found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(seed), Descent(20, joined))
+    for seed in range(12):
+        found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(seed, 1000), Descent(20, joined))
         known, model = shooting_covariance(found), linearise_windows(found)
         fits.append(found.estimate.xi[:2, 0])
         stated.append(known.errors)
