@@ -45,7 +45,7 @@ def main(cfg: DictConfig) -> None:
         save_evaluation(result, out)
         draw_evaluation(result, out, name, cfg.formats)
         if cfg.animate:
-            animate(result, out / f"{scenario.name}.{cfg.animation}")
+            animate(result, out / f"{scenario.name}.gif")
         table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
         say(table, *beyond_targets(result), "")
     say(f"Figures, tables and trajectories: {out}")

@@ -69,7 +69,7 @@ TOP: dict[str, Any] = {
     **{"seed": Annotated[int, range(2**63)], "system": System | None, "threads": Annotated[int, THREADS]},
     **{"folder": str, "run": str | None, "resume": str | None, "results": str, "output": str, "controller": str | None},
     **{"save": str | None, "name": str | None, "settings": list[str], "slim": list[str], "scenarios": list[str]},
-    **{"plugins": list[str], "formats": list[FIGURES], "animation": Literal["gif", "mp4"]},
+    **{"plugins": list[str], "formats": list[FIGURES]},
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard", "any_commit"), bool),
     **{"refinement": str, "error_shape": str, "source": Literal["simulated", "logged"]},
     **{"longest_delay": Annotated[float, range(1001)] | None, "horizons": list[float] | None},

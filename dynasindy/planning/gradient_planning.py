@@ -142,8 +142,7 @@ class GradientPlanning(Planner):
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
         rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
         window: Control periods that a gradient reaches back.
-        lr: Learning rate of the first phase at its start; it falls along a half cosine to 1 % of that.
-        more_lr: Learning rate of each later phase at its start; None for 0.3 of `lr`.
+        lr: Learning rate of the first phase at its start, 0.3 of it in later ones; it falls along a half cosine to 1 %.
         max_grad_norm: Bound of each gradient's norm.
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
@@ -184,7 +183,6 @@ class GradientPlanning(Planner):
         rollouts: int = 128,
         window: int | None = None,
         lr: float | None = None,
-        more_lr: float | None = None,
         max_grad_norm: Bound = 0.3,
         width: float | None = 0.02,
         real_starts: float = 0.25,
@@ -203,7 +201,7 @@ class GradientPlanning(Planner):
         super().__init__(every)
         given = zip(FOLLOWING, (window, lr, updates, patience, substeps, warm_start, gain_range), strict=True)
         self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
-        sizes = {"check_every": check_every, "more_lr": more_lr, "max_grad_norm": max_grad_norm, "width": width}
+        sizes = {"check_every": check_every, "max_grad_norm": max_grad_norm, "width": width}
         _require_positive(
             {**{k: v for k, v in self.given.items() if k not in ("updates", "warm_start", "gain_range")}, **sizes}
         )
@@ -217,7 +215,7 @@ class GradientPlanning(Planner):
             )
         _require_memory(env.system.signature, rollouts, window or UNTOLD)
         self.agent, self.replay, self.network = agent, replay, _on_cpu(_network(agent.policy))
-        self.more_updates, self.more_lr, self.searches = more_updates, more_lr, searches
+        self.more_updates, self.searches = more_updates, searches
         self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
@@ -245,7 +243,7 @@ class GradientPlanning(Planner):
         rests, was_afar = find_task_equilibria(self.env), self.pace.afar
         self.pace = pace = dataclasses.replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
-        updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, self.more_lr or 0.3 * pace.lr)
+        updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
         episodes = _Episodes(self)
         rows, late = self.held_out, None if rests is None else self.randomization.ends(len(self.held_out.x))
         rows.reach, rows.strength, rows.late = episodes.rows.reach, None, late
@@ -365,7 +363,7 @@ class GradientPlanning(Planner):
     def _diverged(self, done: int, made: int, lost: int, finite: bool, lr: float) -> Diverged:
         windows = done * self.rollouts
         if not finite:
-            mend = f"the actor's weights left all bounds: lower planning.lr and planning.more_lr, now {lr}"
+            mend = f"the actor's weights left all bounds: lower planning.lr, now {lr}"
         elif lost == windows:
             mend = (
                 "the model explodes: identification.txt says what each equation leaves over; name the functions that "

@@ -68,6 +68,15 @@ class _Page:
         return repr(float(value)) if value >= 0 else f"(-{-float(value)!r})"
 
 
+_Operator = Callable[["_Symbol", object], "_Symbol"]
+
+
+def _infix(sign: str) -> tuple[_Operator, _Operator]:
+    """Return an operator with the symbol to its left, and that with the symbol to its right."""
+    text = f"{{}} {sign} {{}}"
+    return lambda self, other: self.formula(text, self, other), lambda self, other: self.formula(text, other, self)
+
+
 class _Symbol:
     """Stand for one column of a tensor."""
 
@@ -82,37 +91,19 @@ class _Symbol:
 
     def square(self) -> _Symbol:
         """Return the square."""
-        return self._formula("square({})", self)
+        return self.formula("square({})", self)
 
-    def _formula(self, pattern: str, *values: object) -> _Symbol:
+    def formula(self, pattern: str, *values: object) -> _Symbol:
+        """Write a formula of some values and return what stands for it."""
         return self.page.line(pattern.format(*map(self.page.text, values)))
 
     def __neg__(self) -> _Symbol:
-        return self._formula("-{}", self)
+        return self.formula("-{}", self)
 
-    def __add__(self, other: object) -> _Symbol:
-        return self._formula("{} + {}", self, other)
-
-    def __radd__(self, other: object) -> _Symbol:
-        return self._formula("{} + {}", other, self)
-
-    def __sub__(self, other: object) -> _Symbol:
-        return self._formula("{} - {}", self, other)
-
-    def __rsub__(self, other: object) -> _Symbol:
-        return self._formula("{} - {}", other, self)
-
-    def __mul__(self, other: object) -> _Symbol:
-        return self._formula("{} * {}", self, other)
-
-    def __rmul__(self, other: object) -> _Symbol:
-        return self._formula("{} * {}", other, self)
-
-    def __truediv__(self, other: object) -> _Symbol:
-        return self._formula("{} / {}", self, other)
-
-    def __rtruediv__(self, other: object) -> _Symbol:
-        return self._formula("{} / {}", other, self)
+    __add__, __radd__ = _infix("+")
+    __sub__, __rsub__ = _infix("-")
+    __mul__, __rmul__ = _infix("*")
+    __truediv__, __rtruediv__ = _infix("/")
 
     def __pow__(self, power: object) -> _Symbol:
         if power not in range(1, HIGHEST + 1):
@@ -124,16 +115,16 @@ class _Symbol:
         return result
 
     def __gt__(self, other: object) -> _Symbol:
-        return self._formula("exceeds({}, {})", self, other)
+        return self.formula("exceeds({}, {})", self, other)
 
     def __lt__(self, other: object) -> _Symbol:
-        return self._formula("exceeds({}, {})", other, self)
+        return self.formula("exceeds({}, {})", other, self)
 
     def __ge__(self, other: object) -> _Symbol:
-        return self._formula("1 - exceeds({}, {})", other, self)
+        return self.formula("1 - exceeds({}, {})", other, self)
 
     def __le__(self, other: object) -> _Symbol:
-        return self._formula("1 - exceeds({}, {})", self, other)
+        return self.formula("1 - exceeds({}, {})", self, other)
 
     def __bool__(self) -> bool:
         raise TypeError("it decides by a state; write a product with the comparison")
@@ -141,7 +132,7 @@ class _Symbol:
     def __getattr__(self, name: str) -> Callable[[], _Symbol]:
         if name not in CALLED:
             raise AttributeError(f"a column has no '{name}' here")
-        return lambda: self._formula(f"{CALLED[name]}({{}})", self)
+        return lambda: self.formula(f"{CALLED[name]}({{}})", self)
 
     @classmethod
     def __torch_function__(

@@ -1,12 +1,8 @@
-"""Seeing a controller move: the plant beside its outputs over time, as GIF, or as MP4 where ffmpeg is installed."""
+"""Seeing a controller move: the plant beside its outputs over time, as GIF."""
 
 import math
-import shutil
-import subprocess
 from collections.abc import Iterable, Iterator
-from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import matplotlib
 import numpy as np
@@ -21,11 +17,10 @@ from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.progress import track
-from dynasindy.safe_io import replace_file, write_bytes
+from dynasindy.safe_io import replace_file
 from dynasindy.text import duration_unit
 from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, time_axis, time_span
 
-SUFFIXES = (".gif", ".mp4")
 RATE = 10
 """Pictures per second."""
 FULL = (7500.0, 3800.0)
@@ -115,28 +110,25 @@ def animate(evaluation: Evaluation, path: Path, seconds: float = 10.0) -> Path:
 
     Args:
         evaluation: What to show.
-        path: File to write; its suffix, .gif or .mp4, says how.
+        path: File to write, `.gif`.
         seconds: Longest time it may take [s]; a longer run is shown a whole number of times as fast, and says so.
 
     Returns:
         The file.
 
     Raises:
-        ValueError: The suffix is unknown, `seconds` is not positive, nothing is tracked, or ffmpeg is missing.
+        ValueError: `seconds` is not positive, or nothing is tracked.
     """
     if not evaluation.columns:
         raise ValueError("an animation shows what is tracked, and the task tracks nothing; leave out animate=true")
-    if path.suffix not in SUFFIXES:
-        raise ValueError(f"an animation cannot be written as '{path.name}'; use a name in {' or '.join(SUFFIXES)}")
     if not seconds > 0:
         raise ValueError(f"seconds of an animation must be positive, got {seconds}; 10 is easy to watch")
     dt = float(evaluation.time[1] - evaluation.time[0])
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
-    write = _write_gif if path.suffix == ".gif" else _write_mp4
     row = representative_episode(evaluation).row
     pictures = track("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
-    write(pictures, path, every * dt / speed)
+    _write_gif(pictures, path, every * dt / speed)
     return path
 
 
@@ -148,19 +140,3 @@ def _write_gif(pictures: Iterable[Frame], path: Path, seconds: float) -> None:
     more = {"append_images": images[1:], "duration": round(1000 * seconds), "loop": 0}
     with replace_file(path) as file:
         images[0].save(file, format="gif", save_all=True, **more)
-
-
-def _write_mp4(pictures: Iterable[Frame], path: Path, seconds: float) -> None:
-    ffmpeg = shutil.which("ffmpeg")
-    if ffmpeg is None:
-        raise ValueError(f"'{path.name}' needs ffmpeg, which is not installed; install it or write a .gif")
-    stream = iter(pictures)
-    first = next(stream)
-    height, width = first.shape[:2]
-    source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {1 / seconds} -i -".split()
-    command = [ffmpeg, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p"]
-    data = b"".join(np.ascontiguousarray(p).tobytes() for p in chain([first], stream))
-    with TemporaryDirectory() as folder:  # ffmpeg wants a file of its own, in which it can go back
-        film = Path(folder) / path.name
-        subprocess.run([*command, str(film)], input=data, check=True)
-        write_bytes(path, film.read_bytes())

@@ -206,12 +206,12 @@ def test_the_learning_rate_warms_up_over_ten_updates_and_falls_along_half_a_cosi
 
 
 def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedule(planned):
-    planner, rates = planned(updates=3, more_updates=2, lr=0.5, more_lr=0.2), []
+    planner, rates = planned(updates=3, more_updates=2, lr=0.5), []
     planner._update = lambda episodes, optimizer: rates.append(optimizer.param_groups[0]["lr"]) or True
     planner.test = lambda: 0.0
     for _ in range(3):
         planner.plan()
-    of = [_schedule(k, 3) * 0.5 for k in range(3)] + 2 * [_schedule(k, 2) * 0.2 for k in range(2)]
+    of = [_schedule(k, 3) * 0.5 for k in range(3)] + 2 * [_schedule(k, 2) * 0.15 for k in range(2)]
     assert rates == pytest.approx(of)
 
 
