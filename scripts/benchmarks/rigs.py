@@ -35,7 +35,7 @@ from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.integrators import rk4
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
 
@@ -142,10 +142,7 @@ def simulate(model: System, x0: Tensor, data: Transitions, substeps: int) -> Ten
     states = [x0]
     with torch.no_grad():
         for u in late.u:
-            x = states[-1]
-            for _ in range(substeps):
-                x = rk4(model, x, u, data.dt / substeps)
-            states.append(x)
+            states.append(moved(model, states[-1], u, data.dt, substeps))
     return torch.stack(states)
 
 
@@ -343,8 +340,7 @@ def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor,
         starts = torch.arange(50, len(late) - LAST, 10)
         x, errors, held = states[starts], [], []
         for k in range(max(HORIZONS)):
-            for _ in range(2):
-                x = rk4(model, x, late.u[starts + k], late.dt / 2)
+            x = moved(model, x, late.u[starts + k], late.dt, 2)
             if k + 1 in HORIZONS:
                 after = y[starts + k + 1, :2]
                 errors.append((x[:, :2] - after).square().mean(0).sqrt())

@@ -11,6 +11,7 @@ from scipy.signal import cont2discrete
 import dynasindy
 from dynasindy.data.clock import clock_of, period_of
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.sindy import Refinement, Regression, SindyModel
 
 
 def written(path, heading, times, separator=","):
@@ -140,7 +141,9 @@ def logged(path, times, stamp, heading="time", rows=None, dt=None):
 
 def fitted(log):
     """Return the coefficients of w'."""
-    model = dynasindy.identify(log, ["a", "w", "u"], {"a": "w"}, "one_step", longest_delay=0)
+    refinement = Refinement("one_step", longest_delay=0.0)
+    model = SindyModel(log.signature, ["a", "w", "u"], Regression("bic"), refinement, {"a": "w"})
+    model.fit(log.training)
     return dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
 
 

@@ -104,7 +104,7 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     plant = Pendulum()
     target = float(torch.asin(torch.tensor(12 * 0.2 / 9.81)))
     task = Tracking(plant.signature, Step([[target]]), ("theta",), ("Omega",), TrackingReward((4.0,)), max_steps=600)
-    env = ControlEnv(plant, task, dtype=torch.float64)
+    env = ControlEnv(plant, task, 0.1, 2, dtype=torch.float64)
 
     def constant(tensordict):
         return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.2))

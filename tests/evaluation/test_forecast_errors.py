@@ -171,9 +171,9 @@ def test_starts_are_estimated_on_as_many_samples_as_predict_best(pushed):
     The mean of n samples of a walk is about the root of n / 3 steps from where it goes next: 13 samples miss it by two
     steps, 200 by eight.
     """
-    x = np.random.default_rng(0).normal(size=(6001, 1))
+    x = np.random.default_rng(0).normal(size=(3001, 1))
     x = torch.from_numpy(x.cumsum(0) if pushed else x)
-    data = Transitions.from_trajectory(x, torch.zeros(6000, 1).double(), DT)
+    data = Transitions.from_trajectory(x, torch.zeros(3000, 1).double(), DT)
     model = SindyModel(Signature(("x",), ("m",), ("u",), (10.0,)), ["1"])
     model.set_coefficients(torch.zeros(1, 1))
     assert _length(model, data, 200, [1]) == (12 if pushed else 200)

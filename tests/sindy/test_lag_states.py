@@ -123,10 +123,9 @@ def test_what_creeps_after_an_angle_acts_in_the_equation_of_its_rate():
     assert terms(best.model, "q_lagging") == {"(q - q_lagging)": pytest.approx(2.5, rel=0.05)}
 
 
-@pytest.mark.parametrize("start", [(80.0, 20.0), (80.0, 90.0)])
-def test_a_second_heat_store_is_found_from_the_temperature_of_the_first(start):
+def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     """With a = (W - 8) / 0.6 the wall's W' = (T - W) / 600 + (20 - W) / 900 is a' = (T - a) / 360, and T' as below."""
-    data = oven(start=start)
+    data = oven()
     model = of_oven(data)
     best = lag_state_candidates(model, data)[0]
     assert best.signal == "T" and best.model.followers == {1: 0}
@@ -146,7 +145,7 @@ def commanded(data, samples):
 
 def test_a_second_heat_store_is_found_though_inputs_act_late():
     """The fan takes 30 s; the wall's time of 360 s was found to be 203 s by inputs that act at once."""
-    data = commanded(oven(), 3)
+    data = commanded(oven(start=(80.0, 90.0)), 3)
     model = made(OVEN, ["1", "T", "u", "T^2", "T u"], {}, "auto")
     model.refinement = replace(model.refinement, longest_delay=80.0)
     model.fit(data)

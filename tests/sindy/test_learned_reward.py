@@ -131,9 +131,9 @@ def of_pendulum(planning, seed=0):
     products = ["1", "c", "s", "w", "torque", "c s", "c w", "s w", "s^2", "c torque", "s torque"]
     return Recipe(
         system=system,
-        task=partial(LearnedReward, library=PENDULUM, max_steps=100),
+        task=partial(LearnedReward, library=PENDULUM, max_steps=60),
         env=GymnasiumEnv,
-        excitation=partial(Multisine, duration=5.0, amplitude=1.0, seed=seed),
+        excitation=partial(Multisine, duration=3.0, amplitude=1.0, seed=seed),
         world_model=partial(SindyModel, library=products),
         agent=partial(TD3, hidden=(16,)),
         replay=partial(DynaReplay, 1000, 16),

@@ -1,8 +1,11 @@
+import math
+
 import pytest
 import torch
 from alternating import Alternating
 
 from dynasindy.systems import Altered, Signature, Tras, integrate
+from dynasindy.systems.base import turn_of
 
 
 def test_an_unknown_state_is_answered_with_the_states_that_exist():
@@ -85,3 +88,13 @@ def test_what_is_made_of_a_system_that_moves_in_steps_moves_in_its_steps():
     moved = integrate(Stronger(Alternating()), x, u, 1.0, 1)[0]
     assert float(moved[..., -1, :]) == pytest.approx(-0.6 * (-0.6 * 1.0 + 0.2) + 0.2, rel=1e-12)
     assert Altered.step.fget(Stronger(Tras())) is None
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("rad", 6.2831853), ("deg", 360), ("mrad", 6283.1853), ("turns", 1)])
+def test_a_turn_in_units_of_angles(unit: str, turn: float) -> None:
+    assert turn_of(unit) == pytest.approx(turn)
+
+
+@pytest.mark.parametrize("unit", ["m", "rad/s", "deg/s", "-", "K"])
+def test_what_is_no_angle_never_comes_round(unit: str) -> None:
+    assert turn_of(unit) == math.inf

@@ -2,6 +2,7 @@ import math
 
 import pytest
 import torch
+from torch.autograd import forward_ad
 
 from dynasindy.systems import (
     Pendulum,
@@ -16,6 +17,7 @@ from dynasindy.systems import (
     simulate,
     steps_needed,
 )
+from dynasindy.systems.integrators import plain
 
 
 def oscillator(x, u):
@@ -137,3 +139,27 @@ def test_a_flight_under_gradients_has_them():
     samples, _ = simulate(system, torch.zeros(1, system.signature.n_x), u, 0.05, 2)
     samples[-1, 0, -1, 0].backward()
     assert u.grad is not None and bool((u.grad != 0).all())
+
+
+X = torch.ones(3)
+
+
+def test_a_gradient_is_asked_of_what_carries_one_where_graphs_are_made():
+    followed = torch.ones(3, requires_grad=True)
+    assert plain(X) and plain(X, X) and plain()
+    assert not plain(X, followed) and not plain(followed, X)
+    with torch.no_grad():
+        assert plain(followed)
+
+
+def test_a_derivative_is_asked_of_dual_numbers():
+    with forward_ad.dual_level():
+        assert plain(X) and not plain(X, forward_ad.make_dual(X, X))
+
+
+def test_nothing_is_plain_under_a_transform():
+    seen = []
+    torch.func.vmap(lambda x: seen.append(plain(x)) or x)(X)
+    torch.func.jacfwd(lambda x: seen.append(plain(X)) or x)(X)
+    torch.func.grad(lambda x: seen.append(plain(x)) or x.sum())(X)
+    assert seen == [False, False, False]
