@@ -7,7 +7,6 @@ import torch
 from scipy.linalg import expm
 
 from dynasindy.planning.equilibria import (
-    between,
     fastest_doubling,
     fastest_oscillation,
     find_equilibria,
@@ -121,37 +120,6 @@ def test_growth_is_that_of_the_largest_deviation_in_ranges():
     wanted = torch.linalg.matrix_norm(torch.as_tensor(expm([[0.0, 30.0], [0.0, 0.0]])), 2)  # in ranges: 10 * 3 s
     assert growth(double, scale, 3.0) == pytest.approx(float(wanted))
     assert growth(torch.tensor([[1000.0]]).double(), torch.ones(1), 10.0) == math.inf  # e^10000 is no double
-
-
-WHOLE = torch.tensor([[-1.0], [1.0]])
-
-
-def known_rests(*angles):
-    """Return rests of the pendulum, whose torque of 12 N m balances 9.81 sin(theta)."""
-    x = torch.tensor([[angle, 0.0] for angle in angles], dtype=torch.float64)
-    return x, 9.81 / 12.0 * torch.sin(x[:, :1])
-
-
-def test_between_rests_that_are_given_others_lie_on_a_line_or_a_parabola():
-    targets = torch.tensor([[-0.4], [0.0], [0.3]])
-    two = between(Pendulum(), [0], targets, torch.zeros(2), known_rests(-0.5, 0.5), WHOLE)
-    torch.testing.assert_close(two.u, 9.81 / 12.0 * math.sin(0.5) / 0.5 * targets.double())
-    torch.testing.assert_close(two.x, torch.cat([targets, torch.zeros(3, 1)], -1).double(), atol=1e-12, rtol=0)
-    wanted = torch.tensor([[0.0, 1.0], [-9.81 * math.cos(0.3), -0.5]], dtype=torch.float64)
-    torch.testing.assert_close(two.a[2], wanted, atol=1e-5, rtol=0)  # the slopes are the model's
-    x, u = known_rests(0.0, 0.4, 0.8)
-    three = between(Pendulum(), [0], torch.tensor([[0.2], [0.6]]), torch.zeros(2), (x, u), WHOLE)
-    torch.testing.assert_close(three.u, 9.81 / 12.0 * torch.tensor([[0.2], [0.6]]).sin().double(), atol=5e-3, rtol=0)
-    assert len(two) == 3 and not len(two.unheld) and two.moved.all()
-
-
-def test_a_single_rest_serves_all_targets_and_what_no_input_holds_is_left_out():
-    one = between(Pendulum(), [0], torch.tensor([[0.1], [0.5]]), torch.zeros(2), known_rests(0.2), WHOLE)
-    torch.testing.assert_close(one.u, known_rests(0.2, 0.2)[1])
-    assert one.x.tolist() == [[pytest.approx(0.1), 0.0], [pytest.approx(0.5), 0.0]]
-    far = between(Pendulum(), [0], torch.tensor([[0.2], [2.0]]), torch.zeros(2), known_rests(-0.5, 0.5), WHOLE)
-    assert far.targets.tolist() == [[pytest.approx(0.2)]] and far.unheld.tolist() == [[2.0]]
-    assert far.needed.item() == pytest.approx(9.81 / 12.0 * math.sin(0.5) / 0.5 * 2.0)
 
 
 def test_growth_of_a_difference_equation_is_the_power_of_its_matrix():
