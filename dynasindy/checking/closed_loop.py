@@ -33,7 +33,7 @@ from dynasindy.sensing.observer import Belief
 from dynasindy.sensing.offset import acting
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops, integrate, steps_needed
-from dynasindy.systems.steps import Rates
+from dynasindy.systems.steps import Rates, split_delay
 from dynasindy.tasks.references import N_PARAMS
 
 FINE = 1e-6
@@ -87,10 +87,7 @@ class Plant:
     @property
     def late(self) -> tuple[int, float]:
         """Delay of the inputs, in whole control periods and the rest [s]."""
-        delay = self.model.delay + self.later
-        whole = int(delay / self.dt + 1e-6)
-        rest = delay - whole * self.dt
-        return whole, rest if rest > 1e-6 * self.dt else 0.0
+        return split_delay(self.model.delay + self.later, self.dt)
 
     @property
     def pending(self) -> int:

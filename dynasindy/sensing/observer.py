@@ -27,7 +27,7 @@ from torch import Tensor
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.systems import Signature, Stops, System, integrate
-from dynasindy.systems.steps import Rates, Steps, steps_of
+from dynasindy.systems.steps import Rates, Steps, split_delay, steps_of
 
 DRIFTING = 0.01
 """Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
@@ -355,11 +355,10 @@ class Observer:
             ValueError: It is longer than an observer remembers.
         """
         delay = float(getattr(self.system, "delay", 0.0))
-        whole = int(delay / self.dt + 1e-6)
+        whole, rest = split_delay(delay, self.dt)
         if whole > LONGEST:
             raise ValueError(f"the model's delay is {delay} s, the observer allows {LONGEST * self.dt:g} s; shorten it")
-        rest = delay - whole * self.dt
-        return whole, rest if rest > 1e-6 * self.dt else 0.0
+        return whole, rest
 
     def steps(self, seconds: float) -> Steps:
         """Return the steps by which it passes a part of a control period.

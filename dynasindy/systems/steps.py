@@ -113,6 +113,13 @@ def steps_of(step: float | None, seconds: float, substeps: int, name: str = "the
     return Steps(step, count, True)
 
 
+def split_delay(delay: float, dt: float) -> tuple[int, float]:
+    """Return a delay [s] in whole control periods of dt [s] and the rest [s]."""
+    whole = int(delay / dt + 1e-6)
+    rest = delay - whole * dt
+    return whole, rest if rest > 1e-6 * dt else 0.0
+
+
 @dataclass(frozen=True)
 class Stops:
     """Ends of travel of some positions of a system.
