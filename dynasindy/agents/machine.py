@@ -71,11 +71,6 @@ class _MachineSteps(GradientSteps):
         loss: the loss module, whose networks are `_readable`.
         critics: the optimiser of the critics.
         actor: the optimiser of the actor.
-
-    Raises:
-        FileNotFoundError: there is no compiler.
-        ValueError: the compiler refuses the text.
-        OSError: what the compiler wrote cannot be loaded.
     """
 
     def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
@@ -109,11 +104,7 @@ class _MachineSteps(GradientSteps):
         return [held.data_ptr() for held in self._held], (self.loss.actor_layers, self.loss.critic_layers, *states)
 
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
-        """Take a step of the critics, see `GradientSteps`.
-
-        Raises:
-            ValueError: a tensor of the batch has another shape or kind than the networks take.
-        """
+        """Take a step of the critics, see `GradientSteps`."""
         following = batch.get("next")
         seen, acted = self._tensor(batch, "observation", self.n_obs), self._tensor(batch, "action", self.n_u)
         then, reward = self._tensor(following, "observation", self.n_obs), self._tensor(following, "reward", 1)
@@ -129,11 +120,7 @@ class _MachineSteps(GradientSteps):
         return error, torch.tensor(value.value)
 
     def actor(self, batch: TensorDictBase, check: Check) -> Tensor:
-        """Take a step of the actor, see `GradientSteps`.
-
-        Raises:
-            ValueError: the observation has another shape or kind than the networks take.
-        """
+        """Take a step of the actor, see `GradientSteps`."""
         seen, loss = self._tensor(batch, "observation", self.n_obs), ctypes.c_double()
         given = _Batch(len(seen), seen.data_ptr())
         room = self._place(len(seen))

@@ -195,11 +195,7 @@ class Controller:
             )
 
     def _answer(self, y: Tensor, r: Tensor, slope: Tensor) -> Tensor:
-        """Return the action, `(n_u,)`; estimate and integral stay as they were where it is no number.
-
-        Raises:
-            ValueError: The action, the estimate or the integral is no number.
-        """
+        """Return the action, `(n_u,)`; estimate and integral stay as they were where it is no number."""
         belief, shift = self._belief, self._shift
         integral = None if self._integral is None else self._integral.integral
         try:

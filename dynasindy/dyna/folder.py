@@ -139,11 +139,7 @@ def read_weights(file: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _read(file: Path, wanted: int) -> dict[str, Tensor] | None:
-    """Return the tensors of a file that unpacks to about as many bytes as are wanted, None if it is not one of weights.
-
-    Raises:
-        ValueError: It unpacks to more.
-    """
+    """Return the tensors of a file that unpacks to about as many bytes as are wanted; None of another file."""
     try:
         with zipfile.ZipFile(file) as archive:
             size = sum(entry.file_size for entry in archive.infolist())

@@ -69,11 +69,7 @@ def fit(parts: Components, held_out: Tensor | None = None) -> object:
 
 
 def _added(parts: Components, data: Transitions) -> object:
-    """Fit the world model to its earlier data and to new transitions, and return its report.
-
-    Raises:
-        Diverged: What the model has learnt is not finite.
-    """
+    """Fit the world model to its earlier data and to new transitions, and return its report."""
     report_progress("fit")
     report = parts.world_model.update(data) if len(data) else None  # all of them may have touched a stop
     _require_finite(parts.world_model, math.ceil(len(data) / data.substeps))

@@ -277,10 +277,6 @@ class _Observed:
         names: Names of the observation's entries, in their order.
         states: Names of the states; each is an entry or an angle. Entries that are no state are not read.
         angles: Angle to the names of its sine and its cosine.
-
-    Raises:
-        ValueError: A name is double, a state is neither an entry nor an angle, or an angle is no state, is an entry
-            itself, or has no two entries.
     """
 
     def __init__(

@@ -32,10 +32,6 @@ class _GymControl(gymnasium.Env[Array, Array]):
     Args:
         env: The environment to adapt; its batch size is ().
         render_mode: None or "rgb_array".
-
-    Raises:
-        TypeError: The task does not track a reference.
-        ValueError: The environment is batched or the render mode is unknown.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012 (Gymnasium's name)
@@ -65,11 +61,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
         return self._observed()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Advance by one control period.
-
-        Raises:
-            RuntimeError: The environment was not reset.
-        """
+        """Advance by one control period."""
         if self._steps is None:
             raise RuntimeError("step was called before reset; call reset first")
         u = torch.from_numpy(np.asarray(action, dtype=np.float32)).clamp(-1.0, 1.0)

@@ -155,11 +155,7 @@ class Excitation(TensorDictModuleBase, ABC):
 
 
 def _per_input(value: Levels, n_u: int, what: str) -> Tensor:
-    """Give one number per input, `(n_u,)` float64.
-
-    Raises:
-        ValueError: there are neither one nor `n_u` numbers, or one is not finite.
-    """
+    """Give one number per input, `(n_u,)` float64."""
     values = torch.as_tensor(value if isinstance(value, float | int) else list(value), dtype=torch.float64).reshape(-1)
     if values.numel() not in (1, n_u):
         raise ValueError(

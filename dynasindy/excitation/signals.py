@@ -141,9 +141,6 @@ class _Switching(Excitation):
         dt: control period [s].
         hold: time for which a level is held [s]; None is ten control periods.
         **common: amplitude, offset and seed, see `Excitation`.
-
-    Raises:
-        ValueError: the hold is not positive, or what `Excitation` raises.
     """
 
     def __init__(

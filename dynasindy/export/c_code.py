@@ -362,11 +362,7 @@ class _Filter:
 
     @classmethod
     def of(cls, observer: Observer) -> _Filter:
-        """Return the numbers of an observer.
-
-        Raises:
-            ValueError: Its model is of another kind, its delay too long, or its stops are at states that do not exist.
-        """
+        """Return the numbers of an observer."""
         if not isinstance(observer.model, SindyModel):
             raise ValueError(
                 f"the observer works on a {type(observer.model).__name__}, which is not written in C; fit a SindyModel"

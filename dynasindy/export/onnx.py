@@ -117,9 +117,6 @@ class _ControlStep(nn.Module):
 
     Args:
         controller: Its policy is an actor of `dynasindy.agents`.
-
-    Raises:
-        ValueError: The policy or the model of the observer is of another kind, or has a function without a formula.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -206,9 +203,6 @@ class _Written(System):
 
     Args:
         model: A sparse model.
-
-    Raises:
-        ValueError: It is of another kind, or has a function without a formula.
     """
 
     def __init__(self, model: System) -> None:

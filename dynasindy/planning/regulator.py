@@ -195,9 +195,6 @@ def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> t
         b: `(n_x, n_u)` [1/s].
         dt: sampling time [s].
         step: of the difference equation x + step (a x + b u) that it is [s]; None of a differential equation.
-
-    Raises:
-        ValueError: the sampling time is not made of whole steps of the difference equation.
     """
     if step is not None:
         h, count, _ = steps_of(step, dt, 1)

@@ -227,9 +227,6 @@ def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, 
     """Return mean reward, rows that diverged at zero, and its negative's derivatives.
 
     They are those by states, `(T + 1, rows, n_x)`, and by actions, `(T, rows, n_u)`, None where these cost nothing.
-
-    Raises:
-        TypeError: The reward has no derivative.
     """
     states, u = (values.detach().requires_grad_() for values in (window.states, window.actions))
     free = torch.zeros(states[1:].shape[:-1], dtype=torch.bool)

@@ -256,11 +256,7 @@ class Session:
         return flown
 
     def _require(self, controller: Controller) -> None:
-        """Make sure that a controller is one for this rig.
-
-        Raises:
-            ValueError: It is not.
-        """
+        """Make sure that a controller is one for this rig."""
         mine, theirs = self.wiring.signature, controller.signature
         sensors = controller.observer and controller.observer.sensors.channels
         wanted = set(sensors) if sensors else set(theirs.state_names)
@@ -307,9 +303,6 @@ class Session:
         """Return all logs as one, each a segment; nothing is kept to judge on, as the rig itself is flown next.
 
         A log that is too short, or otherwise none to learn from, is left out with a line that says why.
-
-        Raises:
-            ValueError: Nothing can be learnt from any of them.
         """
         signature = self.wiring.signature
         columns = {
@@ -338,11 +331,7 @@ class Session:
 
 
 def _require_reached(signal: Excitation, levels: Array, signature: Signature) -> None:
-    """Make sure that an excitation, `(N, n_u)`, stays within what the actuators reach.
-
-    Raises:
-        ValueError: It does not.
-    """
+    """Make sure that an excitation, `(N, n_u)`, stays within what the actuators reach."""
     low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
     offset, amplitude = signal.offset.numpy(), signal.amplitude.abs().numpy()
     asked, given = np.stack([offset - amplitude, offset + amplitude]), np.stack([levels.min(0), levels.max(0)])
@@ -375,11 +364,7 @@ def _ends(signature: Signature) -> str:
 
 
 def _grown(signal: Excitation, dt: float) -> Array:
-    """Return the inputs of an excitation in each control period, `(T, n_u)`, as strong as it is by then.
-
-    Raises:
-        ValueError: It lies on top of a feedback.
-    """
+    """Return the inputs of an excitation in each control period, `(T, n_u)`, as strong as it is by then."""
     if signal.gain is not None:
         raise ValueError(
             "excitation.gain is given, and a rig is excited without feedback, since nobody has tried it there yet; "

@@ -197,9 +197,6 @@ class _FarEnd:
         Args:
             periods: How many.
             **settings: Arguments of `SimulatedRig`.
-
-        Raises:
-            ValueError: The other process cannot import what it is to play, such as a class of a notebook.
         """
         try:
             self._here.send((periods, settings))

@@ -55,11 +55,7 @@ class BlackBox(System):
 
 
 def _actuator(name: str, given: Actuator) -> tuple[ActuatorScaling, str]:
-    """Return what an actuator reaches, and its unit.
-
-    Raises:
-        ValueError: It has no two ends in order, rests beyond them, or more is said of it than is known here.
-    """
+    """Return what an actuator reaches, and its unit."""
     keys = ("low", "high", "rest", "unit")
     pairs = given.items() if isinstance(given, Mapping) else zip(keys, given, strict=False)
     said = dict(pairs) if isinstance(given, Mapping) or len(given) == 2 else {}

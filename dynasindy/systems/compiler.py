@@ -57,10 +57,6 @@ def _build_fast(source: Path, library: Path) -> Path:
     Args:
         source: File of C.
         library: File to write.
-
-    Raises:
-        FileNotFoundError: There is no compiler.
-        ValueError: The compiler refuses the source.
     """
     compiled = source.with_suffix(".o")
     plain = [*FAST, "-fPIC", "-c", str(source), "-o", str(compiled)]

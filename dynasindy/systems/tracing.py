@@ -56,11 +56,7 @@ class _Page:
         return _Symbol(self, self._names[formula])
 
     def text(self, value: object) -> str:
-        """Return a symbol or a number as part of a formula.
-
-        Raises:
-            TypeError: It is neither.
-        """
+        """Return a symbol or a number as part of a formula."""
         if isinstance(value, _Symbol):
             return value.name
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -158,11 +154,7 @@ class _Row:
         self.columns = tuple(columns)
 
     def unbind(self, dim: int) -> tuple[_Symbol, ...]:
-        """Return the columns.
-
-        Raises:
-            TypeError: Another dimension is meant.
-        """
+        """Return the columns."""
         if dim != -1:
             raise TypeError(f"unbind({dim}) is not of the last dimension")
         return self.columns
