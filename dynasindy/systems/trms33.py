@@ -40,22 +40,12 @@ def _thrust(w: Tensor, gains: tuple[float, float]) -> Tensor:
 
 
 class Trms33(System):
-    """The Feedback 33-007 rig, for robustness and transfer.
-
-    Args:
-        azimuth_stop: Half range of the azimuth angle [rad].
-        pitch_stop: Half range of the pitch angle [rad].
-        cable_rest: Azimuth angle phi_0 at which the cable is slack [rad].
-
-    Raises:
-        ValueError: A half range is not positive.
-    """
+    """The Feedback 33-007 rig, for robustness and transfer; its cable is slack at the origin."""
 
     machine_code = True
 
-    def __init__(self, azimuth_stop: float = 2.8, pitch_stop: float = 1.0, cable_rest: float = 0.0) -> None:
-        super().__init__(SIGNATURE, beam_stops(azimuth_stop, pitch_stop))
-        self.cable_rest = cable_rest
+    def __init__(self) -> None:
+        super().__init__(SIGNATURE, beam_stops(2.8, 1.0))
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, 6)`, of states `(*batch, 6)` under inputs `(*batch, 2)` in [-1, 1]."""
@@ -74,7 +64,7 @@ class Trms33(System):
             + _thrust(w_t, _THRUST_TAIL) * _LEVER_TAIL * c
             - _F_PHI * dphi
             - _COULOMB_PHI * torch.tanh(20 * dphi)
-            - _CABLE * (phi - self.cable_rest)
+            - _CABLE * phi
             - c * (_I_MAIN * dpsi * dphi * s + torque_m)
         )
         n_psi = (

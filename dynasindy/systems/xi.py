@@ -15,20 +15,12 @@ from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops
 
 
 class Xi(System):
-    """The published sparse model as a plant.
-
-    Args:
-        azimuth_stop: Half range of the azimuth angle [rad].
-        pitch_stop: Half range of the pitch angle [rad].
-
-    Raises:
-        ValueError: A half range is not positive.
-    """
+    """The published sparse model as a plant."""
 
     machine_code = True
 
-    def __init__(self, azimuth_stop: float = 6.0, pitch_stop: float = torch.pi / 2) -> None:
-        super().__init__(SIGNATURE, beam_stops(azimuth_stop, pitch_stop))
+    def __init__(self) -> None:
+        super().__init__(SIGNATURE, beam_stops(6.0, torch.pi / 2))
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, 6)`, of states `(*batch, 6)` under inputs `(*batch, 2)` in [-1, 1]."""

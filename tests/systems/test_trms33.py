@@ -28,7 +28,7 @@ POINTS = [
 ]
 
 
-def lagrange(x, u, slack):
+def lagrange(x, u):
     """Accelerations of azimuth, pitch, tail rotor and main rotor, by SymPy from energies and forces.
 
     The constants are those of Tastemirov, Lecchini-Visintini and Morales (2017). The spin of a rotor in space is its
@@ -43,7 +43,7 @@ def lagrange(x, u, slack):
     product = -(-1.9525e-3 * c + 6.6120e-3 * s) * dphi * dpsi
     spins = 1.7249e-4 * (w_m + c * dphi) ** 2 / 2 + 3.2170e-5 * (w_t + dpsi) ** 2 / 2
     kinetic = body + product + spins
-    potential = -0.25254 * c + 0.15032 * s + 9.8664e-3 * (phi - slack) ** 2 / 2
+    potential = -0.25254 * c + 0.15032 * s + 9.8664e-3 * phi**2 / 2
     state = [*x[:4], *(2 * math.pi / 60 * rpm for rpm in x[4:])]
     tail, main = state[4], state[5]
     drag_t, drag_m = 9.8104e-8 * tail * abs(tail), 4.7815e-7 * main * abs(main)
@@ -69,15 +69,14 @@ def lagrange(x, u, slack):
 
 @pytest.mark.parametrize(("x", "u"), POINTS)
 def test_accelerations_are_those_of_lagranges_equations(x, u):
-    plant = Trms33(cable_rest=0.4)
+    plant = Trms33()
     dx = plant(torch.tensor(x, dtype=torch.float64), torch.tensor(u, dtype=torch.float64)).tolist()
-    turn, lift, tail, main = lagrange(x, u, slack=0.4)
+    turn, lift, tail, main = lagrange(x, u)
     rpm = 60 / (2 * math.pi)
     assert dx == pytest.approx([x[2], x[3], turn, lift, rpm * tail, rpm * main], rel=1e-9)
 
 
-def test_the_cable_is_slack_at_the_origin_and_the_stops_are_those_of_the_rig():
-    assert Trms33().cable_rest == 0.0
+def test_the_stops_are_those_of_the_rig():
     assert (Trms33().stops.low, Trms33().stops.high) == ((-2.8, -1.0), (2.8, 1.0))
 
 
