@@ -142,8 +142,7 @@ def test_measurements_beyond_all_limits_count_as_lost():
     assert np.abs(estimates).max() < 1.0 and estimates[1] == pytest.approx(0.3, abs=1e-3)
 
 
-@pytest.mark.parametrize("disturbance", [False, True])
-@pytest.mark.parametrize("integral", [None, {"band": 0.5}])
+@pytest.mark.parametrize(("disturbance", "integral"), [(False, None), (True, {"band": 0.5})])
 def test_it_flies_as_the_evaluation_does_behind_sensors(disturbance, integral):
     env, policy = setting()
     observer = watching(env, disturbance)

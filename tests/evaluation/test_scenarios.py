@@ -77,9 +77,9 @@ def test_batched_rows_equal_single_runs() -> None:
         error = td["reference"] - td["state"][..., :2]
         return td.set("action", (0.5 * error).clamp(-1, 1))
 
-    batch = evaluate(make(), feedback, Scenario("all", Step(targets), episodes=3))
+    batch = evaluate(make(), feedback, Scenario("all", Step(targets), episodes=3, seconds=5.0))
     for k, target in enumerate(targets):
-        single = evaluate(make(), feedback, Scenario("one", Step([target])))
+        single = evaluate(make(), feedback, Scenario("one", Step([target]), seconds=5.0))
         torch.testing.assert_close(single.outputs[0], batch.outputs[k], atol=1e-5, rtol=0)
 
 
