@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -51,7 +52,8 @@ def test_the_bench_sees_no_rates_and_its_delay_is_in_the_data():
         assert torch.equal(seen["next", "true_state"][0], first)
 
 
-def test_a_case_behind_sensors_tells_errors_inputs_and_consistency():
+def test_a_case_behind_sensors_tells_errors_inputs_and_consistency(monkeypatch):
+    monkeypatch.setattr(gradient, "Scenario", partial(gradient.Scenario, seconds=8.0))
     case = replace(gradient.CASES["bench"], oracle=True)
     recipe = gradient.build_recipe(case, "xi", 0, TINY)
     parts = recipe.build()

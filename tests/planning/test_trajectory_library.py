@@ -123,7 +123,8 @@ def test_gains_along_a_way_are_those_of_the_riccati_recursion():
         np.testing.assert_allclose(values[i].numpy(), p, rtol=5e-3, atol=5e-3)
 
 
-def test_a_plant_that_nothing_lifts_has_no_ways():
+def test_a_plant_that_nothing_lifts_has_no_ways(monkeypatch):
+    monkeypatch.setattr(trajectory_library, "LENGTHS", (20, 40))
     env, rests = setting(pull=0.02)
     assert TrajectoryLibrary.of(env, rests, torch.Generator().manual_seed(0))[0] is None
 
