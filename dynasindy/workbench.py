@@ -27,8 +27,7 @@ from __future__ import annotations
 import copy
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -42,9 +41,8 @@ from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.arguments import as_arguments, as_warning
 from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.evaluation.equations import describe_model
+from dynasindy.evaluation.equations import equation_findings
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.forecast_errors import forecast_errors
 from dynasindy.evaluation.identification import LoggedData
@@ -52,12 +50,21 @@ from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.period import as_planned, other_period, suited_period
 from dynasindy.evaluation.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.evaluation.scenarios import Scenario, step_references
+from dynasindy.evaluation.signal_resolution import low_signal_states, resolved_errors
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.tracking_criteria import WITHIN
-from dynasindy.evaluation.verdict import beyond, doubts, uncontrolled_outputs, unlogged
+from dynasindy.evaluation.verdict import (
+    inputs_beyond_log,
+    linear_better,
+    require_controlled,
+    runs_away,
+    shortcoming,
+    targets_beyond_log,
+)
+from dynasindy.findings import Finding
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.plan_settings import find_task_equilibria, unheld
+from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
 from dynasindy.progress import reporting_as
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
@@ -65,7 +72,7 @@ from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
-from dynasindy.systems import Diverged, Signature
+from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -77,19 +84,6 @@ HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
 
 
-@contextmanager
-def _arguments_named() -> Iterator[None]:
-    """Name arguments, and not settings of the scripts, in what is raised."""
-    try:
-        yield
-    except (ValueError, TypeError, FileNotFoundError, Diverged) as error:
-        told = as_arguments(str(error)).replace("data=csv got", "read got").replace("mend planning", "mend these")
-        if told == str(error):
-            raise
-        raise type(error)(told) from error
-
-
-@_arguments_named()
 def read(
     path: str | Path | Sequence[str | Path],
     states: Mapping[str, Any] | Sequence[str] | None = None,
@@ -111,7 +105,7 @@ def read(
             it, and `forecast` can promise nothing.
 
     Returns:
-        Both parts, the signature, and notes on what was skipped or resampled.
+        Both parts, the signature, and `findings` on what was skipped or resampled.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -121,18 +115,15 @@ def read(
     for given in (states, inputs):
         columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
     files = str(path) if isinstance(path, str | Path) else list(map(str, path))
-    source = Source.of(LoggedData(files, columns[0], columns[1], time, dt).recording(None), validation_share)
-    return replace(source, notes=tuple(map(as_arguments, source.notes)))
+    return Source.of(LoggedData(files, columns[0], columns[1], time, dt).recording(None), validation_share)
 
 
-@_arguments_named()
 def identify(
     log: Source,
     library: str | Sequence[str] | LibraryBuilder = "auto_rig",
     known: Mapping[str, str] | None = None,
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float | None = None,
-    tell: Callable[[str], None] | None = None,
     time: Literal["continuous", "discrete"] = "continuous",
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
@@ -149,15 +140,13 @@ def identify(
             added as `angle_rate`; `{}` adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
-        tell: Called before the fit with a line, in the words of the commands, for each rate that was added, that is
-            missing, or that is in other units than its state, and after it for what of delay, dry friction, springs,
-            dead zones and saturations is in the equations. If omitted, the lines before the fit are warnings, and the
-            others are not said.
         time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
             time of the log, for what moves in steps: all states have to be in the log.
 
     Returns:
-        The model; `equations()` shows it, `save` keeps it.
+        The model; `equations()` shows it, `save` keeps it, and `findings` holds what was found before the fit, by it,
+        and of delay, dry friction, springs, dead zones and saturations in the equations. What is weak or wrong before
+        the fit is a warning, too.
 
     Raises:
         ValueError: The data or the library do not allow a fit, or a rate that is known is in other units than its
@@ -171,19 +160,16 @@ def identify(
     source = source.with_rates(rates)
     require_consistent_rates(source.training, source.signature, rates, partial(_read_scaled, log.signature))
     model = build(signature=source.signature, known=rates)
-    for line in (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source))):
-        if tell is None:
-            warnings.warn(as_warning(line), stacklevel=3)  # past the context manager
-        else:
-            tell(line)
+    before = (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source)))
+    for each in before:
+        if each.severity != "note":
+            warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source)
-    if tell is not None:
-        for line in describe_model(found.model, found.report):
-            tell(f"found: {line}")
+    content = (*equation_findings(found.model, found.report), *found.hidden)
+    found.model.findings = (*before, *found.report.findings, *content)
     return found.model
 
 
-@_arguments_named()
 def plan(
     model: SindyModel,
     task: Tracking | Mapping[str, tuple[float, float]],
@@ -220,8 +206,7 @@ def plan(
         raise ValueError(
             f"the model's inputs act {model.delay:.3g} s late, which only an observer makes up for; give log="
         )
-    if still := uncontrolled_outputs(model, task.output_names):
-        raise ValueError(still)
+    require_controlled(model, task.output_names)
     if log is not None:
         log = log.with_states_of(model)
         if task.ends is not None:
@@ -306,14 +291,27 @@ def forecast(
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
     found = predict(models, env, policy, scenario, sensing, within)
-    forecasts = forecast_errors(model, log.training, log.validation)
-    told = [] if forecasts is None else doubts(forecasts, model.signature)
+    doubts = _doubts(model, log, LONGEST * controller.dt)
     if found.shown is not None:
-        told += beyond(model, log.training.u, found.shown.inputs.flatten(0, -2))
+        doubts += inputs_beyond_log(model, log.training.u, found.shown.inputs.flatten(0, -2))
     if setup.task.ends is not None:
         targets = dict(zip(controller.outputs, zip(*setup.task.ends, strict=True), strict=True))
-        told += unlogged(model, log.training.x, targets)
-    return _advised(replace(found, doubts=tuple(told), unheld=never), controller, model, log)
+        doubts += targets_beyond_log(model, log.training.x, targets)
+    return _advised(replace(found, doubts=tuple(doubts), unheld=never), controller, model, log)
+
+
+def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
+    """Return why a model promises nothing over the time that a plan looks ahead, though refits may agree with it.
+
+    That no model predicts a plant for long that runs away by itself is no doubt.
+    """
+    quiet = low_signal_states(log.training, rate_states(model.library, model.constraints))
+    forecasts = resolved_errors(forecast_errors(model, log.training, log.validation), quiet)
+    if forecasts is None:
+        return []
+    short = shortcoming(forecasts, model.signature, min(seconds, forecasts.characteristic))
+    lacking = [short] if short and not runs_away(forecasts, model.signature) else []
+    return [*lacking, *(each for each in linear_better(forecasts, model.signature) if each.severity == "wrong")]
 
 
 def _advised(found: Forecast, controller: Controller, model: SindyModel, log: Source | None) -> Forecast:
@@ -349,12 +347,12 @@ def tracking_task(model: SindyModel, targets: Mapping[str, tuple[float, float]])
     return Tracking(model.signature, RandomStep(low, high), list(targets), rates, reward, low=low, high=high)
 
 
-def _read_scaled(signature: Signature, wrong: Mismatch) -> str:
-    """Return the words that read a rate in the unit of its state."""
+def _read_scaled(signature: Signature, wrong: Mismatch) -> dict[str, Any]:
+    """Return the column map that reads a rate in the unit of its state."""
     unit = unit_of_rate(signature.state_units[signature.state_index(wrong.state)])
-    columns: dict[str, object] = {name: name for name in signature.state_names}
+    columns: dict[str, Any] = {name: name for name in signature.state_names}
     columns[wrong.rate] = {"name": wrong.rate, "unit": unit, "scale": float(f"{wrong.likely:.7g}")}
-    return f"give read(states={columns})"
+    return columns
 
 
 def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:

@@ -27,11 +27,12 @@ def main(cfg: DictConfig) -> None:
 
     from dynasindy.checking import ClosedLoop, Plant, Settings, check, check_verdict
     from dynasindy.checking.closed_loop import step_for
-    from dynasindy.checking.verdict import check_record, in_figures, in_lines, in_short, unstable_targets
+    from dynasindy.checking.verdict import check_record, main_figures, unstable_targets
     from dynasindy.dyna import Stopped
     from dynasindy.export.write import Exported
     from dynasindy.progress import say
     from dynasindy.safe_io import add_to_json, output_folder, write_json
+    from dynasindy.sentences import check_lines
     from dynasindy.viz.check import draw_check
     from dynasindy.viz.style import save_figures
 
@@ -61,12 +62,11 @@ def main(cfg: DictConfig) -> None:
     (folder / STOPPED).unlink(missing_ok=True)
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
-        add_to_json(metrics, "check", in_figures(found, findings))
+        add_to_json(metrics, "check", main_figures(found, findings))
     save_figures(draw_check(found), folder)
     say(
         "What the model predicts; the plant itself was not asked.",
-        *in_lines(findings),
-        in_short(found, findings),
+        *check_lines(findings),
         f"Files: {folder}",
     )
     if bool(unstable_targets(found).any()):
@@ -81,7 +81,7 @@ def _keep(found: Check, file: Path) -> str:
 
     findings = check_verdict(found)
     write_json(file, check_record(found, findings))
-    weak = [each.name for each in findings if each.weak]
+    weak = [each.code for each in findings if each.severity != "note"]
     of_them = f"weak in {', '.join(weak)}" if weak else "none of them weak"
     count = f"{len(findings)} finding{'s' * (len(findings) > 1)}"
     return (

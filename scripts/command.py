@@ -28,6 +28,7 @@ from sweep import Sweep, note_end
 import dynasindy
 from dynasindy.dyna import Stopped
 from dynasindy.safe_io import write_text
+from dynasindy.sentences import use_command_words
 
 PACKAGE = Path(dynasindy.__file__).parent
 PROGRESS = ExitStack()
@@ -55,6 +56,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         elif not Sweep.here:
             end_with_parent()
             listen(stop)
+        use_command_words()
         output = Path(HydraConfig.get().runtime.output_dir)
         swept = HydraConfig.get().mode == RunMode.MULTIRUN
         with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name, cfg):

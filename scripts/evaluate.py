@@ -23,6 +23,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
+    from dynasindy.sentences import lines
     from dynasindy.viz.animation import animate
     from dynasindy.viz.controllers import name_by_planning
     from dynasindy.viz.response import draw_evaluation
@@ -47,7 +48,7 @@ def main(cfg: DictConfig) -> None:
         if cfg.animate:
             animate(result, out / f"{scenario.name}.gif")
         table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
-        say(table, *beyond_targets(result), "")
+        say(table, *lines(beyond_targets(result)), "")
     say(f"Figures, tables and trajectories: {out}")
 
 

@@ -28,6 +28,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.evaluation.identification import identify_source
     from dynasindy.evaluation.identification_report import to_words, write_identification
     from dynasindy.progress import report_progress, say, width
+    from dynasindy.sentences import lines
 
     torch.set_num_threads(cfg.threads)
     if cfg.data.get("path") and cfg.get("sensors") is not None:
@@ -39,15 +40,15 @@ def main(cfg: DictConfig) -> None:
         # refuses functions before the plant moves
         instantiate(cfg.world_model, _convert_="all")(signature=system.signature)
     report_progress("data")
-    source, told = loaded(cfg)
+    source, added = loaded(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
     before = before_fit(model, source)
-    if told := [*told, *before.lines]:
-        say(*told)
+    findings = [*added, *before.findings]
+    say(*lines(findings))
     found = identify_source(model, source, cfg.horizons)
     known = plants_with(source.signature) if source.logged and system is None else []
     source = found.source
-    write_identification(found, source, folder, told)
+    write_identification(found, source, folder, findings)
     draw(found, source, folder, list(cfg.formats))
     steps = [following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)]
     steps += [with_ends(HydraConfig.get().overrides.task, source.ends)] if source.ends else []
@@ -69,7 +70,6 @@ def following(cfg: DictConfig, found: Identified, known: Sequence[str], rates: M
     from next_steps import planning, with_plant, with_rates
     from omegaconf import OmegaConf
 
-    from dynasindy.evaluation.before_fit import rate_setting
     from dynasindy.evaluation.period import closest_period
     from dynasindy.evaluation.targets import targets_like
 
@@ -79,7 +79,7 @@ def following(cfg: DictConfig, found: Identified, known: Sequence[str], rates: M
         others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
         return f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"
     if set(rates) - set(told):
-        return f"{with_rates(words, rate_setting(rates))}  # identifies again, with the rates that the log lacks"
+        return f"{with_rates(words, rates)}  # identifies again, with the rates that the log lacks"
     does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
     keys = ("outputs", "low", "high")
     given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}

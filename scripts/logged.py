@@ -19,14 +19,16 @@ from omegaconf import DictConfig, OmegaConf
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
 from dynasindy.evaluation.before_fit import with_missing_rates
-from dynasindy.evaluation.period import PERIOD, closest_period, sampled_in_words, suited_period
-from dynasindy.evaluation.signal_resolution import describe_low_signal_targets
+from dynasindy.evaluation.period import PERIOD, closest_period, sampled, suited_period
+from dynasindy.evaluation.signal_resolution import low_signal_targets
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.evaluation.tracking_criteria import WITHIN
+from dynasindy.findings import Finding
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
+from dynasindy.sentences import line, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
@@ -41,17 +43,19 @@ class Prepared:
         planning: Settings of the planning.
         source: The log; None where a model is given without one.
         parts: What a plan is made of, by the group of its settings.
-        told: What is said of the data, in lines.
+        targets: What is to be held, in words.
+        findings: What was found of the data before the fit.
     """
 
     planning: Mapping[str, object]
     source: Source | None
     parts: Mapping[str, Any]
-    told: Sequence[str]
+    targets: str
+    findings: Sequence[Finding]
 
 
-def loaded(cfg: DictConfig) -> tuple[Source, list[str]]:
-    """Return the data of a config, and what is told of them, in lines.
+def loaded(cfg: DictConfig) -> tuple[Source, list[Finding]]:
+    """Return the data of a config, and what was added to them.
 
     Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
     `plant.known`.
@@ -65,8 +69,8 @@ def loaded(cfg: DictConfig) -> tuple[Source, list[str]]:
     if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:
         return source, []
     build = instantiate(cfg.world_model, _convert_="all")
-    source, cfg.plant.known, told = with_missing_rates(build, source, None)
-    return source, told
+    source, cfg.plant.known, added = with_missing_rates(build, source, None)
+    return source, added
 
 
 def prepared(cfg: DictConfig) -> Prepared:
@@ -76,22 +80,23 @@ def prepared(cfg: DictConfig) -> Prepared:
         cfg: The settings. `plant.known` and `plant.rates` are written into them where nobody gave them.
     """
     planning = _required(cfg)
-    source, told = loaded(cfg) if cfg.get("data") is not None else (None, [])
+    source, findings = loaded(cfg) if cfg.get("data") is not None else (None, [])
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))
     if "rates" not in cfg.plant:  # nor where they are to be given
         rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
         OmegaConf.update(cfg, "plant.rates", rates, force_add=True)
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
+    held = ""
     if source is not None:
         targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
         parts["task"](signature=given.signature if given else source.signature)
         if given is None:  # one that is given has its own library
             parts["world_model"](signature=source.signature)
-        quiet = describe_low_signal_targets(source.training, source.signature, targets)
+        findings = [*findings, *low_signal_targets(source.training, source.signature, targets)]
         require_radians(source, targets)
-        told = [in_words(source.signature, targets), *told, *filter(None, [quiet and f"note: {quiet}"])]
-    return Prepared(planning, source, parts, told)
+        held = in_words(source.signature, targets)
+    return Prepared(planning, source, parts, held, findings)
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
@@ -107,7 +112,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         say(f"finished before: {folder}")
         return before
     dt, why = _asked(cfg, source)
-    say(f"Run folder: {folder}", *begun.told, *why)
+    say(f"Run folder: {folder}", *filter(None, [begun.targets]), *lines([*begun.findings, *why]))
     with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
         model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
@@ -119,7 +124,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         period = suited_period(model, task, source)
         dt = period.seconds
         if period.why:
-            say(f"note: {period.why}")
+            say(line(period.why))
     within = cfg.evaluation.get("within", WITHIN)
     wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, begun.planning)
     again = planning_on(folder / "model.json", HydraConfig.get().overrides.task)
@@ -137,15 +142,15 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     return prediction.record()
 
 
-def _asked(cfg: DictConfig, source: Source | None) -> tuple[float | None, list[str]]:
-    """Return the control period that was asked for, if any, and why it is another one, in a line at most."""
+def _asked(cfg: DictConfig, source: Source | None) -> tuple[float | None, list[Finding]]:
+    """Return the control period that was asked for, if any, and why it is another one, if it is."""
     words = HydraConfig.get().overrides.task
     if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
         return None, []
     dt = closest_period(source, cfg.env.dt)
     if source is None or dt == cfg.env.dt:
         return dt, []
-    return dt, [f"note: {sampled_in_words(dt, cfg.env.dt, source.training.dt)}"]
+    return dt, [sampled(dt, cfg.env.dt, source.training.dt)]
 
 
 @contextmanager

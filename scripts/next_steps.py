@@ -115,26 +115,33 @@ def with_plant(words: Sequence[str], plant: str) -> str:
     return _command("identify", [f"system={plant}", *_without(words, ("folder", "hydra", "system"))])
 
 
-def with_rates(words: Sequence[str], known: str) -> str:
+def with_rates(words: Sequence[str], known: Mapping[str, str]) -> str:
     """Return the command that identifies the same log again, with the rates that it lacks.
 
     Args:
         words: What the user gave.
-        known: The word that says all rates, those that were given too.
+        known: The rate of each state, those that were given too.
     """
-    return _command("identify", [*_without(words, ("folder", "hydra", "plant.known")), known])
+    return _command("identify", [*_without(words, ("folder", "hydra", "plant.known")), *_words("plant.known", known)])
 
 
-def with_ends(words: Sequence[str], ends: str) -> str:
+def with_ends(words: Sequence[str], ends: Mapping[str, object]) -> str:
     """Return the command that identifies the same log again, with the ends of its actuators, which are to be corrected.
 
     Args:
         words: What the user gave.
-        ends: The word that gives the ends as the log shows them, quoted for a shell.
+        ends: Column map of the inputs with the ends as the log shows them.
     """
     kept = _without(words, ("folder", "hydra", "data.inputs"))
     asked = "are these the ends of the actuators? They are guessed from the log; put in the true ones"
-    return f"{_command('identify', [*kept, *shlex.split(ends)])}  # {asked}"
+    return f"{_command('identify', kept + _words('data.inputs', ends))}  # {asked}"
+
+
+def _words(key: str, value: Mapping[str, object]) -> list[str]:
+    """Return a setting as a word of the command line."""
+    from dynasindy.sentences import setting
+
+    return shlex.split(setting(key, value))
 
 
 def _without(words: Sequence[str], keys: Sequence[str]) -> list[str]:

@@ -1,6 +1,5 @@
 """From a log to a controller in three calls, tried on the plant that the log is of."""
 
-import ast
 import copy
 import math
 import re
@@ -20,6 +19,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
+from dynasindy.findings import FindingError, LogError, note, weak, wrong
 from dynasindy.progress import listening
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
@@ -56,9 +56,9 @@ def test_a_log_is_read_with_its_units_and_gaps(log):
     assert log.training.x[:, 1].isnan().all()
 
 
-def test_what_the_equations_hold_is_told_after_the_fit(write_log, tmp_path):
+def test_what_the_equations_hold_is_found(write_log, tmp_path):
     """A shaft with dry friction, v' = 10 u - v - 2 tanh(20 v), sampled every 0.01 s."""
-    time, told = np.arange(600) * 0.01, []
+    time = np.arange(600) * 0.01
     u, v = 0.8 * np.sign(np.sin(2 * np.pi * 0.7 * time)), [0.0]
     for held in u:
         now = v[-1]
@@ -67,12 +67,14 @@ def test_what_the_equations_hold_is_told_after_the_fit(write_log, tmp_path):
         v.append(now)
     columns = (torch.tensor(each).unsqueeze(-1) for each in (v[:-1], u.tolist()))
     log = dynasindy.read(write_log(tmp_path / "log.csv", ["v [rad/s]", "u"], *columns))
-    found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], longest_delay=0.0, tell=told.append)
+
+    def content(model):
+        return [each for each in model.findings if each.code.startswith("model.")]
+
+    found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], longest_delay=0.0)
     assert found.coefficients[found.library.index("tanh(20 v)"), 0].item() == pytest.approx(-2, rel=0.05)
-    assert told == ["found: v' has dry friction"]
-    told.clear()
-    dynasindy.identify(log, ["u", "v", "v^3"], longest_delay=0.0, tell=told.append)
-    assert told == []
+    assert content(found) == [note("model.dry_friction", state="v")]
+    assert content(dynasindy.identify(log, ["u", "v", "v^3"], longest_delay=0.0)) == []
 
 
 def test_the_equations_are_those_of_the_pendulum(model):
@@ -143,8 +145,9 @@ def test_an_output_that_no_input_moves_is_refused(model):
     """The pendulum's equations without their input swing on, whatever is commanded."""
     still = copy.deepcopy(model)
     still.coefficients[model.library.names.index("u")] = 0.0
-    with pytest.raises(ValueError, match=r"no input moves theta.*every input change often"):
+    with pytest.raises(FindingError) as error:
         dynasindy.plan(still, {"theta": (-0.5, 0.5)})
+    assert error.value.finding == wrong("model.uncontrolled", outputs=["theta"])
 
 
 def test_a_control_period_fits_the_log(log, model):
@@ -266,7 +269,9 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
     assert limited.shown.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
     free = replace(controller.setup, task=controller.setup.task.with_input_limits([[-1.0], [1.0]]))
     (said,) = forecast(Controller(full, free), bent, exact, STILL).doubts
-    assert said.startswith("flights take u from 1 to 1, the log tells of") and "plan with the log" in said
+    assert (said.code, said.severity) == ("forecast.beyond_inputs", "wrong")
+    ends = [said.values[name] for name in ("low", "high", "least", "most")]
+    assert said.values["input"] == "u" and ends == pytest.approx([1, 1, *wanted])
 
 
 def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
@@ -299,21 +304,20 @@ def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, wri
     controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log, **SHORT)
     assert model.signature.input_ends == controller.signature.input_ends == ((0.0, 12.0),)
     alone = dynasindy.read(path, inputs=["motor"])
-    (told,) = re.findall(r"read\(inputs=(.*)\)", repr(alone))
-    again = dynasindy.read(path, inputs=ast.literal_eval(told))
+    assert f"read(inputs={alone.ends})" in repr(alone)
+    again = dynasindy.read(path, inputs=alone.ends)
     assert again.signature.input_ends[0] == pytest.approx(alone.signature.input_ends[0], rel=1e-5)
 
 
 def test_targets_that_no_input_holds_are_told(model):
     """A motor of 4 rad/s^2 holds the pendulum up to asin(4 / 9.81) = 0.42 rad; 0.6 rad take 9.81 sin(0.6) / 4 of it."""
-    weak = copy.deepcopy(model)
-    drive = weak.coefficients[model.library.names.index("u")]
+    feeble = copy.deepcopy(model)
+    drive = feeble.coefficients[model.library.names.index("u")]
     drive[drive != 0] = 4.0
-    told = held_with(None, weak).summary()
-    assert "no input within [-1, 1] was found that holds" in told and "a smaller range of targets" in told
-    span = re.search(r"theta from (\S+) to ([\d.]+)", told)
+    (told,) = (each for each in held_with(None, feeble).findings if each.code != "forecast.errors")
+    assert (told.code, told.severity) == ("forecast.unheld", "wrong")
+    span = re.search(r"theta from (\S+) to ([\d.]+)", told.values["targets"])
     assert -float(span[1]) == pytest.approx(math.asin(4 / 9.81), abs=0.03) and float(span[2]) < 0.45
-    assert "longer plan" not in told
 
 
 def test_the_package_says_what_it_has():
@@ -330,13 +334,8 @@ def angle_alone(source):
 
 def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
     """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, out of theta alone."""
-    added = r"^what theta will do depends on its rate, which the log lacks.*identify\(known=\{'theta': 'theta_rate'\}\)"
-    with pytest.warns(UserWarning, match=added) as warned:
-        model = dynasindy.identify(angle_alone(exact))
-    assert [warning.filename for warning in warned] == [__file__]  # where the user called it
-    told = []
-    dynasindy.identify(angle_alone(exact), method="one_step", tell=told.append)
-    assert len(told) == 1 and "'plant.known={theta: theta_rate}' had been given" in told[0]
+    model = dynasindy.identify(angle_alone(exact))
+    assert model.findings[0] == note("fit.rates_added", known={"theta": "theta_rate"})
     assert model.signature.state_names == ("theta", "theta_rate")
     theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
     with torch.no_grad():
@@ -358,7 +357,7 @@ def test_lost_samples_change_no_equation(exact, only, share):
     """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, where samples are missing."""
     log = lossy(angle_alone(exact) if only else exact, share)
     assert bool(log.training.x.isnan().any())
-    model = dynasindy.identify(log, known=None if only else {"theta": "Omega"}, tell=lambda line: None)
+    model = dynasindy.identify(log, known=None if only else {"theta": "Omega"})
     theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
     with torch.no_grad():
         found = model(exact.training.x, exact.training.u)
@@ -368,42 +367,44 @@ def test_lost_samples_change_no_equation(exact, only, share):
 
 
 def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exact):
-    alone = angle_alone(exact)
-    told = r"^what theta will do depends on its rate.* Give identify\(known=\{'theta': 'theta_rate'\}\)"
+    alone, told = angle_alone(exact), weak("fit.rates_missing", states=["theta"], known={"theta": "theta_rate"})
     for words in ({"known": {}}, {"library": ["1", "theta", "u", "sin(theta)"]}):
-        with pytest.warns(UserWarning, match=told):
-            assert dynasindy.identify(alone, **words).signature.state_names == ("theta",)
+        with pytest.warns(UserWarning, match=f"^{re.escape(str(told))}$") as warned:
+            model = dynasindy.identify(alone, **words)
+        assert [warning.filename for warning in warned] == [__file__]  # where the user called it
+        assert model.signature.state_names == ("theta",) and model.findings[0] == told
 
 
 def test_a_rate_in_other_units_is_refused_where_it_is_known_and_else_told(exact):
     """The pendulum's angle in degrees, beside its rate in rad/s; neither is told of in one unit."""
     t, degrees = exact.training, torch.tensor([180 / math.pi, 1.0])
-    wrong = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
-    told = r"^Omega does not fit theta, .* is 57\.3 times Omega; degrees beside rad/s\?"
-    with pytest.warns(UserWarning, match=told):
-        dynasindy.identify(wrong, WORDS, {}, "one_step")
-    with pytest.raises(ValueError, match=r"^Omega was given as the rate of theta.* \(degrees beside rad/s") as error:
-        dynasindy.identify(wrong, WORDS, {"theta": "Omega"}, "one_step")
-    given = re.search(r"read\(states=(\{.*\})\)", str(error.value))
-    assert ast.literal_eval(given[1])["Omega"]["scale"] == pytest.approx(180 / math.pi)
+    mixed = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
+    with pytest.warns(UserWarning, match=r"degrees beside rad/s\?"):
+        told = dynasindy.identify(mixed, WORDS, {}, "one_step").findings[0]
+    assert (told.code, told.severity) == ("log.unit_of_rate", "weak")
+    assert told.values["factor"] == pytest.approx(180 / math.pi, rel=1e-3)
+    with pytest.raises(LogError) as error:
+        dynasindy.identify(mixed, WORDS, {"theta": "Omega"}, "one_step")
+    told = error.value.finding
+    assert (told.code, told.values["cause"]) == ("log.rate_units", "degrees beside rad/s")
+    assert told.values["states"]["Omega"]["scale"] == pytest.approx(180 / math.pi)
     turned = Source.of(Recording(t, replace(exact.signature, state_names=("Omega", "theta"))))
-    with pytest.raises(ValueError, match=r"theta is the rate of Omega; give identify\(known=\{'Omega': 'theta'\}\)"):
+    with pytest.raises(LogError) as error:
         dynasindy.identify(turned, WORDS, {"theta": "Omega"}, "one_step")
+    told = error.value.finding
+    assert (told.code, told.values["known"]) == ("log.rate_exchanged", {"Omega": "theta"})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
 
 
-def test_errors_name_arguments_and_no_settings_of_scripts(tmp_path, exact):
+def test_errors_of_logs_name_arguments_and_no_settings_of_scripts(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"correct path$"):
         dynasindy.read(tmp_path / "data.csv")
     (tmp_path / "data.csv").write_text("time,angle,torque\n0,1,5\n1,2,6\n")
-    with pytest.raises(ValueError, match=r"data\.csv has .*: say which is which, by time, inputs and states"):
+    with pytest.raises(LogError, match=r", by time, inputs and states\.") as error:
         dynasindy.read(tmp_path / "data.csv")
-    with pytest.raises(ValueError, match=r"^inputs names 'force'; .*data\.csv has angle, torque: name columns of the"):
+    assert error.value.finding.code == "log.no_roles"
+    with pytest.raises(LogError, match=r"^inputs names 'force'") as error:
         dynasindy.read(tmp_path / "data.csv", inputs=["force"])
-    with pytest.raises(ValueError, match=r"choose one of them in library, or in libraries for a source"):
-        dynasindy.identify(exact, "polynomials")
-    model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
-    with pytest.raises(ValueError, match=r"window=0; these must be positive: mend these$"):
-        dynasindy.plan(model, {"theta": (-0.6, 0.6)}, window=0)
+    assert error.value.finding.values["columns"] == ["angle", "torque"]

@@ -8,12 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.columns import Column, columns_of
 from dynasindy.data.headings import split_unit, units_of
+from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
 from dynasindy.systems.base import WHOLE, Signature
 
@@ -27,18 +29,18 @@ WIDE = 20.0
 
 
 def reaches(
-    path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, notes: list[str]
-) -> tuple[list[ActuatorScaling], str]:
-    """Return what each input reaches and what becomes 0 and 1 of it, and note it.
+    path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, findings: list[Finding]
+) -> tuple[list[ActuatorScaling], dict[str, dict[str, Any]] | None]:
+    """Return what each input reaches and what becomes 0 and 1 of it, and the findings on it.
 
-    Beside it stand the words that give these ends, empty where nobody has to say whether they are right.
+    Beside it stands the column map that gives these ends, None where nobody has to say whether they are right.
 
     Args:
         path: The file, for messages.
         u: Inputs in their own units, `(N, n_u)`.
         inputs: Their columns by name, with the ends that the user gave.
         into_range: Whether an input that goes beyond [-1, 1] has the ends of its range where none were given.
-        notes: Sentences on what was read; those on inputs are added.
+        findings: What was decided; that of inputs is added.
 
     Raises:
         ValueError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
@@ -47,37 +49,32 @@ def reaches(
     sided: dict[str, ActuatorScaling] = {}
     for (name, given), column in zip(inputs.items(), u.T, strict=True):
         if np.ptp(column) == 0:
-            raise ValueError(
-                f"{path}: input {name} is constant at {column[0]:g}; allowed is an input that moves: excite it, or "
-                "leave it out of `inputs`"
-            )
-        notes += _two_levels(name, column)
+            raise LogError("log.still_input", file=path, input=name, value=float(column[0]))
+        ends = {"input": name, "least": float(column.min()), "most": float(column.max())}
+        if not ((column != ends["least"]) & (column != ends["most"])).any():
+            findings.append(weak("log.two_levels", input=name, low=ends["least"], high=ends["most"]))
         found[name] = _range_of(column) if into_range else PLAIN
         if given.low is not None and given.high is not None:
             found[name] = ActuatorScaling.of(given.low, given.high, given.rest)
             _require_within(path, name, column, found[name])
-            notes += _too_wide(name, column, found[name])
+            findings += _too_wide(column, found[name], ends)
         if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
-            notes.append(
-                f"input {name} goes from {column.min():g} to {column.max():g}, beyond the [-1, 1] of a plant's inputs; "
-                "the model holds for these numbers, or give its ends, low and high, in data.inputs"
-            )
+            findings.append(weak("log.beyond_ends", **ends))
         elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
             sided[name] = ActuatorScaling.of(0.0, 1.0) if column.max() > 0 else ActuatorScaling.of(-1.0, 0.0)
     words = _words(inputs, found | sided)
-    notes += [
-        f"input {name} goes from {column.min():g} to {column.max():g}; its actuator is taken to reach from -1 to 1. If "
-        f"it does not, as a valve from 0 to 1, say so: {words}"
+    findings += [
+        note("log.one_sided", input=name, least=float(column.min()), most=float(column.max()), inputs=words)
         for name, column in zip(inputs, u.T, strict=True)
         if name in sided
     ]
-    notes += [_told(name, inputs[name], reach) for name, reach in found.items() if reach != PLAIN]
+    for name, reach in found.items():
+        if reach != PLAIN:
+            scale = {"rest": reach.rest, "one": reach.rest + reach.unit, "low": reach.low, "high": reach.high}
+            findings.append(note("log.scaled", input=name, unit=inputs[name].unit, **scale))
     if of_log := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
-        notes.append(
-            "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: 1 keeps the "
-            f"numbers as they are: {words}"
-        )
-    return list(found.values()), words if sided or of_log else ""
+        findings.append(note("log.guessed_ends", inputs=words))
+    return list(found.values()), words if sided or of_log else None
 
 
 def with_actuator_ranges(
@@ -178,55 +175,29 @@ def _require_within(path: str, name: str, values: Array, reach: ActuatorScaling)
     low, high, least, most = reach.low, reach.high, float(values.min()), float(values.max())
     beyond = max(low - least, most - high)
     if reach != PLAIN and beyond > ROUNDED * (high - low) / 2:
-        raise ValueError(
-            f"{path}: input {name} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
-            f"{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit"
-        )
+        raise LogError("log.input_ends", file=path, input=name, low=low, high=high, least=least, most=most)
 
 
-def _too_wide(name: str, values: Array, reach: ActuatorScaling) -> list[str]:
+def _too_wide(values: Array, reach: ActuatorScaling, ends: Mapping[str, Any]) -> list[Finding]:
     """Ask whether ends are right of which a log uses hardly anything."""
-    least, most = float(values.min()), float(values.max())
-    if reach.high - reach.low < WIDE * (most - least):
+    share = float(np.ptp(values)) / (reach.high - reach.low)
+    if share * WIDE > 1:
         return []
-    return [
-        f"input {name} was given low {reach.low:g} and high {reach.high:g}, and its column goes from {least:.6g} to "
-        f"{most:.6g} only, {100 * (most - least) / (reach.high - reach.low):.1g} % of that; check that both are in one "
-        "unit. What a model says so far beyond a log is a guess: log more of the range, or give narrower ends"
-    ]
+    return [weak("log.hardly_moved", low=reach.low, high=reach.high, percent=100 * share, **ends)]
 
 
-def _two_levels(name: str, values: Array) -> list[str]:
-    """Say that an input of two levels, as a relay or a random binary signal has, tells nothing of those between."""
-    low, high = float(values.min()), float(values.max())
-    if ((values != low) & (values != high)).any():
-        return []
-    return [
-        f"the log shows only two levels of input {name}, {low:g} and {high:g}, so nothing is known of the values "
-        "between them, which a controller uses. Log some of these, too; where the actuator can only switch, pulse it "
-        "and log the share of the time that it is on"
-    ]
-
-
-def _told(name: str, column: Column, reach: ActuatorScaling) -> str:
-    """Say what 0 and 1 are of an input, and between which ends it is set."""
-    unit = "" if column.unit == "-" else f" {column.unit}"
-    return (
-        f"{name} is taken into [-1, 1], where planning needs it: 0 is {reach.rest:.6g}{unit}, 1 is "
-        f"{reach.rest + reach.unit:.6g}{unit}; a controller keeps it from {reach.low:.6g} to {reach.high:.6g}{unit}"
-    )
-
-
-def _words(inputs: Mapping[str, Column], found: Mapping[str, ActuatorScaling]) -> str:
-    """Return the words of the command line that say these ends."""
-    columns = []
+def _words(inputs: Mapping[str, Column], found: Mapping[str, ActuatorScaling]) -> dict[str, dict[str, Any]]:
+    """Return the column map of the inputs that says these ends."""
+    columns = {}
     for name, reach in found.items():
         column = inputs[name]
         heading, unit = split_unit(column.name)
-        own = f'unit: "{column.unit}", ' if column.unit not in ("-", unit) else ""
-        own += f"scale: {column.scale!r}, " if column.scale != 1 else ""
+        own: dict[str, Any] = {"name": heading}
+        columns[name] = own
+        own |= {"unit": column.unit} if column.unit not in ("-", unit) else {}
+        own |= {"scale": column.scale} if column.scale != 1 else {}
         # A log that has not tried zero keeps it all the same; an actuator that rests there reaches it.
         low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
-        rest = f", rest: {reach.rest:.6g}" if reach.rest != ActuatorScaling.of(low, high).rest else ""
-        columns.append(f"{name}: {{name: {heading}, {own}low: {low:.6g}, high: {high:.6g}{rest}}}")
-    return f"'data.inputs={{{', '.join(columns)}}}'"
+        own |= {"low": float(f"{low:.6g}"), "high": float(f"{high:.6g}")}
+        own |= {"rest": float(f"{reach.rest:.6g}")} if reach.rest != ActuatorScaling.of(low, high).rest else {}
+    return columns

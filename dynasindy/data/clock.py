@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.headings import SECONDS, is_clock, named_by, parts_of, split_unit
 from dynasindy.data.table import Table
+from dynasindy.findings import Finding, LogError, note, weak
 
 Array = NDArray[np.float64]
 CLOCK = "time"
@@ -60,10 +60,7 @@ class Clock:
             ValueError: The unit is not one of time.
         """
         if self.unit and self.unit.lower() not in SECONDS:
-            raise ValueError(
-                f"{path} has the time column {self.heading!r} in {self.unit!r}; allowed units are "
-                f"{', '.join(SECONDS)}, or none for s: rename it"
-            )
+            raise LogError("log.time_unit", file=path, column=self.heading, unit=self.unit, units=[*SECONDS])
         return SECONDS.get(self.unit.lower(), 1.0)
 
 
@@ -217,8 +214,10 @@ def _coarser(steps: NDArray[np.int64]) -> float:
     return ratio if whole and ratio > 2 else 0.0
 
 
-def _evened_stamps(path: str, t: Array, column: Array, unit: float, dt: float | None) -> tuple[Array, str]:
-    """Return the times at which rows were taken [s], and what is said of them where a coarse clock wrote others.
+def _evened_stamps(
+    path: str, t: Array, column: Array, unit: float, dt: float | None
+) -> tuple[Array, tuple[float, float] | None]:
+    """Return the times at which rows were taken [s]; tick and period of a coarse clock that wrote others [s].
 
     An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
     that keeps t_k - k dt within one tick. Any two stamps of it bound dt: it is within a tick of their difference, over
@@ -236,12 +235,12 @@ def _evened_stamps(path: str, t: Array, column: Array, unit: float, dt: float | 
         ValueError: The rows have a rhythm, but it does not tell the sampling time.
     """
     if len(t) < 3 or not (np.diff(t) >= 0).all():
-        return t, ""
+        return t, None
     for ticks in _Ticks.of(column, unit):
         if (found := _even(path, ticks, dt)) is not None:
             times, period = found
-            return times, f"; it moves in ticks of {ticks.tick:.4g} s, and rows are taken as even, {period:.6g} s apart"
-    return t, ""
+            return times, (ticks.tick, period)
+    return t, None
 
 
 def _even(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
@@ -268,11 +267,7 @@ def _even(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | N
     if found is None and not mixed:
         return None
     if found is None or found[1] - found[0] > SURE * (found[0] + found[1]) or (low == 1 and ticks.digits != 1):
-        raise ValueError(
-            f"{path}: time moves in ticks of {ticks.tick:.6g} s, {low:g} or {low + 1:g} of them from row to row, and "
-            "does not tell the sampling time; allowed are times that do: write them with more digits, or give the time "
-            "between two rows in seconds as data.dt"
-        )
+        raise LogError("log.coarse_time", file=path, tick=ticks.tick, low=low, high=low + 1)
     period = _round_between(found[0] * ticks.tick, found[1] * ticks.tick)
     return ticks.even(period / ticks.tick, within)[0], period
 
@@ -312,8 +307,8 @@ def _unix_unit(values: Array) -> str:
     )
 
 
-def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, str]:
-    """Return times that go on where a counter overflowed, or where a recording begins anew, and what is said of it.
+def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
+    """Return times that go on where a counter overflowed, or where a recording begins anew, and what was found.
 
     Args:
         values: Times as they are in the file, `(rows,)`.
@@ -324,24 +319,24 @@ def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tu
     steps = np.diff(values)
     drops = np.flatnonzero(steps < 0)
     if not len(drops) or len(drops) > 1 + len(values) // FEWEST:
-        return values, ""
+        return values, []
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else (dt or 1.0) / unit
-    lines = ", ".join(str(table.lines[k + 1]) for k in drops)
+    lines = [int(table.lines[k + 1]) for k in drops]
     for size in (2.0**16, 2.0**32, 2.0**24, 86400.0 / unit):
         if np.ptp(values) < size and bool(((steps[drops] + size > 0) & (steps[drops] + size <= LATE * usual)).all()):
             lift = np.zeros(len(values))
             lift[drops + 1] = size
-            return values + np.cumsum(lift), f"; it counts to {size:g} and goes on from 0 in line {lines}"
+            return values + np.cumsum(lift), [note("log.overflow", size=size, lines=lines)]
     starts = np.concatenate([[0], drops + 1, [len(values)]])
     if (np.diff(starts) < FEWEST).any() or any(values[k + 1] > values[0] + LATE * usual for k in drops):
-        return values, ""
+        return values, []
     lift = np.zeros(len(values))
     lift[drops + 1] = LATE * usual - steps[drops]
-    return values + np.cumsum(lift), f"; it begins anew in line {lines}, and so does a recording"
+    return values + np.cumsum(lift), [note("log.restart", lines=lines)]
 
 
-def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple[Array, str]:
-    """Return the times of all rows [s], `(rows,)`, and the line that says which column they are and in which unit.
+def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple[Array, list[Finding]]:
+    """Return the times of all rows [s], `(rows,)`, and what was found: which column they are, in which unit.
 
     A column of whole numbers without a unit is a counter where the sampling time is given.
 
@@ -361,22 +356,12 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
     t, counts = values * clock.seconds(path), not clock.unit and not table.dated and is_counter(values)
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
-        return t, f"time is the column {name}, taken as a counter of rows: {dt:g} s between rows, as given by data.dt"
-    us = shlex.quote(f'data.time="{name} [us]"')
-    if counts and np.median(np.diff(values)) >= COARSE:
-        raise ValueError(
-            f"{path} has whole numbers without a unit in the time column {clock.heading}, "
-            f"{np.median(np.diff(values)):g} from row to row, hardly seconds; allowed is a time whose unit is known: "
-            f"give it, as in {us}, or [s] for seconds, or [ms]"
-        )
+        return t, [note("log.row_counter", column=name, dt=dt)]
+    if counts and (step := float(np.median(np.diff(values)))) >= COARSE:
+        raise LogError("log.whole_time", file=path, column=clock.heading, step=step)
     t, coarse = _evened_stamps(path, t, values, clock.seconds(path), dt)
-    how = "read as dates" if table.dated else f"in {clock.unit}" if clock.unit else "taken as seconds"
-    between = f": {period_of(t):.4g} s between rows" if len(t) > 1 else ""
-    told = f"time is the column {name}, {how}{between}{coarse}{again}"
-    if not counts:
-        return t, told
-    units = shlex.quote(f'data.time="{name} [ms]"')
-    return t, (
-        f"{told}. It holds whole numbers without a unit, as a counter of rows does: if it is one, give the true time "
-        f"between two rows in seconds, such as data.dt=0.01; if it is a time in ms, give {units}, or [s] for seconds"
-    )
+    tick, period = coarse or (0.0, period_of(t) if len(t) > 1 else 0.0)
+    findings = [note("log.time", column=name, unit=clock.unit, dates=bool(table.dated), dt=period)]
+    findings += [note("log.coarse_clock", column=name, tick=tick, dt=period)] if coarse else []
+    findings += [weak("log.whole_seconds", column=name)] if counts else []
+    return t, [*findings, *again]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from dynasindy.data.clock import CLOCK, clock_of, is_counter
 from dynasindy.data.headings import named_by, parts_of, split_unit
 from dynasindy.data.table import MAP, ColumnSummary, grows, read_columns, summarise_columns
 from dynasindy.data.units import with_units
-from dynasindy.text import did_you_mean
+from dynasindy.findings import Finding, LogError, note
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def infer(
     time: str = CLOCK,
     inputs: Collection[str] | None = None,
     states: Collection[str] | None = None,
-    notes: list[str] | None = None,
+    findings: list[Finding] | None = None,
     dt: float | None = None,
 ) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
@@ -64,7 +64,7 @@ def infer(
         time: heading of the time column.
         inputs: names or headings of the inputs, without their units or with them.
         states: those of the states.
-        notes: sentences on what was read; those on what was left out are added.
+        findings: what was decided; what is left out is added.
         dt: sampling time that was given [s]; the error then does not ask for it.
 
     Raises:
@@ -85,20 +85,14 @@ def infer(
     timed = clock.heading in look.headings
     driving = _names(inputs, words) if inputs is not None else {name for name in words if INPUT.fullmatch(name)}
     if worded := [name for name in words if name in driving]:
-        raise ValueError(
-            f"{path}: the input {worded[0]} holds words, such as {words[worded[0]]!r}; allowed are numbers: write them "
-            "as numbers, ON and OFF as 1 and 0"
-        )
+        raise LogError("log.worded_input", file=path, column=worded[0], text=words[worded[0]])
     named = {*_names(inputs or (), others), *_names(states or (), others)}
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name
         columns = _finite_columns(Path(path), look)
         timed = not any(grows(column) for h, column in columns.items() if split_unit(h)[0] not in named)
     empty = _empty(look, clock.heading)
     if blank := [name for name in empty if name in named]:
-        raise ValueError(
-            f"{path}: the column {blank[0]} holds no number, only cells that are empty or NaN; allowed are columns of "
-            "numbers: log what it should hold, or leave it out"
-        )
+        raise LogError("log.column_without_numbers", file=path, column=blank[0])
     still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
     counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
     if inputs is None:
@@ -115,11 +109,11 @@ def infer(
         counts = [name for name in counts if INPUT.fullmatch(name)]
     out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates}, empty)
     if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
-        out.append(f"left out, as they hold dates, and the time is another column: {', '.join(dates)}")
+        out.append(note("log.date_columns", columns=[*dates]))
     if not left or not found or not timed:
-        raise ValueError(_lacking(path, look, clock.heading, list(left), list(found), out, dt))
-    if notes is not None:
-        notes += out
+        raise _lacking(path, look, clock.heading, list(found), out, dt)
+    if findings is not None:
+        findings += out
     return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
 
 
@@ -136,56 +130,26 @@ def _empty(look: ColumnSummary, clock: str) -> list[str]:
 
 def _left_out(
     still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str], empty: Sequence[str]
-) -> list[str]:
-    """Say which columns were left out, and why."""
-    notes = []
-    if still:
-        told = ", ".join(f"{name} ({value:g} in all rows)" for name, value in still.items())
-        notes.append(f"left out, as what never changes tells nothing of the plant: {told}")
-    if counts:
-        told, grow = ", ".join(counts), "it grows" if len(counts) == 1 else "they grow"
-        notes.append(
-            f"left out, as {grow} by exactly one in each row, as a counter of rows does: {told}; data.states or "
-            "data.inputs may name it all the same"
-        )
-    if words:
-        told = ", ".join(f"{name} ({text!r})" for name, text in words.items())
-        notes.append(
-            f"left out, as they hold words and no numbers: {told}; write ON and OFF as 1 and 0 to have them read"
-        )
-    if empty:
-        notes.append(f"left out, as cells that are empty or NaN are all that they hold: {', '.join(empty)}")
-    return notes
+) -> list[Finding]:
+    """Return which columns were left out, and why."""
+    columns = {"still": dict(still), "counters": [*counts], "text_columns": dict(words), "empty_columns": [*empty]}
+    return [note(f"log.{why}", columns=which) for why, which in columns.items() if which]
 
 
 def _lacking(
-    path: str,
-    look: ColumnSummary,
-    clock: str,
-    states: Sequence[str],
-    inputs: Sequence[str],
-    out: Sequence[str],
-    dt: float | None,
-) -> str:
-    """Say what a file lacks, what was left out of it, and the settings that may mend it."""
+    path: str, look: ColumnSummary, clock: str, inputs: Sequence[str], out: Sequence[Finding], dt: float | None
+) -> LogError:
+    """Return what a file lacks, what was left out of it, and a guess at which column is what."""
     timed = clock in look.headings
-    begin = f"{path} has the columns {', '.join(look.headings)}, with numbers in {', '.join(look.numeric) or 'none'}"
-    left_out = "".join(f" {note[:1].upper()}{note[1:]}." for note in out)
     moving = [name for name in look.numeric if name not in {*look.still, *look.counting, clock}]
+    facts: dict[str, Any] = {"path": path, "columns": [*look.headings], "numbers": [*look.numeric], "clock": clock}
+    facts["left_out"] = [*out]
     if timed and len(moving) < 2:
-        beside = f"besides {clock}, the time, {f'only {moving[0]}' if moving else 'nothing'} changes"
         driven = [split_unit(name)[0] for name in moving] == list(inputs) != []
-        lack = "what the plant does" if driven else "the command that moves the plant"
-        return (
-            f"{begin}; {beside}. Allowed are one state or more and one input or more: log {lack}, too, for without one "
-            f"nothing can be identified.{left_out}"
-        )
-    lacking = _LACKING["time" if not timed else "inputs" if not inputs else "states"].format(clock=clock)
-    guess = guess_columns(Path(path), look, clock if timed else None, inputs, dt) if look.numeric else ""
-    return (
-        f"{begin}; {lacking}. Allowed are a column of time, one state or more, and one input or more: say which is "
-        f"which, by data.time, data.inputs and data.states.{left_out}{guess}"
-    )
+        return LogError("log.nothing_moves", **facts, moving="".join(moving), driven=driven)
+    lacks = "time" if not timed else "inputs" if not inputs else "states"
+    guess = guess_columns(Path(path), look, clock if timed else None, inputs, dt) if look.numeric else None
+    return LogError("log.no_roles", **facts, lacks=lacks, guess=guess)
 
 
 REGULAR = 0.9
@@ -194,11 +158,6 @@ INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
 COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")
 """How they may be called where none is called so: beside an input, a command may be a target."""
-_LACKING = {
-    "time": "none of them is called {clock}",
-    "inputs": "none that moves is called u, u_... or input_..., as inputs are",
-    "states": "besides time and inputs none is left, which would be a state",
-}
 
 
 def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
@@ -215,8 +174,7 @@ def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, ke
     """
     named = {name: named_by(name, [*columns]) or named_by(split_unit(name)[0], [*columns]) for name in names}
     if absent := [split_unit(name)[0] for name, found in named.items() if not found]:
-        hint = did_you_mean(absent[0], columns)
-        raise ValueError(f"{key} names '{absent[0]}'; {path} has {', '.join(columns)}: name columns of the file{hint}")
+        raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
     return {found[0]: columns[found[0]] for found in named.values()}
 
 
@@ -283,10 +241,7 @@ def require_names(names: list[str], path: str) -> None:
     """
     for name in names:
         if not re.fullmatch(r"[^\W\d][\w .-]*", name) or names.count(name) > 1:
-            raise ValueError(
-                f"{path}: a state or input is called {name!r}; allowed are names that begin with a letter, hold no "
-                "signs of arithmetic and differ: name it in data.states or data.inputs, as {angle: HEADING}"
-            )
+            raise LogError("log.name", file=path, name=name)
 
 
 def row_counter(path: Path, time: str, named: Collection[str]) -> str:
@@ -320,8 +275,8 @@ def row_counter(path: Path, time: str, named: Collection[str]) -> str:
 
 def guess_columns(
     path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None = None
-) -> str:
-    """Return a first guess at what is time, what an input and what a state: sentences, then words of the command line.
+) -> dict[str, Any]:
+    """Return a first guess at what is time, what an input and what a state, as facts for a reader.
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
     other. The input is the column that is held longest, as only levels of an actuator are, or else the last one. Both
@@ -334,9 +289,6 @@ def guess_columns(
         time: Heading of the time, None where it is not known.
         inputs: Names of inputs that were found.
         dt: Sampling time that was given [s].
-
-    Raises:
-        ValueError: The file is no table of text.
     """
     columns = _finite_columns(path, look)
     growing = [heading for heading, column in columns.items() if grows(column)]
@@ -344,31 +296,24 @@ def guess_columns(
     if time is None:
         time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
     names = [split_unit(heading)[0] for heading in columns if heading not in (time, *look.counting)]
-    hints: list[str] = []
-    seconds = ""
-    if not time:
-        hints.append("No column grows from row to row, as time does: write the time of each row into the file")
-    if dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time]):
-        hints.append(f"{time} holds whole numbers, as a counter does: if it counts rows, give data.dt, too, in seconds")
-        seconds = "" if named else " data.dt=SECONDS"  # what is called time may be one in whole seconds
+    counts = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
+    held = True
     if not inputs and names:
         still = {split_unit(heading)[0]: float((np.diff(column) == 0).mean()) for heading, column in columns.items()}
-        held = max(names, key=lambda name: still[name])
-        stem = re.sub(r"[\W_]*\d+$", "", held)  # of Heater 1 and Heater 2
-        inputs = [name for name in names if name == held or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
-        inputs = inputs if len(inputs) < len(names) else [held]  # columns of one matrix are no pair
-        inputs = inputs if still[held] > 0.5 else names[-1:]
-        if still[held] <= 0.5:
-            hints.append(
-                "No column is held for some samples, as commands are: if the log has no command, log it, too, for "
-                "without one nothing can be identified"
-            )
-    states = [name for name in names if name not in inputs]
-    clock = split_unit(time)[0] if time else "HEADING"
-    words = [] if named and clock == CLOCK else [f"data.time={_quoted(clock)}"]
-    words += [f"data.{key}=[{','.join(map(_quoted, each))}]" for key, each in (("inputs", inputs), ("states", states))]
-    told = "".join(f" {hint}." for hint in hints)
-    return f"{told} This is a first guess, to be corrected: {' '.join(map(shlex.quote, words))}{seconds}"
+        longest = max(names, key=lambda name: still[name])
+        stem = re.sub(r"[\W_]*\d+$", "", longest)  # of Heater 1 and Heater 2
+        inputs = [name for name in names if name == longest or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
+        inputs = inputs if len(inputs) < len(names) else [longest]  # columns of one matrix are no pair
+        held = still[longest] > 0.5
+        inputs = inputs if held else names[-1:]
+    return {
+        "time": split_unit(time)[0] if time else None,
+        "inputs": [*inputs],
+        "states": [name for name in names if name not in inputs],
+        "clock_known": named,  # what is called time may be one in whole seconds
+        "counter": time if counts else "",
+        "held": held,
+    }
 
 
 def _finite_columns(path: Path, look: ColumnSummary) -> dict[str, Array]:
@@ -378,8 +323,3 @@ def _finite_columns(path: Path, look: ColumnSummary) -> dict[str, Array]:
         np.stack([read_columns(path).column(heading) for heading in headings], -1) if headings else np.empty((0, 0))
     )
     return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))
-
-
-def _quoted(name: str) -> str:
-    """Return a name as the command line takes it: in quotation marks, unless it is one plain word."""
-    return name if re.fullmatch(r"[A-Za-z_]\w*", name) else f'"{name}"'

@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -22,6 +22,8 @@ from dynasindy.data.rates import turning
 from dynasindy.data.resampling import EVEN, evened, stretches
 from dynasindy.data.table import MAP, Table, read_columns, select_columns
 from dynasindy.data.units import conversions, undecided, with_units
+from dynasindy.findings import Finding, LogError, note
+from dynasindy.sentences import lines as lines_of
 from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -40,7 +42,7 @@ RATED = 5
 """Samples under a local cubic, of those that it would have, from which on it gives a rate."""
 
 
-def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], notes: list[str]) -> NDArray[np.bool_]:
+def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
     """Tell which rows lie in a long stretch without a state, or where a recording has not begun or is over.
 
     A sensor that is read every fifth row has no such stretches: what is long depends on how often it is read.
@@ -48,7 +50,7 @@ def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], notes: list[str])
     Args:
         x: Samples by name, NaN where one is lost, `(N,)` each.
         segment: Number of the segment of each row, `(N,)`.
-        notes: Sentences on what was read; those on what is left out are added.
+        findings: What was decided; what is left out is added.
 
     Returns:
         Rows to leave out, `(N,)`.
@@ -65,7 +67,7 @@ def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], notes: list[str])
             out[first + 1 : last] = True
         if len(long):
             rows = int((ends[long + 1] - ends[long] - 1).sum())
-            notes.append(f"{rows} rows in stretches of more than {longest:g} rows without {name} were left out")
+            findings.append(note("log.hole", rows=rows, longest=float(longest), state=name))
     measured = np.zeros(len(segment), dtype=bool)
     for column in x.values():
         measured |= np.isfinite(column)
@@ -116,14 +118,14 @@ class Recording:
     Attributes:
         transitions: the samples, in unbroken segments; NaN where a state was not measured.
         signature: names, units and ranges.
-        notes: sentences on what was skipped, masked, resampled or reconstructed.
-        ends: words that give the ends of the actuators where these are guessed from the file, else empty.
+        findings: what was skipped, masked, resampled, converted or reconstructed.
+        ends: column map of the inputs with the ends of their actuators, where these are guessed from the file.
     """
 
     transitions: Transitions
     signature: Signature
-    notes: tuple[str, ...] = field(default=())
-    ends: str = ""
+    findings: tuple[Finding, ...] = ()
+    ends: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
         """Say in a line or two what it holds."""
@@ -132,17 +134,17 @@ class Recording:
         stretches = len(data.segment.unique())
         many = f" in {stretches} stretches" if stretches > 1 else ""
         length, step = format_duration(len(data) * data.dt), format_duration(data.dt)
-        lines = [
+        text = [
             f"Recording of {len(data)} rows, {length} every {step}{many}: "
             f"states {', '.join(states)}; inputs {', '.join(signature.input_names)}",
-            *(f"note: {note}" for note in self.notes),
+            *lines_of(self.findings),
         ]
-        return "\n".join(lines)
+        return "\n".join(text)
 
 
 @dataclass
 class _Part:
-    """Hold what one file gave: its headings, columns, times [s], states, inputs and notes."""
+    """Hold what one file gave: its headings, columns, times [s], states, inputs and findings."""
 
     path: str
     headings: Sequence[str]
@@ -151,7 +153,7 @@ class _Part:
     t: Array
     x: dict[str, Array]
     u: Array
-    notes: list[str]
+    findings: list[Finding]
     segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
@@ -219,56 +221,57 @@ class CsvLog:
 
     def _joined(self, parts: Sequence[_Part]) -> Recording:
         """Return what the files gave as one recording."""
-        notes, after = [note for part in parts for note in self._of(part)], list[str]()
+        findings, after = [each for part in parts for each in self._of(part)], list[Finding]()
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
         found, ends = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
         for part in parts:
-            part.notes.clear()
-            part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.notes)
+            part.findings.clear()
+            part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.findings)
         segment = _apart([part.segment for part in parts])
         x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
         states = _decided(parts[0].states, headings, x, segment, dt)
-        notes += conversions(states, headings)
+        findings += conversions(states, headings)
         free = _free(x, parts)
-        notes += [*after, *(note for part in parts for note in self._of(part))]
-        full = _with_rates(x, states, segment, dt, notes)
+        findings += [*after, *(each for part in parts for each in self._of(part))]
+        full = _with_rates(x, states, segment, dt, findings)
         if any(c.derivative_of and not c.name for c in states.values()):
-            free &= _smoothable(segment, notes)
+            free &= _smoothable(segment, findings)
         data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
-        self._require_enough(data, [name for name, c in states.items() if c.name], list(states), notes)
+        self._require_enough(data, [name for name, c in states.items() if c.name], list(states), findings)
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
         reach = actuator_units(found, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
-        return Recording(data, signature, tuple(notes), ends)
+        return Recording(data, signature, tuple(findings), ends)
 
     def __str__(self) -> str:
         """Name the files."""
         return ", ".join(self.paths)
 
-    def _of(self, part: _Part) -> list[str]:
-        """Return the notes on a file, which name it where there are others."""
-        return [f"{part.path}: {note}" for note in part.notes] if len(self.paths) > 1 else part.notes
+    def _of(self, part: _Part) -> list[Finding]:
+        """Return the findings on a file, which name it where there are others."""
+        several = len(self.paths) > 1
+        return [replace(each, values={**each.values, "file": part.path}) if several else each for each in part.findings]
 
     def _part(self, path: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
-        notes: list[str] = []
+        findings: list[Finding] = []
         clock = clock_of(read_columns(Path(path)).headings, self.time)
         names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = select_columns(Path(path), names, self.dt)
-        notes += table.notes
+        findings += table.findings
         states_end = len(names) - len(inputs)
-        table = self._complete(path, _hold_inputs(table, states_end, notes), states_end, notes)
+        table = self._complete(path, _hold_inputs(table, states_end, findings), states_end, findings)
         states = with_units(states, table.headings, True, rotors=False)
         inputs = with_units(inputs, table.headings, False)
-        t, said = in_seconds(path, table, clock, self.dt)
+        t, of_time = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
-        x = {s: unwrap_angle(s, values[c.name] * c.scale, c.unit, notes) for s, c in states.items() if c.name}
+        x = {s: unwrap_angle(s, values[c.name] * c.scale, c.unit, findings) for s, c in states.items() if c.name}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        return _Part(path, table.headings, states, inputs, t, x, u, [said, *notes])
+        return _Part(path, table.headings, states, inputs, t, x, u, [*of_time, *findings])
 
-    def _complete(self, path: str, table: Table, states_end: int, notes: list[str]) -> Table:
+    def _complete(self, path: str, table: Table, states_end: int, findings: list[Finding]) -> Table:
         """Leave out rows without time or an input, and put NaN for states that are missing, all counted by column."""
         bad = ~np.isfinite(table.values)
         lacking = np.asarray(bad.any(1))
@@ -277,52 +280,45 @@ class CsvLog:
         needed = np.ones(len(table.headings), dtype=bool)
         needed[1:states_end] = False
         skipped = np.asarray(bad[:, needed].any(1))
-        said = "they were skipped", "the fit goes on without them, and with what else these rows hold"
-        for rows, columns, done in ((skipped, needed, said[0]), (lacking & ~skipped, ~needed, said[1])):
+        for rows, columns in ((skipped, needed), (lacking & ~skipped, ~needed)):
             if not rows.any():
                 continue
             counts = (bad & rows[:, None]).sum(0)
-            where = ", ".join(f"{n}: {int(k)}" for n, k in zip(table.headings, counts, strict=True) if k)
-            first = int(table.lines[np.flatnonzero(rows)[0]])
-            what = "values" if columns is needed else "states"
-            message = (
-                f"{int(rows.sum())} of {len(table.lines)} rows have {what} that are missing or not finite ({where})"
-            )
+            facts: dict[str, Any] = {
+                "rows": int(rows.sum()),
+                "total": len(table.lines),
+                "counts": {n: int(k) for n, k in zip(table.headings, counts, strict=True) if k},
+                "line": int(table.lines[np.flatnonzero(rows)[0]]),
+                "skipped": columns is needed,
+            }
             if self.missing == "refuse":
-                raise ValueError(f"{path}: {message}, the first in line {first}; mend them or set missing=skip")
-            notes.append(f"{message}, the first in line {first}; {done}")
+                raise LogError("log.missing", file=path, refused=True, **facts)
+            findings.append(note("log.missing", **facts))
         values = np.where(bad, np.nan, table.values)
         return replace(table, values=values[~skipped], lines=table.lines[~skipped])
 
     def _require_enough(
-        self, data: Transitions, logged: Sequence[str], states: Sequence[str], notes: Sequence[str]
+        self, data: Transitions, logged: Sequence[str], states: Sequence[str], findings: Sequence[Finding]
     ) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
-        left_out = "log longer, or check the notes on what was left out: " + ("; ".join(notes) or "nothing")
-        if len(data) < self.min_samples:
-            raise ValueError(
-                f"{self} gives {len(data)} transitions; allowed are {self.min_samples} or more: {left_out}"
-            )
+        least, left_out = self.min_samples, [each for each in findings if each.code != "log.time"]
+        if len(data) < least:
+            raise LogError("log.too_few", path=str(self), count=len(data), least=least, left_out=left_out)
         for name in logged:
-            if (count := int(data.x_next[:, states.index(name)].isfinite().sum())) < self.min_samples:
-                raise ValueError(
-                    f"{self} gives {count} samples of {name}; allowed are {self.min_samples} or more: {left_out}"
-                )
+            if (count := int(data.x_next[:, states.index(name)].isfinite().sum())) < least:
+                raise LogError("log.too_few", path=str(self), count=count, least=least, left_out=left_out, state=name)
 
     def _check_time(self, path: str, t: Array, table: Table) -> None:
         steps = np.diff(t)
         if len(t) < 2:
-            raise ValueError(f"{path} gives {len(t)} complete rows; allowed are {self.min_samples} or more")
+            raise LogError("log.too_few", path=path, count=0, least=self.min_samples, left_out=[])
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
-            raise ValueError(
-                f"{path}, line {table.lines[k + 1]}, column {table.headings[0]}: time does not increase, "
-                f"{t[k + 1]:g} s follows {t[k]:g} s; allowed is increasing time: sort the rows or split "
-                "the recordings, or give data.dt if the clock is coarser than the rows"
-            )
+            place = {"line": int(table.lines[k + 1]), "column": table.headings[0]}
+            raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
 
 
-def _hold_inputs(table: Table, states_end: int, notes: list[str]) -> Table:
+def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Table:
     """Return a table whose inputs are held where rows of another stream have none: a command stands until the next."""
     values = table.values.copy()
     for k in range(states_end, values.shape[1]):
@@ -337,20 +333,18 @@ def _hold_inputs(table: Table, states_end: int, notes: list[str]) -> Table:
         last = np.maximum.accumulate(np.where(np.isfinite(values[:, k]), np.arange(len(values)), -1))
         held = np.isnan(values[:, k]) & (last >= 0)
         values[held, k] = values[last[held], k]
-        notes.append(
-            f"{table.headings[k]} stands in {len(rows)} of {len(values)} rows, and is held from each to the next"
-        )
+        findings.append(note("log.held", column=table.headings[k], rows=len(rows), total=len(values)))
     return replace(table, values=values)
 
 
-def unwrap_angle(name: str, x: Array, unit: str, notes: list[str]) -> Array:
+def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:
     """Return samples of an angle, or counts of an encoder, that go on where they jumped by a whole turn or range.
 
     Args:
         name: Name of the state.
         x: Its samples, NaN where one is lost, `(N,)`.
         unit: Its unit.
-        notes: Sentences on what was read.
+        findings: What was decided; what is done here is added.
     """
     seen = np.isfinite(x)
     values = x[seen]
@@ -371,13 +365,7 @@ def unwrap_angle(name: str, x: Array, unit: str, notes: list[str]) -> Array:
             continue
         found = x.copy()
         found[seen] = np.unwrap(values, period=turn)
-        size = {2 * np.pi: "2 pi"}.get(turn, f"{turn:g}")
-        scaled_state = f"{{{name}: {{name: {name}, unit: rad, scale: {2 * np.pi / turn:.6g}}}}}"
-        more = f"; if these are a turn, data.states={scaled_state} gives rad" if turn in counts else ""
-        notes.append(
-            f"{name} jumps by {size} {int(jumps.sum())} times and was unwrapped, as a controller has to do{more}; a "
-            "unit that is none of an angle keeps it as it is"
-        )
+        findings.append(note("log.unwrapped", state=name, turn=turn, times=int(jumps.sum()), counts=turn in counts))
         return found
     return x
 
@@ -408,11 +396,11 @@ def _apart(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 
 def _free(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
-    """Tell which rows of all files lie in no hole of their own one, and at no stop, `(N,)`; each file notes its own."""
+    """Tell which rows of all files lie in no hole of their own one, and at no stop, `(N,)`; findings are added."""
     free, ends = [], np.cumsum([0, *(len(part.t) for part in parts)])
     for part, (first, last) in zip(parts, itertools.pairwise(ends), strict=True):
         mine = {name: column[first:last] for name, column in x.items()}
-        free.append(~(_holes(mine, part.segment, part.notes) | _stuck(mine, part.notes)))
+        free.append(~(_holes(mine, part.segment, part.findings) | _stuck(mine, part.findings)))
     return np.concatenate(free)
 
 
@@ -433,7 +421,7 @@ def _decided(
     return found
 
 
-def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
+def _stuck(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
     """Find samples at which a state rests exactly at an end of its range for some time: a stop or a saturation."""
     mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
     for name, column in x.items():
@@ -448,7 +436,7 @@ def _stuck(x: dict[str, Array], notes: list[str]) -> NDArray[np.bool_]:
             for rest in rests if any(rest.start for rest in rests) else []:
                 mine[rows[rest.start] : rows[rest.stop - 1] + 1] = True
             if mine.any():
-                notes.append(f"{int(mine.sum())} samples with {name} at {end:g}, a stop or saturation, were masked")
+                findings.append(note("log.stop", count=int(mine.sum()), state=name, value=float(end)))
                 mask |= mine
     return mask
 
@@ -476,7 +464,7 @@ def _smallest_step(value: Array) -> float:
 
 
 def _with_rates(
-    x: dict[str, Array], states: dict[str, Column], segment: NDArray[np.int64], dt: float, notes: list[str]
+    x: dict[str, Array], states: dict[str, Column], segment: NDArray[np.int64], dt: float, findings: list[Finding]
 ) -> Array:
     """Reconstruct rates that were not logged by a local cubic over the neighbouring samples."""
     from scipy.signal import savgol_filter  # a second of imports that most runs do without
@@ -487,7 +475,7 @@ def _with_rates(
             continue
         rate = full[name] = np.full(len(segment), np.nan)
         if not column.derivative_of:
-            notes.append(f"{name} is seen by no sensor; it is estimated with the model")
+            findings.append(note("log.unmeasured", state=name))
             continue
         for rows in stretches(segment):
             samples = x[column.derivative_of][rows]
@@ -498,17 +486,15 @@ def _with_rates(
                 savgol_filter(samples, SMOOTH, 3, deriv=1, delta=dt) if whole else _rates_beside(samples, SMOOTH, dt)
             )
         rate *= column.scale
-        notes.append(f"{name} was reconstructed from {column.derivative_of}")
+        findings.append(note("log.differentiated", state=name, of=column.derivative_of))
     return np.stack([full[name] for name in states], -1)
 
 
-def _smoothable(segment: NDArray[np.int64], notes: list[str]) -> NDArray[np.bool_]:
+def _smoothable(segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
     """Tell which rows lie in segments that are long enough for the rate of a state, `(N,)`."""
     long = np.bincount(segment)[segment] >= SMOOTH
     if not long.all():
-        notes.append(
-            f"{int((~long).sum())} samples in stretches under {SMOOTH} samples have no rate; they were skipped"
-        )
+        findings.append(note("log.short_stretches", count=int((~long).sum()), least=SMOOTH))
     return np.asarray(long)
 
 

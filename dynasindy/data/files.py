@@ -20,6 +20,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dynasindy.findings import Finding, note
+from dynasindy.sentences import setting
+
 SAMPLE = 400
 """Lines from which separator, headings and decimal sign are told."""
 WIDEST = 100_000
@@ -51,13 +54,13 @@ class RawTable:
         headings: One for each column.
         frame: The columns, named 0, 1, ...; numbers where all cells are numbers, otherwise text.
         lines: Line or row of each row in the file, `(rows,)`.
-        notes: Sentences on what was left out or is not in the file.
+        findings: What was left out or is not in the file.
     """
 
     headings: tuple[str, ...]
     frame: pd.DataFrame
     lines: NDArray[np.int64]
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def read_file(path: Path) -> RawTable:
@@ -68,7 +71,8 @@ def read_file(path: Path) -> RawTable:
         ValueError: It is no table, or is of a format whose package is not installed.
     """
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist or is no file; allowed is the file of a log: correct data.path")
+        key = setting("data.path")
+        raise FileNotFoundError(f"{path} does not exist or is no file; allowed is the file of a log: correct {key}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         return _read_text(path)
@@ -102,7 +106,7 @@ class _Layout:
     headings: tuple[str, ...]
     columns: int
     first: int  # lines before the first one of values
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def _read_text(path: Path) -> RawTable:
@@ -132,15 +136,15 @@ def _read_text(path: Path) -> RawTable:
     blank = frame[0].isna().to_numpy()
     if blank.any() and (blank := frame.isna().all(axis=1).to_numpy()).any():
         frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
-    notes = [*layout.notes]
+    findings = [*layout.findings]
     if (repeated := _repeated(frame, layout.headings)).any():
-        notes.append(f"line {', '.join(map(str, lines_of[repeated]))} repeats the headings")
+        findings.append(note("log.repeated_headings", lines=[int(line) for line in lines_of[repeated]]))
         frame, lines_of = frame[~repeated].reset_index(drop=True), lines_of[~repeated]
     beyond = frame.iloc[:, len(layout.headings) :].notna().any(axis=1).to_numpy()
     if beyond.any():
         row = int(beyond.argmax())
         raise ValueError(_too_wide(path, lines_of[row], int(frame.loc[row].last_valid_index()) + 1, layout))
-    return RawTable(layout.headings, frame.iloc[:, : len(layout.headings)], lines_of, tuple(notes))
+    return RawTable(layout.headings, frame.iloc[:, : len(layout.headings)], lines_of, tuple(findings))
 
 
 def _too_wide(path: Path, line: object, count: object, layout: _Layout) -> str:
@@ -221,8 +225,7 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         trailing = not any(len(row) == width and row[-1] for row in rows.values())
         count = width - trailing
         names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
-        note = f"the file has no headings; its columns are called {', '.join(names)}"
-        return _Layout(separator, decimal, names, width, filled[0], (note,))
+        return _Layout(separator, decimal, names, width, filled[0], (note("log.no_headings", names=names),))
     headings, units = rows[head[-1]], list[str]()
     if len(head) > 1 and _are_units(headings, rows[head[-2]]):
         headings, units, head = rows[head[-2]], headings, head[:-1]
@@ -233,9 +236,8 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         headings = [f"{name} [{unit}]" if unit not in ("", "-") else name for name, unit in zip(headings, bare)]
     width = max(width, len(headings))
     last = filled[first] if first < len(filled) else head[-1] + 1
-    above = {0: (), 1: ("1 line above the headings was skipped",)}
-    notes = above.get(head[-1], (f"{head[-1]} lines above the headings were skipped",))
-    return _Layout(separator, decimal, tuple(headings), width, last, notes)
+    above = (note("log.title_lines", count=head[-1]),) if head[-1] else ()
+    return _Layout(separator, decimal, tuple(headings), width, last, above)
 
 
 def _separator(lines: Sequence[str]) -> str:
@@ -319,8 +321,8 @@ def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:
     near = {name: _as_number(values) for name, values in flat.items() if abs(len(values) - length) <= 1 < len(values)}
     kept = {name: np.append(values, np.nan)[:length] for name, values in near.items()}
     other = [f"{name} ({len(values)})" for name, values in flat.items() if name not in kept and len(values) > 1]
-    notes = (f"left out, as the others have {length} values: {', '.join(other)}",) if other else ()
-    return RawTable(tuple(kept), pd.DataFrame(dict(enumerate(kept.values()))), 1 + np.arange(length), notes=notes)
+    out = (note("log.other_lengths", length=length, names=other),) if other else ()
+    return RawTable(tuple(kept), pd.DataFrame(dict(enumerate(kept.values()))), 1 + np.arange(length), findings=out)
 
 
 def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
@@ -422,7 +424,7 @@ def _read_excel(path: Path) -> RawTable:
     body = cells.iloc[layout.first :, : len(layout.headings)]
     body.columns = pd.RangeIndex(body.shape[1])
     frame = body.reset_index(drop=True).infer_objects()
-    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), layout.notes)
+    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), layout.findings)
 
 
 def _read_tdms(path: Path) -> RawTable:

@@ -6,10 +6,12 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -80,19 +82,11 @@ class Mismatch:
     factor: float
     guessed: bool = False
 
-    def __str__(self) -> str:
-        """Write it as a sentence."""
-        factor = f"{self.factor:.3g}"
-        told = (
-            f"{self.rate} does not fit {self.state}, whose slope over time is {factor} times {self.rate}; "
-            f"{self.cause()}? Correct the column, or give it a scale in data.states"
-        )
-        if not self.guessed:
-            return told
-        return (
-            f"{told}. That {self.rate} is the rate of {self.state} is a guess: a gear between them or another axis may "
-            f"be the cause, too; if so, give {self.rate} a unit of its own, such as 'motor rad/s', and this is not said"
-        )
+    @property
+    def finding(self) -> Finding:
+        """The finding."""
+        facts = {"state": self.state, "rate": self.rate, "factor": self.factor, "cause": self.cause()}
+        return weak("log.unit_of_rate", **facts, guessed=self.guessed)
 
     @property
     def likely(self) -> float:
@@ -128,8 +122,8 @@ def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
     return signature
 
 
-def contradicted(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:
-    """Return sentences on the states that clearly do not move by what is said to be their rate, by state.
+def contradicted(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, Finding]:
+    """Return the states that clearly do not move by what is said to be their rate.
 
     Args:
         data: the recording; what was not measured is NaN, and is not judged.
@@ -140,16 +134,12 @@ def contradicted(data: Transitions, signature: Signature, known: Mapping[str, st
     for state, rate in known.items():
         tie = _factor(data, names.index(state), names.index(rate))
         if state not in told and tie != NO_TIE and -TIED < tie[1] < LOOSE:
-            told[state] = (
-                f"{rate} was given as the rate of {state}, and the log contradicts it: {state} does not move by the "
-                f"integral of {rate} (correlation {tie[1]:.2f}); correct plant.known or the columns, for this equation "
-                "is taken as exact"
-            )
+            told[state] = weak("log.rate_contradicted", state=state, rate=rate, correlation=tie[1])
     return told
 
 
-def _exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, str]:
-    """Return sentences on the states that are clearly the rates of what is said to be their rate, by state.
+def _exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, Finding]:
+    """Return the states that are clearly the rates of what is said to be their rate.
 
     Args:
         data: the recording.
@@ -161,10 +151,7 @@ def _exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]
         places = names.index(state), names.index(rate)
         tie, turned = _factor(data, *places), _factor(data, *reversed(places))
         if turned[1] > TIED and 1 / CLEAR < turned[0] < CLEAR and not tie[1] > TIED:
-            told[state] = (
-                f"{rate} was given as the rate of {state}, and in the log it is the other way round: {state} is the "
-                f"rate of {rate}; give 'plant.known={{{rate}: {state}}}', or correct the columns"
-            )
+            told[state] = weak("log.rate_exchanged", state=state, rate=rate, known={rate: state})
     return told
 
 
@@ -210,7 +197,7 @@ def _misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) -
 
 
 def require_consistent_rates(
-    data: Transitions, signature: Signature, known: Mapping[str, str], mend: Callable[[Mismatch], str]
+    data: Transitions, signature: Signature, known: Mapping[str, str], mend: Callable[[Mismatch], Mapping[str, Any]]
 ) -> None:
     """Refuse rates that are known and cannot be those of their states, for their equations are taken as exact.
 
@@ -218,22 +205,19 @@ def require_consistent_rates(
         data: The recording.
         signature: Names and units of the states.
         known: The rate of each state; other equations are not looked at.
-        mend: Returns the words that mend a rate in other units, or of the other sign.
+        mend: Returns the column map of the states that mends a rate in other units, or of the other sign.
 
     Raises:
         ValueError: A rate was exchanged with its state, is in other units, or counts the other way.
     """
     pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
-    for told in _exchanged(data, signature, pairs).values():
-        raise ValueError(told)
+    for exchanged in _exchanged(data, signature, pairs).values():
+        raise LogError(exchanged.code, **exchanged.values)
     for wrong in _misfit(data, signature, pairs):
         unit = signature.state_units[signature.state_index(wrong.state)]
         allowed = f"the unit of {wrong.state} per second" if unit == "-" else unit_of_rate(unit)
-        raise ValueError(
-            f"{wrong.rate} was given as the rate of {wrong.state}, whose slope over time is {wrong.factor:.3g} times "
-            f"{wrong.rate} ({wrong.cause()}?); allowed is a rate in {allowed}, for its equation is taken as exact: "
-            f"{mend(wrong)}, or correct the column"
-        )
+        facts = {"state": wrong.state, "rate": wrong.rate, "factor": wrong.factor, "cause": wrong.cause()}
+        raise LogError("log.rate_units", **facts, unit=allowed, states=mend(wrong))
 
 
 def turning(data: Transitions, angles: Sequence[int], speeds: Sequence[int]) -> dict[int, int]:

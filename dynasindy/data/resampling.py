@@ -17,6 +17,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from dynasindy.findings import Finding, LogError, note
+
 Array = NDArray[np.float64]
 GAP = 1.5
 """Sampling times from which on what lies between two samples is lost."""
@@ -29,7 +31,7 @@ JUMP = 0.05
 
 
 def evened(
-    t: Array, x: dict[str, Array], u: Array, dt: float, notes: list[str]
+    t: Array, x: dict[str, Array], u: Array, dt: float, findings: list[Finding]
 ) -> tuple[Array, dict[str, Array], Array, NDArray[np.int64]]:
     """Return times, states, inputs and segments of samples at even times; segments break at gaps.
 
@@ -38,26 +40,19 @@ def evened(
         x: States by name, `(N,)` each, NaN where one was not measured; so are even times next to such a sample.
         u: Inputs, held from each sample to the next, `(N, n_u)`.
         dt: Sampling time [s].
-        notes: Sentences on what was read; those on what was done are added.
+        findings: What was decided; what is done here is added.
 
     Raises:
         ValueError: No stretch without a gap has enough samples.
     """
     breaks = np.diff(t) > GAP * dt
     if breaks.any():
-        count = int(breaks.sum())
-        gaps, split = ("gap", "splits") if count == 1 else ("gaps", "split")
-        notes.append(f"{count} {gaps} longer than 1.5 sampling times {split} the recording")
+        findings.append(note("log.gaps", count=int(breaks.sum())))
     segment = np.concatenate([[0], np.cumsum(breaks)])
     uneven = np.abs(np.diff(t)[~breaks] - dt) > EVEN * dt
     if not uneven.any():
         return t, x, u, segment
-    notes.append(
-        f"{int(uneven.sum())} of {len(t) - 1} sampling times are not {dt:g} s; states were resampled by splines "
-        "between the jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each "
-        "step. If the samples were even and only their times were written late, give a counter as the time and "
-        f"data.dt={dt:g}"
-    )
+    findings.append(note("log.resampled", count=int(uneven.sum()), total=len(t) - 1, dt=dt))
     states, wide = np.stack(list(x.values()), -1), np.ptp(u, axis=0)
     parts = []
     for label, rows in enumerate(stretches(segment)):
@@ -68,10 +63,7 @@ def evened(
         jumps = (np.abs(np.diff(u[rows], axis=0)) > JUMP * wide).any(-1)
         parts.append((grid, _between_jumps(t[rows], states[rows], jumps, grid), means, np.full(len(grid), label)))
     if not parts:
-        raise ValueError(
-            f"no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check the "
-            "sampling time, and what was left out: " + "; ".join(notes)
-        )
+        raise LogError("log.uneven", dt=dt)
     times, found, inputs, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
     return times, {name: found[:, k] for k, name in enumerate(x)}, inputs, labels
 

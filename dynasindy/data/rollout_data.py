@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from dynasindy.findings import Finding, note
 from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
@@ -102,17 +103,17 @@ def record_plants(
 
 def before_leaving(
     data: Transitions, signature: Signature, bounds: Mapping[str, Ends], what: str
-) -> tuple[Transitions, str]:
-    """Cut a recording where the plant leaves its bounds or runs away; say so if it does.
+) -> tuple[Transitions, Finding | None]:
+    """Cut a recording where the plant leaves its bounds or runs away.
 
     Args:
         data: the recording.
         signature: names, units and ranges of the states.
         bounds: limits of states by name, one for both sides of zero or both ends.
-        what: what moved the plant, in words.
+        what: what moved the plant: `excitation` or `validation`.
 
     Returns:
-        The rows before it left, and a sentence, empty if it did not.
+        The rows before it left, and where it left; None if it did not.
 
     Raises:
         Diverged: it left in the first half.
@@ -123,20 +124,19 @@ def before_leaving(
     low, high = torch.where(given.isfinite(), given, torch.stack([-far, far]))
     out = ~((data.x_next >= low) & (data.x_next <= high))
     if not bool(out.any()):
-        return data, ""
+        return data, None
     row = int(out.any(-1).int().argmax())
     i = int(out[row].int().argmax())
     name, unit = signature.state_names[i], signature.state_units[i]
-    box = f"its bounds of {float(low[i]):g} to {float(high[i]):g} {unit}"
-    went = f"left {box}" if name in bounds else f"ran away, beyond {float(high[i]):g} {unit},"
-    left = f"{what} {name} {went} after {(row + 1) * data.dt:.3g} s"
+    ends = {"low": float(low[i]), "high": float(high[i]), "unit": unit, "bounded": name in bounds}
+    left = note("excitation.left", during=what, state=name, seconds=(row + 1) * data.dt, **ends)
     if 2 * row < len(data):
         raise Diverged(
             f"{left}, and there is too little before that to identify from; give a smaller excitation.amplitude, "
             f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or excitation.first=0.1, "
             "which begins anew where the plant leaves its bounds and then holds it while it is excited"
         )
-    return data.select(torch.arange(len(data)) < row), f"{left}; what came later was left out"
+    return data.select(torch.arange(len(data)) < row), left
 
 
 def disturb(

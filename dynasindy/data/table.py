@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.files import read_file
 from dynasindy.data.headings import is_clock, named_by, plain_headings, split_unit
+from dynasindy.findings import Finding, note
 from dynasindy.text import did_you_mean
 
 Array = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Table:
         lines: line of each row in the file, `(rows,)`.
         words: cells that hold something else than a number, by heading.
         dated: headings of columns that hold dates, in seconds.
-        notes: sentences on what was decided.
+        findings: what was decided.
     """
 
     headings: tuple[str, ...]
@@ -56,7 +57,7 @@ class Table:
     lines: NDArray[np.int64]
     words: Mapping[str, Words] = field(default_factory=dict)
     dated: frozenset[str] = frozenset()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def column(self, heading: str) -> Array:
         """Return the numbers below a heading, `(rows,)`."""
@@ -91,7 +92,7 @@ def _read(path: Path, changed: int, size: int) -> Table:
             raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         kept.remove(k)  # an index that a program wrote
     found = tuple(headings[k] for k in kept)
-    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), raw.notes)
+    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), raw.findings)
     return _with_one_clock(table)
 
 
@@ -127,8 +128,9 @@ def _with_one_clock(table: Table) -> Table:
     kept = [k for k, name in enumerate(table.headings) if name not in others]
     unit = split_unit(first)[1]
     names = [(f"time [{unit}]" if unit else "time") if h == first else h for h in table.headings]
-    note = f"{', '.join(moved)} of the clock {', '.join(others)} stand at the times of {first}"
-    return replace(table, headings=tuple(names[k] for k in kept), values=values[:, kept], notes=(*table.notes, note))
+    second = note("log.second_clock", columns=moved, clocks=others, first=first)
+    kept_names = tuple(names[k] for k in kept)
+    return replace(table, headings=kept_names, values=values[:, kept], findings=(*table.findings, second))
 
 
 def grows(column: Array) -> bool:
@@ -202,7 +204,7 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
             whole,
             headings=("time", *whole.headings),
             values=np.column_stack([even, whole.values]),
-            notes=(*whole.notes, "the file has no column of time, and its rows are taken as even"),
+            findings=(*whole.findings, note("log.no_time")),
         )
     places = [_find(path, name, whole.headings) for name in names]
     found = tuple(whole.headings[k] for k in places)
@@ -218,18 +220,12 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
                 f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
                 f"numbers, and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
             )
-    told = tuple(_worded(heading, each) for heading, each in words.items())
+    worded = (
+        note("log.words", line=each.line, column=heading, text=each.text, count=each.count)
+        for heading, each in words.items()
+    )
     dated = frozenset(found[:1]) & whole.dated
-    return Table(found, values, whole.lines, words, dated, (*whole.notes, *told))
-
-
-def _worded(heading: str, words: Words) -> str:
-    """Say which cell of a column holds text, and how many more of them do."""
-    first = f"line {words.line}, column {heading!r} holds {words.text!r}, which is no number"
-    if (more := words.count - 1) == 0:
-        return f"{first}; it counts as missing"
-    others = "1 more cell of the column holds none" if more == 1 else f"{more} more cells of the column hold none"
-    return f"{first}, and {others}; they count as missing"
+    return Table(found, values, whole.lines, words, dated, (*whole.findings, *worded))
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:

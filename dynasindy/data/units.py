@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dynasindy.data.headings import split_unit, units_of
 from dynasindy.data.rates import is_rate_of
+from dynasindy.findings import Finding, note
 from dynasindy.systems.base import TURNS
 
 if TYPE_CHECKING:
@@ -84,25 +85,26 @@ def undecided(columns: Mapping[str, Column], headings: Iterable[str]) -> list[st
     ]
 
 
-def as_words(columns: Mapping[str, Column], explicit: Collection[str]) -> str:
-    """Return the word of the command line that says these states.
+def as_map(columns: Mapping[str, Column], explicit: Collection[str]) -> dict[str, Any]:
+    """Return the column map that says these states.
 
     Args:
         columns: States by name.
         explicit: Those whose unit and scale are written, as their headings do not tell them.
     """
-    told = []
+    found: dict[str, Any] = {}
     for name, column in columns.items():
-        keys = [f"name: {split_unit(column.name)[0]}"] if column.name else []
-        keys += [f"derivative_of: {column.derivative_of}"] if column.derivative_of else []
-        keys += [f"unit: {column.unit}"] * (name in explicit or not column.name)
-        keys += [f"scale: {column.scale:.7g}"] * (column.scale != 1 and (name in explicit or not column.name))
-        told.append(f"{name}: {{{', '.join(keys)}}}" if keys[1:] else f"{name}: {split_unit(column.name)[0]}")
-    return f"'data.states={{{', '.join(told)}}}'"
+        keys: dict[str, Any] = {"name": split_unit(column.name)[0]} if column.name else {}
+        keys |= {"derivative_of": column.derivative_of} if column.derivative_of else {}
+        keys |= {"unit": column.unit} if name in explicit or not column.name else {}
+        if column.scale != 1 and (name in explicit or not column.name):
+            keys["scale"] = float(f"{column.scale:.7g}")
+        found[name] = keys if len(keys) > 1 else split_unit(column.name)[0]
+    return found
 
 
-def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[str]:
-    """Say in one line which columns were converted, and what that asks of a user; nothing where none was.
+def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:
+    """Return which columns were converted, and the column map that keeps their units; nothing where none was.
 
     Args:
         columns: Columns by name, as `with_units` returns them.
@@ -113,16 +115,13 @@ def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[
     changed = {name: unit for name, unit in inside.items() if _changed(unit, columns[name].unit, columns[name].scale)}
     if not changed:
         return []
-    told = ", ".join(f"{name} from {unit} to {columns[name].unit}" for name, unit in changed.items())
     kept = {
         name: replace(column, unit=changed.get(name, column.unit), scale=1.0 if name in changed else column.scale)
         for name, column in columns.items()
         if column.name
     }
-    return [
-        f"converted: {told}. Targets and limits are to be given in these units, and a controller reads them so; "
-        f"{as_words(kept, changed)} would keep the units of the file"
-    ]
+    both = {name: (unit, columns[name].unit) for name, unit in changed.items()}
+    return [note("log.converted", units=both, kept=as_map(kept, changed))]
 
 
 def _changed(before: str, unit: str, scale: float) -> bool:

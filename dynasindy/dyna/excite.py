@@ -31,6 +31,7 @@ from dynasindy.data.rollout_data import measurements_and_inputs, transitions
 from dynasindy.dyna.components import Components, PlantComponents
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
+from dynasindy.findings import Finding, note, weak
 from dynasindy.planning.regulator import regulated
 from dynasindy.progress import report_progress
 from dynasindy.sindy import Refinement, Regression, SindyModel
@@ -178,8 +179,8 @@ def _excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def restarts(parts: PlantComponents, rows: TensorDict) -> str:
-    """Say in one line how often the excitation began anew, and where; empty if it never did.
+def restarts(parts: PlantComponents, rows: TensorDict) -> Finding | None:
+    """Return how often the excitation began anew, and where; None if it never did.
 
     Args:
         parts: The plant and its limits.
@@ -187,61 +188,44 @@ def restarts(parts: PlantComponents, rows: TensorDict) -> str:
     """
     ends = (rows["step_count"][1:, 0] == 0).nonzero().flatten()
     if not len(ends):
-        return ""
+        return None
     (low, high), signature = _excitation_limits(parts), parts.plant.system.signature
     last = rows["next", "state"][ends]
     units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), strict=True)
+    counts = (~((last >= low) & (last <= high))).sum(0).tolist()
     why = [
-        f"{name} beyond {a:g} to {b:g} {unit} {_times(int(beyond))}"
-        for (name, unit, a, b), beyond in zip(units, (~((last >= low) & (last <= high))).sum(0).tolist(), strict=True)
-        if beyond
+        {"state": name, "low": a, "high": b, "unit": unit, "times": int(count)}
+        for (name, unit, a, b), count in zip(units, counts, strict=True)
+        if count
     ]
-    reasons = ", ".join(why) or "an episode was over"
-    return f"The excitation ended early and began anew at the start {_times(len(ends))}: {reasons}."
+    return note("excitation.restarts", times=len(ends), beyond=why)
 
 
-def _times(n: int) -> str:
-    return "once" if n == 1 else f"{n} times"
-
-
-def left_out(rows: TensorDict) -> str:
-    """Say in one line how many control periods of the excitation no model is fitted to; empty if to all of them."""
+def left_out(rows: TensorDict) -> Finding | None:
+    """Return how many control periods of the excitation no model is fitted to; None if to all of them."""
     count = int(rows["next", "at_stop"].sum())
     if not count:
-        return ""
-    rest = rows.numel() - count
-    touched = f"The excitation reached a mechanical stop in {count} of {rows.numel()} control periods"
-    if count < MUCH * rows.numel():
-        return f"{touched}; the model is fitted to the other {rest}."
-    return (
-        f"{touched}, so the model is fitted to the other {rest} only; a smaller excitation.amplitude, or another "
-        "excitation.offset, would leave more data."
-    )
+        return None
+    much = count >= MUCH * rows.numel()
+    return (weak if much else note)("excitation.stops", count=count, total=rows.numel(), much=much)
 
 
-def coarse(plant: ControlEnv, rows: TensorDict) -> str:
-    """Say in one line that the Runge-Kutta steps of a simulated plant are too long for it; empty if they are not.
+def coarse(plant: ControlEnv, rows: TensorDict) -> Finding | None:
+    """Return that the Runge-Kutta steps of a simulated plant are too long for it; None if they are not.
 
     Args:
         plant: The environment, whose states are seen as they are.
         rows: What `excite` returned.
     """
     if type(plant) is not ControlEnv:
-        return ""  # another simulator, or a rig, moves it
+        return None  # another simulator, or a rig, moves it
     report_progress("excitation", note="are the steps of the simulation short enough?")
     rows = rows[:: max(1, len(rows) // LOOKED_AT)]
     x, u = rows["state"], rows["action"].to(rows["state"].dtype)
     needed, apart = steps_needed(plant.system, x, u, plant.dt, plant.substeps, plant.stops)
     if needed == plant.substeps:
-        return ""
-    mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
-    if needed is not None:
-        mend = f"so give env.substeps={needed}, or a shorter env.dt"
-    elsewhere = f"{apart:.2g} ranges of a state elsewhere" if math.isfinite(apart) else "at no number"
-    return (
-        "The simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
-        f"{elsewhere}, {mend}."
-    )
+        return None
+    return weak("plant.coarse_steps", apart=float(apart) if math.isfinite(apart) else None, needed=needed)
 
 
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from typing import Any
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.evaluation.before_fit import before_fit
-from dynasindy.evaluation.equations import describe_model
+from dynasindy.evaluation.equations import equation_findings
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.scenarios import Scenario
@@ -20,6 +20,7 @@ from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.progress import say, width
 from dynasindy.safe_io import write_json
 from dynasindy.sensing import Sensors
+from dynasindy.sentences import line, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.tasks import Tracking
 from dynasindy.workbench import forecast, plan
@@ -70,11 +71,11 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
-    if told := before_fit(built, source).lines:
-        say(*told)
+    if before := before_fit(built, source).findings:
+        say(*lines(before))
     found = fit_log(built, source)
-    seen = describe_model(found.model, found.report)
-    say(found.report.to_text(), *(f"found: {line}" for line in seen), *found.hidden)
+    content = [*equation_findings(found.model, found.report), *found.hidden]
+    say(found.report.to_text(), *(f"found: {each}" if each.severity == "note" else line(each) for each in content))
     return found.model
 
 
@@ -97,10 +98,10 @@ def write_controller(folder: Path, controller: Controller, model: SindyModel, pr
 
 def log_report(model: SindyModel, prediction: Forecast) -> str:
     """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
-    lines = ["", "Identified equations", *(f"  {line}" for line in model.equations()), ""]
+    text = ["", "Identified equations", *(f"  {equation}" for equation in model.equations()), ""]
     if prediction.shown is not None:
         title = f"{evaluation_title(prediction.shown)}, {prediction.place}"
         shown = prediction.shown
-        told = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
-        lines += [told, *beyond_targets(shown), *restless(shown), ""]
-    return "\n".join([*lines, prediction.summary()])
+        table = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
+        text += [table, *lines([*beyond_targets(shown), *restless(shown)]), ""]
+    return "\n".join([*text, prediction.summary()])

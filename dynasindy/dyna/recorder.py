@@ -26,10 +26,10 @@ from dynasindy.dyna.callback import Callback, Cost, Episode
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.verdict import distrusted, judge_run
-from dynasindy.evaluation.equations import describe_delay
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
 from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_tracking, representative_episode
+from dynasindy.findings import note, records
 from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
@@ -102,7 +102,7 @@ class Recorder(Callback):
         self.written = -WRITTEN_EVERY
         self.said = False  # above the report of the first fit, that others came after it
         self.cost, self.evaluation_steps = Cost(), 0
-        self.restarts = ""
+        self.excitation: list[dict[str, Any]] = []
         self.untrained: Summary = {}
         self.latest: Summary = {}
 
@@ -127,12 +127,12 @@ class Recorder(Callback):
         self.cost = cost
         if isinstance(report, FitReport):
             delay = getattr(self.parts.world_model, "delay", 0.0)
-            found = f"found: {describe_delay(delay)}\n" if delay else ""
-            write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n{found}")
+            text = f"found: {note('model.delay', seconds=delay)}\n" if delay else ""
+            write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n{text}")
             self.said = False
-        fine = "" if self.parts.sensing is not None else coarse(self.plant, excited)
-        words = [restarts(self.parts, excited), fine, left_out(excited)]
-        self.restarts = " ".join(filter(None, words))
+        fine = None if self.parts.sensing is not None else coarse(self.plant, excited)
+        found = [restarts(self.parts, excited), fine, left_out(excited)]
+        self.excitation = records(each for each in found if each is not None)
         self._write_rollout("excitation", excited)
         stops = self._left_out(excited)
         write_json(self.folder / "data" / "left_out.json", {"unit": "s", "at_a_stop": stops})
@@ -183,17 +183,12 @@ class Recorder(Callback):
             "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
-            "beyond_targets": beyond_targets(final),
             "held": asdict(self._held(final)),
             "units": final.units,
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
-            "excitation": self.restarts,
             "planning": self.parts.planner.summary(),
             "reward": self.plant.task.summary(),
-            "gate": distrusted(
-                [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions], self.parts.gate.state_error
-            ),
             "untrained": self.untrained,
             "drawn": asdict(shown),
             "equations": self.parts.world_model.equations(),
@@ -202,7 +197,11 @@ class Recorder(Callback):
         if self.parts.sensing is not None:
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
-        metrics["verdict"] = asdict(judge_run(metrics, self.within))
+        decisions = [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions]
+        gate, verdict = distrusted(decisions, self.parts.gate.state_error), judge_run(metrics, self.within)
+        findings = [*beyond_targets(final), *([] if gate is None else [gate]), *verdict.findings]
+        metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
+        metrics["findings"] = [*self.excitation, *records(findings)]
         self._write_rollout("step_response", final.trajectory[shown.row], last=True)
         self.parts.world_model.save(self.folder / "model.json")
         with replace_file(self.folder / "policy.pt") as file:
@@ -250,7 +249,7 @@ class Recorder(Callback):
             self._log_scalars(row)
         self.write_tables()
 
-    _logged = ("rows", "decisions", "evaluation_steps", "untrained", "latest", "restarts")
+    _logged = ("rows", "decisions", "evaluation_steps", "untrained", "latest", "excitation")
 
     def _seconds(self) -> float:
         return self.seconds_before + time.perf_counter() - self.start

@@ -15,13 +15,14 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
 from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
-from dynasindy.evaluation.equations import describe_delay
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
+from dynasindy.findings import Finding, note
 from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
 from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
+from dynasindy.sentences import line
 from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
 
@@ -225,30 +226,28 @@ def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str])
 def run_report(metrics: dict[str, Any], folder: Path) -> str:
     """Return what a user reads at the end: equations, step tracking, cost, folder."""
     cost = metrics["cost"]
-    lines = ["", "Identified equations", *(f"  {line}" for line in metrics["equations"]), ""]
+    lines = ["", "Identified equations", *(f"  {equation}" for equation in metrics["equations"]), ""]
     if metrics.get("delay"):
-        lines[-1:] = [f"  {describe_delay(metrics['delay'])}", ""]
+        lines[-1:] = [f"  {note('model.delay', seconds=metrics['delay'])}", ""]
     if (file := folder / IDENTIFICATION).is_file():
         which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
         lines[-1:] = [f"{which}: {file}", ""]
+    findings = [Finding.of(record) for record in metrics["findings"]]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     steady = metrics.get("steady_seconds", 5.0)
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
-        *metrics.get("beyond_targets", []),
         "",
         f"Cost: the plant moved for {format_duration(cost['plant_seconds'])} to learn, which are {cost['real_steps']} "
         f"control periods. The model imagined {cost['imagined_transitions']} periods, and the policy was updated "
         f"{cost['updates']} times, all in {format_duration(round(cost['wall_seconds']))}. The evaluations moved the "
         f"plant for {cost['evaluation_steps']} periods more, from which nothing was learnt.",
-        *([metrics["excitation"]] if metrics.get("excitation") else []),
+        *(line(each) for each in findings if not each.code.startswith("run.")),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
         *_of_plant(metrics.get("planning") or ""),
-        *([metrics["gate"]] if metrics.get("gate") else []),
         *_of_observer(metrics.get("observer") or {}),
-        metrics["verdict"]["sentence"],
-        *([metrics["verdict"]["held"]] if metrics["verdict"].get("held") else []),
+        *(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in findings if each.code.startswith("run.")),
         *(
             [f"Check on the model, {folder / 'check'}: {checked['verdict']}"]
             if (checked := metrics.get("check"))

@@ -17,6 +17,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.identification import ExcitationBuilder
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Aprbs, Excitation
+from dynasindy.findings import Finding, note
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
@@ -106,12 +107,12 @@ class Simulated:
         self._check_length(signal, seconds)
         unseen = self._unseen(signal, seconds)
         stays = signal.first == 1 and signal.gain is None
-        training, validation, notes = (self._open_loop if stays else self._held)(system, signal, unseen)
+        training, validation, findings = (self._open_loop if stays else self._held)(system, signal, unseen)
         training = disturb(training, self.noise, self.seed, system.signature)
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
             training = observed(training, partial(self.sensors.read, signature=system.signature, rng=generator))
-        return Source(system.signature, training, validation, tuple(filter(None, notes)))
+        return Source(system.signature, training, validation, tuple(each for each in findings if each is not None))
 
     def _step(self, period: float) -> float:
         """Return the time between two samples [s]."""
@@ -158,33 +159,34 @@ class Simulated:
 
     def _open_loop(
         self, system: System, signal: Excitation, unseen: Excitation
-    ) -> tuple[Transitions, Transitions, list[str]]:
+    ) -> tuple[Transitions, Transitions, list[Finding | None]]:
         """Record a plant that stays by itself; what comes after it has left its bounds is left out."""
-        dt, notes, parts = self._step(signal.dt), [], []
-        words = ("in the excitation", "in the validation, under random inputs,")
-        for k, (moved, what) in enumerate(zip((signal, unseen), words, strict=True)):
+        dt, parts = self._step(signal.dt), list[Transitions]()
+        findings: list[Finding | None] = []
+        for k, (moved, what) in enumerate(zip((signal, unseen), ("excitation", "validation"), strict=True)):
             inputs = moved.samples(dt)
             data = record_plant(system, inputs, dt, self.substeps, self._start(system, self.seed + k))
             if k == 0 and len(data) < len(inputs):
-                notes.append(f"{len(inputs) - len(data)} samples that touched a stop were left out")
+                findings.append(note("log.touched_stop", count=len(inputs) - len(data)))
             data, gone = before_leaving(data, system.signature, self.bounds or {}, what)
             parts.append(data)
-            notes.append(gone)
-        return parts[0], parts[1], notes
+            findings.append(gone)
+        return parts[0], parts[1], findings
 
     def _held(
         self, system: System, signal: Excitation, unseen: Excitation
-    ) -> tuple[Transitions, Transitions, list[str]]:
+    ) -> tuple[Transitions, Transitions, list[Finding | None]]:
         """Record a plant that may not stay by itself as training does."""
-        pilot, notes, parts = RegulatedExcitation(signal), [], []
+        pilot, parts = RegulatedExcitation(signal), list[Transitions]()
+        findings: list[Finding | None] = []
         for k, moved in enumerate((signal, unseen)):
             bench = self._bench(system, moved, self.seed + k)
             pilot.signal = moved
             rows = excite(bench, pilot)
-            notes += [restarts(bench, rows), left_out(rows)] if k == 0 else []
+            findings += [restarts(bench, rows), left_out(rows)] if k == 0 else []
             rows["next", "samples"] = rows["next", "samples"][:, self.substeps - 1 :: self.substeps]
             parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
-        return parts[0], parts[1], notes
+        return parts[0], parts[1], findings
 
     def _bench(self, system: System, signal: Excitation, seed: int) -> PlantComponents:
         """Return the plant of which nothing is wanted but that it moves."""

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, error_reference
+from dynasindy.evaluation.tracking_criteria import LOST, WITHIN
+from dynasindy.findings import Finding, note, weak, wrong
 
 HARDLY = 0.01
 """Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
@@ -15,20 +16,18 @@ HARDLY = 0.01
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """What a run's result is worth; `dataclasses.asdict` gives what `metrics.json` holds.
+    """What a run's result is worth.
 
     Attributes:
         usable: Whether the trained policy is better than the untrained one.
-        sentence: Why, in words and with both returns.
         controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away; None
             where the task names no targets and nothing runs away: a return says nothing of control.
-        held: How near, and what runs away, in words.
+        findings: Why: of the returns, then of control.
     """
 
     usable: bool
-    sentence: str
-    controlled: bool | None = False
-    held: str = ""
+    controlled: bool | None
+    findings: tuple[Finding, ...]
 
 
 def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
@@ -40,36 +39,25 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
             `episodes`, without which there is no `gate.csv`.
         within: Mean absolute error at the end that is asked for, in ranges of targets.
     """
-    usable, sentence = _compared(metrics)
-    controlled, held = _held(metrics["held"], within, usable)
-    return RunVerdict(usable, sentence, controlled, held)
+    usable, compared = _compared(metrics)
+    controlled, tracked = _tracked(metrics["held"], within, usable)
+    return RunVerdict(usable, controlled, (compared, tracked))
 
 
-def _compared(metrics: Mapping[str, Any]) -> tuple[bool, str]:
+def _compared(metrics: Mapping[str, Any]) -> tuple[bool, Finding]:
     untrained, trained = (_number(metrics[key]["return"]) for key in ("untrained", "evaluation"))
-    where = f"in scenario '{metrics['scenario']}'"
-    if not (math.isfinite(trained) and math.isfinite(untrained)):
-        return False, (
-            f"There is no usable result: the return {where} is not finite (trained {trained}, untrained "
-            f"{untrained}); check the plant and the task's reward."
-        )
-    returns = f"its return {where} is {trained:.6g}, the untrained policy's {untrained:.6g}"
-    if trained > untrained:
+    finite = math.isfinite(trained) and math.isfinite(untrained)
+    facts: dict[str, Any] = {"scenario": metrics["scenario"], "trained": trained, "untrained": untrained}
+    if finite and trained > untrained:
         share = (trained - untrained) / max(abs(untrained), 1e-300)
-        word = "better" if share >= HARDLY else f"hardly better, by {100 * share:.2g} %,"
-        return True, f"The trained policy is {word} than the untrained one: {returns}."
-    how = "worse than" if trained < untrained else "no better than"
-    look = (
-        ", or look in gate.csv whether the model was trusted" if metrics.get("episodes", 1) else ""
-    )  # not written else
-    return False, (
-        f"There is no usable result: the trained policy is {how} the untrained one: {returns}; train for more "
-        f"episodes{look}."
-    )
+        hardly = share < HARDLY
+        return True, (weak if hardly else note)("run.better", **facts, percent=100 * share, hardly=hardly)
+    returns = facts if finite else {**facts, "trained": None, "untrained": None}
+    return False, wrong("run.no_better", **returns, episodes=bool(metrics.get("episodes", 1)))
 
 
-def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: float = math.inf) -> str:
-    """Say that the model was not trusted, in how many episodes and why the last time; empty where it always was.
+def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: float = math.inf) -> Finding | None:
+    """Return in how many episodes the model was not trusted, and why the last time; None where it always was.
 
     Args:
         decisions: Rows of `gate.csv`.
@@ -77,61 +65,29 @@ def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: flo
     """
     closed = [row for row in decisions if not row["open"]]
     if not closed:
-        return ""
-    last, when = closed[-1], f"after {len(closed)} of {len(decisions)} episodes"
+        return None
+    last = closed[-1]
     reward, states = (_number(last[f"judged_{what}_error"]) for what in ("reward", "state"))
     opens, closes = _number(last["open_below"]), _number(last["close_above"])
-    why = f"the model's reward error on real periods that it was not fitted to was {reward:.2g} per control period, "
-    if reward > closes:
-        why += f"above gate.close_above={closes:g}"
-    elif reward > opens:
-        why += f"above gate.open_below={opens:g}, at which a closed gate opens"
-    elif states > state_error:
-        why = f"its state error was {states:.2g} ranges, above gate.state_error={state_error:g}"
-    else:
-        why = "its errors on real periods were no numbers"
-    return (
-        f"The model was not trusted {when}, so nothing was planned on it there: after episode "
-        f"{_number(last['episode']):.0f} {why}; gate.csv tells of each."
-    )
+    limits = (("reward_closes", reward, closes), ("reward_opens", reward, opens), ("state", states, state_error))
+    found = [each for each in limits if each[1] > each[2]]
+    cause, error, limit = found[0] if found else ("no_number", None, None)
+    counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(_number(last["episode"]))}
+    return weak("run.distrusted", **counts, cause=cause, error=error, limit=limit)
 
 
-def _held(held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool) -> tuple[bool | None, str]:
-    told, missed = [], False
+def _tracked(
+    held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool
+) -> tuple[bool | None, Finding]:
+    outputs, missed = {}, False
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
         missed |= not (share <= within and worst <= LOST * within)
-        range_ = error_reference(name, held.get("turned", ()))
-        told.append(f"{name} {_percent(share)} {range_} on average, {_percent(worst)} at worst")
-    lines = [f"errors at the end: {'; '.join(told)} ({_percent(within)} is asked for)"]
-    if not told:
-        lines = [
-            "the task names no targets, so nothing is said of control; all that was compared is the mean return of the "
-            f"trained policy with that of the untrained one, and it {'grew' if usable else 'did not grow'}"
-        ]
-    lines += [
-        f"{name}, which is not tracked, {_fate(held, name)} in {_percent(_number(share))} of the runs"
-        for name, share in held["away"].items()
-    ]
-    lines += [
-        f"{name} runs on in {_percent(_number(share))} of the runs, which nothing depends on"
-        for name, share in held["idle"].items()
-    ]
-    controlled = True if told else None
-    if missed or held["away"]:
-        controlled = False
-    word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
-    return controlled, f"{word}: {'; '.join(lines)}."
-
-
-def _fate(held: Mapping[str, Mapping[str, float | None]], name: str) -> str:
-    return "does not come to rest" if name in held.get("swings", {}) else "runs away or does not come to rest"
-
-
-def _percent(share: float) -> str:
-    if not math.isfinite(share):
-        return "no number"
-    return f"{float(f'{100 * share:.2g}'):g} %" if share < 10 else f"{float(f'{share:.2g}'):g} times"
+        outputs[name] = {"share": share, "worst": worst, "of_turn": name in held.get("turned", ())}
+    away = {name: {"share": share, "swings": name in held.get("swings", {})} for name, share in held["away"].items()}
+    controlled = False if missed or away else True if outputs else None
+    facts = {"outputs": outputs, "within": within, "away": away, "idle": dict(held["idle"]), "grew": usable}
+    return controlled, (wrong if controlled is False else note)("run.controlled", controlled=controlled, **facts)
 
 
 def _number(value: float | None) -> float:

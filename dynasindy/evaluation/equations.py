@@ -1,20 +1,19 @@
-"""What fitted equations hold, in the words of an engineer: delay, dry friction, springs, dead zones, idle states."""
+"""What fitted equations hold: delay, dry friction, springs, dead zones, saturations, idle states."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from dynasindy.evaluation.before_fit import rate_setting
+from dynasindy.findings import Finding, note, weak
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity, read_nonlinearity
 from dynasindy.sindy.library import Feature
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.transitions import Transitions
-from dynasindy.text import format_duration
 
-LATE = "the inputs act"
-"""First words of the line that tells a delay."""
 FULL = 5.0
 """Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
 SHORT = 0.5
@@ -23,17 +22,8 @@ TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
-def describe_delay(delay: float) -> str:
-    """Say how late the inputs act.
-
-    Args:
-        delay: Delay of the inputs [s].
-    """
-    return f"{LATE} {f'{1e3 * delay:.3g} ms' if delay < 1 else format_duration(delay)} late"
-
-
-def describe_model(model: SindyModel, report: FitReport | None = None) -> list[str]:
-    """Say what of delay, dry friction, springs, dead zones and saturations is in the equations.
+def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
+    """Return what of delay, dry friction, springs, dead zones and saturations is in the equations.
 
     Args:
         model: a fitted model.
@@ -41,55 +31,47 @@ def describe_model(model: SindyModel, report: FitReport | None = None) -> list[s
             than a sampling time where the fit is poor, is none, and functions whose coefficients the data do not tell
             are no friction and no spring.
     """
-    names, lines = model.signature.state_names, []
-    told = None if report is None else report.told_apart()
+    names, findings = model.signature.state_names, []
+    resolved = None if report is None else report.told_apart()
     if model.delay and (report is None or _sure(model.delay, report)):
-        lines.append(describe_delay(model.delay))
+        findings.append(note("model.delay", seconds=model.delay))
     of_rate = rate_states(model.library, model.constraints)
     for i in range(len(names)):
         clear = model.coefficients[:, i] != 0
-        used = (clear if told is None else clear & (told[:, i] > TOLD)).nonzero().flatten().tolist()
+        used = (clear if resolved is None else clear & (resolved[:, i] > TOLD)).nonzero().flatten().tolist()
         terms = [model.library.features[k] for k in used]
         size = model.signature.x_scale[i]
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
-            lines.append(f"{names[i]}' has dry friction")
-        moved = [*model.signature.input_names, *model.followed]
-        lines += [said for name in moved if (said := _bend_in_words(read_nonlinearity(model, i, name), model))]
+            findings.append(note("model.dry_friction", state=names[i]))
+        for name in [*model.signature.input_names, *model.followed]:
+            bend = read_nonlinearity(model, i, name)
+            if bend is not None and (found := note("model.bend", **_bend(bend, model))) not in findings:
+                findings.append(found)
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
-            lines.append(f"{names[i]}' has a spring in {names[of_rate[i]]}")
-    return [*dict.fromkeys(lines)]
+            findings.append(note("model.spring", state=names[i], of=names[of_rate[i]]))
+    return findings
 
 
-def _bend_in_words(bend: InputNonlinearity | None, model: SindyModel) -> str:
-    """Say what a dead zone or a saturation does, in the unit of its actuator; empty where there is none."""
-    if bend is None:
-        return ""
+def _bend(bend: InputNonlinearity, model: SindyModel) -> dict[str, Any]:
+    """Return a dead zone or a saturation in the unit of its actuator."""
     signature = model.signature
     place = signature.input_names.index(model.followed.get(bend.input, bend.input))
     ends = np.tile(np.array([[bend.low], [bend.high]]), signature.n_u)
     low, high = signature.in_own_units(ends)[:, place].tolist()
     unit = signature.input_units[place] if signature.input_units else "-"
-    told = [f"{end:.3g}{'' if unit == '-' else f' {unit}'}" for end in (low, high)]
-    if bend.kind == "dead zone":
-        return f"{bend.input} does nothing from {told[0]} to {told[1]}"
-    sides = [f"{side} {end}" for side, end in zip(("below", "above"), told, strict=True) if "inf" not in end]
-    return f"{bend.input} has no more effect {' and '.join(sides)}"
+    return {"input": bend.input, "kind": bend.kind, "low": low, "high": high, "unit": unit}
 
 
-def bend_hint(bend: InputNonlinearity, model: SindyModel) -> str:
-    """Say which dead zone or saturation the equations seem to lack, and the words that fit one.
+def missing_nonlinearity(bend: InputNonlinearity, model: SindyModel) -> Finding:
+    """Return which dead zone or saturation the equations seem to lack.
 
     Args:
-        bend: what `missing_bend` found.
+        bend: what `find_missing_nonlinearity` found.
         model: a fitted model.
     """
     names = model.signature.state_names
     known = {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
-    words = " ".join(["plant.library=dead_zone", *([f"'{rate_setting(known)}'"] if known else [])])
-    return (
-        f"hint: what the equations leave over looks like a {bend.kind}, as if {_bend_in_words(bend, model)}, about: "
-        f"{words} fits such bends of the inputs beside linear functions"
-    )
+    return weak("model.missing_bend", known=known, **_bend(bend, model))
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:
@@ -105,8 +87,8 @@ def hidden_states(model: SindyModel, data: Transitions) -> list[str]:
     return [names[i] for i in alone if names[i] not in model.followed]
 
 
-def idle(model: SindyModel, data: Transitions) -> list[str]:
-    """Say which hidden states stand in no equation, and how to give a first guess of their equations, in a line.
+def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
+    """Return which hidden states stand in no equation, and an example of a first guess of their equations.
 
     Args:
         model: a fitted model.
@@ -119,11 +101,12 @@ def idle(model: SindyModel, data: Transitions) -> list[str]:
     if not still:
         return []
     seen = next((name for name, blind in zip(names, data.x.isnan().all(0).tolist(), strict=True) if not blind), "")
-    first = [*(f"{name}: {{{inputs[0]}: 0.1, {name}: -0.1}}" for name in still[:1]), f"{seen}: {{{still[0]}: 0.1}}"]
-    stands, needs = ("stands", "it needs") if len(still) == 1 else ("stand", "they need")
     return [
-        f"hint: {' and '.join(still)} {stands} in no equation: no sensor sees what it does in any form, so {needs} a "
-        f"first guess of the equations, as in 'plant.initial={{{', '.join(first)}}}', with numbers of your plant"
+        weak(
+            "model.idle_state",
+            states=still,
+            initial={still[0]: {inputs[0]: 0.1, still[0]: -0.1}, seen: {still[0]: 0.1}},
+        )
     ]
 
 

@@ -12,11 +12,11 @@ import torch
 
 from dynasindy.envs import ControlEnv, DelayedEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
-from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, error_reference, judge_tracking
+from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, judge_tracking
+from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.systems import Diverged, System
-from dynasindy.text import format_duration
 
 OVERSHOT = 20.0
 """Overshoot that a prediction tells of [% of the step]."""
@@ -33,13 +33,13 @@ class Forecast:
         within: Mean absolute error at the end that is asked for, in target ranges.
         errors: Mean absolute error of each model's whole flights, of the worst output, in target ranges; infinite of
             one that ran away.
-        doubts: Why the models, though they agree, are not to be relied on, a sentence each.
+        doubts: Why the models, though they agree, are not to be relied on.
         unheld: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
         overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
         resolved: Of each output, the step between two values that its sensor can tell apart, in target ranges, where
             one is known.
-        period: What speaks for another control period, and which to try; empty if nothing does.
+        period: What speaks for another control period, and which to try; None if nothing does.
     """
 
     flights: tuple[TrackingCriteria | None, ...]
@@ -47,12 +47,12 @@ class Forecast:
     own: bool = False
     within: float = WITHIN
     errors: tuple[float, ...] = ()
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Finding, ...] = ()
     unheld: str = ""
     seconds: float | None = None
     overshoot: Mapping[str, float] = field(default_factory=dict)
     resolved: Mapping[str, float] = field(default_factory=dict)
-    period: str = ""
+    period: Finding | None = None
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
@@ -90,55 +90,65 @@ class Forecast:
         ]
         return not all(share <= self.within and worst <= LOST * self.within for share, worst in errors)
 
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the simulations show, and what speaks against the models; `wrong` where nothing is promised for it."""
+        n, flown = len(self.flights), [flight for flight in self.flights if flight is not None]
+        advice = [self.period] if self.period is not None else []
+        if not flown:
+            return (wrong("forecast.runs_away", models=n, of=n), *advice)
+        findings = [(wrong if self._missed else note)("forecast.errors", **self._errors(flown))]
+        findings += [wrong("forecast.runs_away", models=n - len(flown), of=n)] if len(flown) < n else []
+        fates = sorted({(name, name not in flight.swings) for flight in flown for name in flight.away})
+        findings += [wrong("forecast.untracked", state=name, runs_away=away) for name, away in fates]
+        idle = sorted({name for flight in flown for name in flight.idle})
+        findings += [note("forecast.idle", state=name) for name in idle]
+        diverged = len(flown) < n or any(away for _, away in fates)
+        if diverged or self._missed:
+            findings += advice
+        if not (self.controlled or diverged or self.doubts or (advice and self._missed)):
+            findings.append(self._advice(flown))
+        return (*findings, *self.doubts)
+
+    def _errors(self, flown: Sequence[TrackingCriteria]) -> dict[str, Any]:
+        """Return the errors of each output over the models [%]."""
+        outputs = {}
+        for name in flown[0].share:
+            shares = [100 * _number(flight.share[name]) for flight in flown]
+            outputs[name] = {
+                "least": min(shares),
+                "most": max(shares),
+                "worst": max(100 * _number(flight.worst[name]) for flight in flown),
+                "of_turn": name in flown[0].turned,
+                "overshoot": over if (over := self.overshoot.get(name, 0.0)) > OVERSHOT else None,
+                "resolved": step if min(shares) < (step := 100 * self.resolved.get(name, 0.0)) else None,
+            }
+        return {
+            "outputs": outputs,
+            "seconds": self.seconds,
+            "within": 100 * self.within,
+            "lost": 100 * LOST * self.within,
+        }
+
     def summary(self) -> str:
         """Return the prediction in one line."""
         n = len(self.flights)
-        flown = [flight for flight in self.flights if flight is not None]
-        start = f"PREDICTED on {n} models fitted to data that the plan never saw (no plant was moved)"
+        place = f"on {n} models fitted to data that the plan never saw (no plant was moved)"
         if self.own:
-            start = f"PREDICTED {self.place}, which promises nothing of the plant"
+            place = f"{self.place}, which promises nothing of the plant"
         lacking = "NOT CONTROLLED" if self.own else "NOT promised"
-        if not flown:
-            gone = f"{start}: {lacking}, {'it runs' if n == 1 else 'all of them run'} away"
-            return "; ".join(filter(None, (gone, self.period)))
-        told = []
-        for name in flown[0].share:
-            shares = [100 * _number(flight.share[name]) for flight in flown]
-            worst = max(100 * _number(flight.worst[name]) for flight in flown)
-            both = dict.fromkeys(f"{end:.2g}" for end in (min(shares), max(shares)))  # one of them where they are alike
-            ends = f"{' to '.join(both)} %"
-            over = self.overshoot.get(name, 0.0)
-            beyond = f", after it overshot by {over:.2g} % of the step" if over > OVERSHOT else ""
-            step = 100 * self.resolved.get(name, 0.0)
-            hidden = f" (its sensor resolves {step:.2g} %, and cannot show what is less)" if min(shares) < step else ""
-            average = f"{name} {ends} {error_reference(name, flown[0].turned)} on average{hidden}"
-            told.append(f"{average}, {worst:.2g} % at worst{beyond}")
-        lost = [f"{n - len(flown)} of {n} models run away"] if len(flown) < n else []
-        fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
-        lost += sorted(f"{name}, which is not tracked, {_fate(away)}" for name, away in fates)
-        lost += sorted({f"{name} runs on, which nothing depends on" for flight in flown for name in flight.idle})
-        diverged = len(flown) < n or any(away for _, away in fates)
-        if self.period and (diverged or self._missed):
-            lost.append(self.period)
-        elif not (self.controlled or diverged or self.doubts):
-            lost.append(self._advice(flown))
-        lost += self.doubts
-        asked = f", {100 * self.within:g} % is asked for, and {100 * LOST * self.within:g} % at worst"
-        verdict = "CONTROLLED" if self.controlled else f"{lacking}{asked if self._missed else ''}"
-        end = "the end" if self.seconds is None else f"the end of flights of {format_duration(self.seconds)}"
-        return f"{start}: {verdict}: errors at {end}: {'; '.join([*told, *lost])}"
+        return (
+            f"PREDICTED {place}: {'CONTROLLED' if self.controlled else lacking}: {'; '.join(map(str, self.findings))}"
+        )
 
-    def _advice(self, flown: Sequence[TrackingCriteria]) -> str:
-        """Say what may help where nothing runs away."""
+    def _advice(self, flown: Sequence[TrackingCriteria]) -> Finding:
+        """Return what may help where nothing runs away."""
         if self.unheld:
-            return f"{self.unheld}: give a smaller range of targets, or log and use more of the inputs' range"
+            return wrong("forecast.unheld", targets=self.unheld)
         shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
         if not self.own and min(shares) <= self.within < max(shares):
-            return (
-                "some models are held and others are not, by what the log leaves open: log longer, let the inputs "
-                "change more often and more widely, or name functions and states that the model lacks"
-            )
-        return "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of targets"
+            return weak("forecast.models_differ")
+        return weak("forecast.longer_plan")
 
     def record(self) -> dict[str, Any]:
         """Return what `metrics.json` holds of it."""
@@ -151,7 +161,7 @@ class Forecast:
             "score": score,
             "sentence": self.summary(),
             "flights": flights,
-            "doubts": [*self.doubts],
+            "findings": records(self.findings),
         }
 
 
@@ -214,10 +224,6 @@ def _whole(result: Evaluation) -> float:
     """Return the mean absolute error over whole flights, of the worst output, in target ranges."""
     errors = result.errors.mean((0, 1))
     return float(errors.amax()) if bool(errors.isfinite().all()) else math.inf
-
-
-def _fate(away: bool) -> str:
-    return "runs away" if away else "does not come to rest"
 
 
 def _number(share: float | None) -> float:

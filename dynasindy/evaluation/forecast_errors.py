@@ -16,10 +16,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from dynasindy.evaluation.recording_diagnostics import resolutions, resolutions_by
+from dynasindy.planning.equilibria import fastest_time_constant
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
@@ -91,14 +93,19 @@ class LinearModel:
         past = (starts.unsqueeze(-1) - torch.arange(self.order)).clamp_min(0)
         outputs = data.x[past][..., self.seen].double()
         inputs = torch.cat([data.u[past[:, 1:]].flip(1), data.u[later]], 1).double()
-        one = torch.ones(len(starts), 1, dtype=torch.float64)
-        lost = outputs.isnan().flatten(1).any(-1)
-        for k in range(later.shape[1]):
-            recent = inputs[:, k : k + self.order].flip(1)
-            after = torch.cat([outputs.flatten(1), recent.flatten(1), one], -1) @ self.weights
-            predicted[:, k, self.seen] = after
-            outputs = torch.cat([after.unsqueeze(1), outputs[:, :-1]], 1)
-        predicted[:, :, self.seen] = predicted[:, :, self.seen].nan_to_num(math.inf, math.inf, -math.inf)
+        lost, n_y, n_u = outputs.isnan().flatten(1).any(-1), outputs.shape[-1], inputs.shape[-1]
+        own, driven, constant = self.weights.split([self.order * n_y, self.order * n_u, 1])
+        forced = constant.expand(len(starts), later.shape[1], n_y).clone()
+        for k, weights in enumerate(driven.split(n_u)):
+            forced += inputs[:, self.order - 1 - k : self.order - 1 - k + later.shape[1]] @ weights
+        # Of the outputs themselves each needs the one before: a loop of few and small products.
+        found, recent, weights = forced.numpy(), outputs.flatten(1).numpy().copy(), own.numpy()
+        with np.errstate(all="ignore"):
+            for k in range(later.shape[1]):
+                after = found[:, k] = found[:, k] + recent @ weights
+                recent[:, n_y:] = recent[:, :-n_y].copy()
+                recent[:, :n_y] = after
+        predicted[:, :, self.seen] = forced.nan_to_num(math.inf, math.inf, -math.inf)
         predicted[lost] = math.nan
         return predicted
 
@@ -178,7 +185,11 @@ class ForecastErrors:
     @property
     def middle(self) -> int:
         """Return the place of the horizon next to the characteristic time."""
-        return min(range(len(self.horizons)), key=lambda k: abs(math.log(self.horizons[k] / self.characteristic)))
+        return self.nearest(self.characteristic)
+
+    def nearest(self, seconds: float) -> int:
+        """Return the place of the horizon next to a time [s], as a ratio."""
+        return min(range(len(self.horizons)), key=lambda k: abs(math.log(self.horizons[k] / seconds)))
 
 
 def forecast_errors(
@@ -200,6 +211,23 @@ def forecast_errors(
     return _forecast(model, training, validation, [*sooner, *found.horizons]) if sooner else found
 
 
+def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
+    """Return times ahead over which a model is judged [s].
+
+    They begin at the fastest time constant of the model, where the log mostly was, or at a tenth of the time in which
+    the slowest measured state changes, whichever is shorter, and end at three times the latter.
+
+    Args:
+        model: a fitted model.
+        data: the recording that it was fitted to.
+    """
+    time = characteristic(data)
+    x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
+    measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
+    fastest = fastest_time_constant(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured)
+    return _series(max(data.dt, 0.5 * min(time / 5, fastest)), 3 * time)
+
+
 def _lost(found: ForecastErrors, model: SindyModel) -> bool:
     """Tell whether a model runs away over the shortest time that it is judged over."""
     most = LOST * torch.tensor(model.signature.x_scale, dtype=found.model.dtype)
@@ -219,7 +247,7 @@ def _forecast(
         fit //= 2
     reach = _reach(back, ahead, fit)
     steps = [round(h / validation.dt) for h in horizons or _series(time / 10, 3 * time)]
-    steps = [k for k in steps if 1 <= k <= reach]
+    steps = sorted({k for k in steps if 1 <= k <= reach})
     if not steps:
         return None
     starts = _starts(back, ahead, fit, steps[0])
@@ -227,9 +255,11 @@ def _forecast(
     real = _real(validation, starts, later, ahead)
     later = later.clamp_max(len(validation) - 1)
     # As for the linear model, the middle horizon counts: what is farther says little of where a prediction began.
-    length = _length(model, training, fit, steps[: len(steps) // 2 + 1])
+    usual = [k for k in steps if k * validation.dt >= time / 10] or steps
+    middle = usual[len(usual) // 2]
+    length = _length(model, training, fit, [k for k in usual if k <= middle])
     predicted = _predicted(model, validation, starts, later, length)
-    linear = LinearModel.fit(training, steps[len(steps) // 2], fit)
+    linear = LinearModel.fit(training, middle, fit)
     held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
     ours, simple, last = (_errors(guess, real, steps) for guess in both)

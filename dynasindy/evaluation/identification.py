@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,20 @@ from dynasindy.data.csv import CsvLog, Recording
 from dynasindy.data.headings import named_by, split_unit
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.data.table import read_columns
-from dynasindy.data.units import as_words, with_units
+from dynasindy.data.units import as_map, with_units
 from dynasindy.evaluation import verdict
-from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors, with_start_states
+from dynasindy.evaluation.equations import equation_findings, idle_states, missing_nonlinearity
+from dynasindy.evaluation.forecast_errors import (
+    ForecastErrors,
+    forecast_errors,
+    relevant_horizons,
+    with_start_states,
+)
 from dynasindy.evaluation.log_fit import fit_log
-from dynasindy.evaluation.signal_resolution import describe_low_signals, low_signal_states, resolved_errors
+from dynasindy.evaluation.signal_resolution import low_signal_findings, low_signal_states, resolved_errors
 from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
+from dynasindy.findings import Finding, LogError, weak
 from dynasindy.progress import report_progress
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.delay import delay_and_trim, delay_inputs
@@ -93,13 +101,13 @@ class LoggedData:
         """
         if (timed := self._timed()) != self.time:
             return replace(self, time=timed).recording(plant)
-        notes: list[str] = []
-        states, inputs = self._columns(plant, notes)
+        findings: list[Finding] = []
+        states, inputs = self._columns(plant, findings)
         own = plant is None  # a plant that is named has inputs in [-1, 1], or says their ends
         log = CsvLog(self._files, states, inputs, self.time, self.dt, self.missing, into_range=own)  # type: ignore[arg-type]
         recording = log.read()
         self._require_fit(recording, states)
-        recording = replace(recording, notes=(*recording.notes, *notes))
+        recording = replace(recording, findings=(*recording.findings, *findings))
         if plant is None:
             return recording
         signature = acting_as(recording.signature, plant)
@@ -117,9 +125,9 @@ class LoggedData:
         named = [_heading(n, each[n] if isinstance(each, Mapping) else n) for each in given for n in each]
         return row_counter(Path(self._files[0]), self.time, [split_unit(heading)[0] for heading in named])
 
-    def _columns(self, plant: Signature | None, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _columns(self, plant: Signature | None, findings: list[Finding]) -> tuple[dict[str, Any], dict[str, Any]]:
         if plant is None:
-            return self._read_off(notes)
+            return self._read_off(findings)
         both = self.states, self.inputs
         given = [{name: name for name in each} if isinstance(each, list) else each for each in both]
         headings = read_columns(Path(self._files[0])).headings
@@ -130,7 +138,7 @@ class LoggedData:
         }
         return dict(states), with_actuator_ranges(given[1] or {n: n for n in plant.input_names}, headings, plant)
 
-    def _read_off(self, notes: list[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _read_off(self, findings: list[Finding]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return what is mapped, what is listed, or else what the headings say."""
         mapped = {"states": self.states, "inputs": self.inputs}
         maps = {key: dict(given) for key, given in mapped.items() if given and isinstance(given, Mapping)}
@@ -138,7 +146,7 @@ class LoggedData:
             return self._in_units(maps["states"]), maps["inputs"]
         inputs = [_heading(name, given) for name, given in maps["inputs"].items()] if "inputs" in maps else self.inputs
         listed = None if "states" in maps else self.states
-        states, found = self._inferred(inputs or None, listed or None, notes)
+        states, found = self._inferred(inputs or None, listed or None, findings)
         return self._in_units(maps.get("states", states)), maps.get("inputs", dict(found))
 
     @property
@@ -147,12 +155,12 @@ class LoggedData:
         return [self.path] if isinstance(self.path, str) else list(self.path or ())
 
     def _inferred(
-        self, inputs: Collection[str] | None, states: Collection[str] | None, notes: list[str]
+        self, inputs: Collection[str] | None, states: Collection[str] | None, findings: list[Finding]
     ) -> tuple[dict[str, Column], dict[str, Column]]:
         """Return the columns of the file in which most of them move: what stands still in one may move in another."""
         found, refused = [], []
         for file in self._files:
-            told: list[str] = []
+            told: list[Finding] = []
             try:
                 found.append((*infer(file, self.time, inputs, states, told, self.dt), told))
             except ValueError as error:
@@ -160,7 +168,7 @@ class LoggedData:
         if not found:
             raise refused[0]
         best = max(found, key=lambda each: len(each[0]) + len(each[1]))
-        notes += best[2]
+        findings += best[2]
         return best[:2]
 
     def _in_units(self, states: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,19 +179,19 @@ class LoggedData:
     def _require_fit(self, recording: Recording, states: Mapping[str, Any]) -> None:
         """Refuse rates that are known and cannot be those of their states, with the setting that mends them."""
 
-        def _mend(wrong: Mismatch) -> str:
+        def _mend(wrong: Mismatch) -> dict[str, Any]:
             headings, given = read_columns(Path(self._files[0])).headings, columns_of(states)
             explicit = [n for n, c in given.items() if c != with_units({n: Column(c.name)}, headings, states=True)[n]]
             columns = with_units(given, headings, states=True)
             unit = unit_of_rate(recording.signature.state_units[recording.signature.state_index(wrong.state)])
             rate = columns[wrong.rate]
             columns[wrong.rate] = replace(rate, unit=unit, scale=wrong.likely * rate.scale)
-            return f"give {as_words(columns, {*explicit, wrong.rate})}"
+            return as_map(columns, {*explicit, wrong.rate})
 
         try:
             require_consistent_rates(recording.transitions, recording.signature, self.known or {}, _mend)
-        except ValueError as error:
-            raise ValueError(f"{', '.join(self._files)}: {error}") from None
+        except LogError as error:
+            raise LogError(error.finding.code, file=", ".join(self._files), **error.finding.values) from None
 
 
 @dataclass(frozen=True)
@@ -197,7 +205,7 @@ class Identified:
         metrics: error of each measured state, open loop and over each horizon.
         source: the data as the model has them, with one state more where one follows a signal.
         forecasts: errors from many start times; None where the validation data are too short for them.
-        hidden: what came of the search for a state that no sensor sees, a line at most.
+        hidden: what came of the search for a state that no sensor sees.
         bend: a dead zone or a saturation of an input that the equations seem to lack; None where there is none.
     """
 
@@ -207,22 +215,44 @@ class Identified:
     metrics: dict[str, dict[str, float]]
     source: Source
     forecasts: ForecastErrors | None = None
-    hidden: Sequence[str] = ()
+    hidden: Sequence[Finding] = ()
     bend: InputNonlinearity | None = None
 
     @property
-    def quiet(self) -> str:
-        """Which states the data are too quiet to tell of, and what to move; empty where there are none."""
-        return describe_low_signals(self.source.training, self.source.signature, self._rates())
+    def quiet(self) -> list[Finding]:
+        """Which states the data are too quiet to tell of, and what to move."""
+        return low_signal_findings(self.source.training, self.source.signature, self._rates())
 
-    def heard(self) -> ForecastErrors | None:
+    def resolved(self) -> ForecastErrors | None:
         """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
         return resolved_errors(self.forecasts, low_signal_states(self.source.training, self._rates()))
 
     @property
     def predicts(self) -> bool:
         """Whether the model was seen to predict; not where the validation data are too short, or too quiet, to tell."""
-        return (told := self.heard()) is not None and not verdict.shortcoming(told, self.model.signature)
+        return (errors := self.resolved()) is not None and not verdict.shortcoming(errors, self.model.signature)
+
+    @cached_property
+    def content(self) -> list[Finding]:
+        """What the equations and the data hold."""
+        data = self.source.training
+        findings = equation_findings(self.model, self.report)
+        findings += verdict.recording_findings(data, self.source.signature)
+        findings += [*self.hidden, *idle_states(self.model, data)]
+        return findings + ([missing_nonlinearity(self.bend, self.model)] if self.bend else [])
+
+    @cached_property
+    def verdict(self) -> list[Finding]:
+        """Whether the model predicts, and what limits that, the gravest first."""
+        if self.forecasts is None:
+            return [*self.quiet, weak("model.short_validation")]
+        errors = self.resolved()
+        return [*(verdict.model_findings(errors, self.model.signature) if errors is not None else []), *self.quiet]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """All findings: of the data, the fit, the equations, and of what the model predicts."""
+        return [*self.source.findings, *self.report.findings, *self.content, *self.verdict]
 
     def _rates(self) -> set[int]:
         return set(rate_states(self.model.library, self.model.constraints))
@@ -256,6 +286,7 @@ def identify_source(model: SindyModel, source: Source, horizons: Sequence[float]
     if not bool(validation.x.isnan().any()):
         errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
+    horizons = horizons or relevant_horizons(model, source.training)
     forecasts = forecast_errors(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)

@@ -16,6 +16,7 @@ from dynasindy.evaluation.equations import hidden_states
 from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors, forecast_errors
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
+from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
@@ -83,26 +84,6 @@ FINEST = 1e-5
 """Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
 ROUGHLY = 1.1
 """Ratio of errors of a state up to which they count as the same."""
-STRAIGHT = (
-    "products and squares of states and inputs were left out: without them the model predicts the part of the log that "
-    "no fit has seen no worse"
-)
-"""What is said of a fit without functions that bend."""
-CHOSEN = (
-    "the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the part of "
-    "the log that no fit has seen, its errors are {:.2f} times those of the other"
-)
-NOT_CHOSEN = (
-    "a fit of one simulation through all samples was not taken: on the part of the log that no fit has seen, its "
-    "errors are {:.2f} times those of the fit in pieces"
-)
-"""What is said of a choice between two fits."""
-IN_VAIN = (
-    "the equations miss the log by more than its sensors explain, so {} that no sensor sees was looked for, one that "
-    "follows an input or a measured state; none was found that predicts the kept part of the log far better. A hidden "
-    "state that swings by itself, as the far end of a soft shaft does, is not looked for: if there is one, measure it"
-)
-"""What is said of a search that has found nothing."""
 
 
 @dataclass(frozen=True)
@@ -113,20 +94,20 @@ class LogFit:
         model: as it was given, or with one state more, which follows an input or a measured state.
         source: the data; that state is seen by no sensor.
         report: of the fit.
-        follower: what was found of such a state, in words; empty where nothing was.
-        sought: that such a state was looked for in vain, in words; empty where none was looked for, or one was found.
+        follower: what was found of such a state; None where nothing was.
+        sought: that such a state was looked for in vain; None where none was looked for, or one was found.
     """
 
     model: SindyModel
     source: Source
     report: FitReport
-    follower: str = ""
-    sought: str = ""
+    follower: Finding | None = None
+    sought: Finding | None = None
 
     @property
-    def hidden(self) -> list[str]:
-        """What came of the search for a state that no sensor sees, a line at most."""
-        return [f"found: {self.follower}"] if self.follower else [f"note: {self.sought}"] if self.sought else []
+    def hidden(self) -> list[Finding]:
+        """What came of the search for a state that no sensor sees."""
+        return [each for each in (self.follower, self.sought) if each is not None]
 
 
 def fit_log(model: SindyModel, source: Source) -> LogFit:
@@ -175,7 +156,7 @@ def _fitted(model: SindyModel, source: Source) -> LogFit:
             if _better(before, after, model.signature):
                 return _straighter(found, after)[0]
         named = hidden_states(model, source.training)
-        plain = replace(plain, sought=IN_VAIN.format("another state" if named else "a state"))
+        plain = replace(plain, sought=weak("fit.no_lag_state", what="another state" if named else "a state"))
     return _straighter(plain, before)[0]
 
 
@@ -195,20 +176,20 @@ def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastError
         if after is not None:
             ratio = float(_ratios(before, after, signature).nanmean().exp())
             if ratio < 1 / ROUGHLY and _as_good(before, after, signature):
-                return _noted(whole, CHOSEN.format(ratio)), after
-            return _noted(found, NOT_CHOSEN.format(ratio)), before
+                return _noted(whole, note("fit.whole", ratio=ratio, taken=True)), after
+            return _noted(found, note("fit.whole", ratio=ratio, taken=False)), before
     return found, before
 
 
 def _renamed(found: LogFit) -> LogFit:
     """Return the fit with what its equations now say of the state that follows a signal, if it has one."""
     signal = found.model.followed.get(found.model.signature.state_names[-1], "") if found.follower else ""
-    return replace(found, follower=LagStateCandidate(found.model, signal, 0.0).summary() if signal else "")
+    return replace(found, follower=LagStateCandidate(found.model, signal, 0.0).finding() if signal else None)
 
 
-def _noted(found: LogFit, note: str) -> LogFit:
-    """Return the fit with one more note in its report."""
-    return replace(found, report=replace(found.report, notes=(*found.report.notes, note)))
+def _noted(found: LogFit, finding: Finding) -> LogFit:
+    """Return the fit with one more finding in its report."""
+    return replace(found, report=replace(found.report, findings=(*found.report.findings, finding)))
 
 
 def _straighter(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastErrors]:
@@ -228,7 +209,7 @@ def _straighter(found: LogFit, before: ForecastErrors) -> tuple[LogFit, Forecast
         if after is not None:
             straight, after = _whole(straight, after)
             if _as_good(before, after, model.signature):
-                return _noted(straight, STRAIGHT), after
+                return _noted(straight, note("fit.straight")), after
     return found, before
 
 
@@ -268,7 +249,7 @@ def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> It
                 yield found
             bare = _straight(trial.model)
             if bare is not None and (found := _with(replace(trial, model=bare), source)) is not None:
-                yield _noted(found, STRAIGHT)
+                yield _noted(found, note("fit.straight"))
 
 
 def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:
@@ -276,7 +257,7 @@ def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:
     with attempt(), reporting_as(f"fit with a state that follows {trial.signal}"):
         data = source.with_states_of(trial.model)
         report = trial.model.fit(data.training)
-        return LogFit(trial.model, data, report, trial.summary())
+        return LogFit(trial.model, data, report, trial.finding())
     return None
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import logged_input_ranges
+from dynasindy.findings import Finding, note, weak
 from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
@@ -19,7 +20,6 @@ from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
-from dynasindy.text import format_duration
 
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
@@ -43,11 +43,11 @@ class Period:
 
     Attributes:
         seconds: Its length [s].
-        why: Why it is not `PERIOD`, in a line; empty where it is.
+        why: Why it is not `PERIOD`; None where it is.
     """
 
     seconds: float
-    why: str = ""
+    why: Finding | None = None
 
 
 def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Period:
@@ -64,7 +64,7 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         log: The log.
     """
     if log is None and model.step:
-        return _chosen(model.step, "the step of the model")
+        return _chosen(model.step, "step")
     usual, step = closest_period(log), log.training.dt if log else 0.0
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
     pace = _Pace.of(model, x, u, task.outputs)
@@ -73,21 +73,18 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         step = step or _two_digits(longest)
         samples = math.floor(longest / step + 1e-6)
         if samples:
-            return _chosen(samples * step, pace.part)
-        return _chosen(step, f"one sample of the log, as {pace.whole}")
+            return _chosen(samples * step, pace.kind, pace.seconds)
+        return _chosen(step, f"sample_{pace.kind}", pace.seconds)
     seconds = settles(ControlEnv(model, task, usual), x, u)
     if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
-        return _chosen(
-            slow,
-            f"as the model settles in {format_duration(seconds, digits=2)}, and a plan looks {LONGEST} periods ahead",
-        )
+        return _chosen(slow, "settles", seconds)
     if usual < PERIOD - step:
-        return _chosen(usual, "ten samples of the log")
-    return Period(usual, "" if math.isclose(usual, PERIOD, rel_tol=1e-6) else sampled_in_words(usual, PERIOD, step))
+        return _chosen(usual, "samples")
+    return Period(usual, None if math.isclose(usual, PERIOD, rel_tol=1e-6) else sampled(usual, PERIOD, step))
 
 
-def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: float) -> str:
-    """Say which control period to try where a plan with another one fails, and why; empty if that is not the cause.
+def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: float) -> Finding | None:
+    """Return which control period to try where a plan with another one fails, and why; None if that is not the cause.
 
     Args:
         model: The fitted model.
@@ -96,25 +93,21 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
         dt: The control period of the plan [s].
     """
     if model.step is not None:
-        return ""  # a difference equation swings as often however it is sampled
+        return None  # a difference equation swings as often however it is sampled
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
     step, pace = log.training.dt if log else 0.0, _Pace.of(model, x, u, task.outputs)
     longest = pace.longest
     if longest < dt * (1 - 1e-6):
         step = step or _two_digits(longest)
-        swings = f"{pace.told}, which is {pace.seconds / dt:.2g} control periods only"
-        if step < dt * (1 - 1e-6):
-            return f"{swings}: {_try(step * max(1, math.floor(longest / step + 1e-6)))}"
-        return f"{swings}: log with a sampling time of {longest:.2g} s at most"
+        logged = step >= dt * (1 - 1e-6)
+        wanted = longest if logged else step * max(1, math.floor(longest / step + 1e-6))
+        facts = {"cause": pace.kind, "value": pace.seconds, "periods": pace.seconds / dt}
+        return weak("control.other_period", **facts, wanted=wanted, log=logged)
     seconds = settles(ControlEnv(model, task, dt), x, u, math.exp(-TIME_CONSTANTS))
     if (slow := _lengthened(dt, seconds / LONGEST, longest, step)) > dt * (1 + 1e-6):
-        takes, sees = (format_duration(length, digits=2) for length in (seconds, LONGEST * dt))
-        return f"the model takes {takes} to settle fully, and a plan looks {sees} ahead: {_try(slow)}"
-    return ""
-
-
-def _try(seconds: float) -> str:
-    return f"try a control period of {seconds:g} s, env.dt={seconds:g} or in Python dt={seconds:g}"
+        facts = {"cause": "settles", "value": seconds, "periods": LONGEST * dt}
+        return weak("control.other_period", **facts, wanted=slow, log=False)
+    return None
 
 
 def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Tracking:
@@ -179,23 +172,9 @@ class _Pace:
         return self.seconds / (QUARTER if self.grows else PART)
 
     @property
-    def part(self) -> str:
-        """What the longest control period is of it."""
-        if self.grows:
-            return f"a quarter of the {self.seconds:.3g} s in which a deviation of the unstable model doubles"
-        return f"a fifth of the model's fastest oscillation of {self.seconds:.3g} s"
-
-    @property
-    def whole(self) -> str:
-        """How long it takes, in words."""
-        if self.grows:
-            return f"a deviation of the unstable model doubles in {self.seconds:.3g} s"
-        return f"the model's fastest oscillation takes {self.seconds:.3g} s"
-
-    @property
-    def told(self) -> str:
-        """How often it does so, in words."""
-        return self.whole if self.grows else f"the model swings every {self.seconds:.3g} s"
+    def kind(self) -> str:
+        """Which of the two it is."""
+        return "doubling" if self.grows else "oscillation"
 
 
 def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:
@@ -219,19 +198,19 @@ def _two_digits(seconds: float) -> float:
     return 10.0 ** (math.floor(math.log10(seconds)) - 1)
 
 
-def _chosen(seconds: float, cause: str) -> Period:
-    return Period(seconds, f"the control period is {seconds:g} s, {cause}; env.dt chooses another one")
+def _chosen(seconds: float, cause: str, value: float = 0.0) -> Period:
+    return Period(seconds, note("control.period", seconds=seconds, cause=cause, value=value, ahead=LONGEST))
 
 
-def sampled_in_words(seconds: float, wanted: float, step: float) -> str:
-    """Return why a control period is not the one that was wanted, in a line.
+def sampled(seconds: float, wanted: float, step: float) -> Finding:
+    """Return why a control period is not the one that was wanted.
 
     Args:
         seconds: The control period [s].
         wanted: The one that was wanted [s].
         step: Sampling time of the log [s].
     """
-    return f"the control period is {seconds:g} s and not env.dt={wanted:g}, as the log is sampled every {step:g} s"
+    return note("control.sampled", seconds=seconds, wanted=wanted, step=step)
 
 
 def closest_period(log: Source | None, wanted: float | None = None) -> float:

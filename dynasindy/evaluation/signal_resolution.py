@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 
 from dynasindy.evaluation.forecast_errors import ForecastErrors
 from dynasindy.evaluation.recording_diagnostics import all_samples_of, coarse_resolution
+from dynasindy.findings import Finding, LogError, wrong
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -54,27 +57,25 @@ def resolved_errors(forecasts: ForecastErrors | None, quiet: Collection[int]) ->
     return None if bool(held.isnan().all()) else replace(forecasts, model=model, held=held)
 
 
-def describe_low_signals(data: Transitions, signature: Signature, but: Collection[int] = ()) -> str:
-    """Say which states a log is too quiet to tell of, which inputs to move, and how far; empty where there are none.
+def low_signal_findings(data: Transitions, signature: Signature, but: Collection[int] = ()) -> list[Finding]:
+    """Return which states a log is too quiet to tell of, which inputs to move, and how far.
 
     Args:
         data: The log.
         signature: Names, units and ends.
         but: Places of states that are not asked about.
     """
-    moved = low_signal_states(data, but)
-    if not moved:
-        return ""
-    times = max(WANTED / steps for steps in moved.values())
-    names = signature.state_names
-    told = " and ".join(f"{names[i]}, which moves by {round(steps)} steps of its sensor" for i, steps in moved.items())
-    return (
-        f"the log is too quiet to tell of {told}, where some {WANTED:g} are wanted: {_louder(data, signature, times)}"
-    )
+    if not (moved := low_signal_states(data, but)):
+        return []
+    steps = {signature.state_names[i]: round(count) for i, count in moved.items()}
+    inputs = _louder(data, signature, max(WANTED / count for count in moved.values()))
+    return [wrong("log.quiet", steps=steps, wanted=round(WANTED), inputs=inputs)]
 
 
-def describe_low_signal_targets(data: Transitions, signature: Signature, targets: Mapping[str, Sequence[float]]) -> str:
-    """Say which of the states that are to be held a log is too quiet to tell of; empty where there are none.
+def low_signal_targets(
+    data: Transitions, signature: Signature, targets: Mapping[str, Sequence[float]]
+) -> list[Finding]:
+    """Return which of the states that are to be held a log is too quiet to tell of.
 
     Args:
         data: The log.
@@ -82,35 +83,29 @@ def describe_low_signal_targets(data: Transitions, signature: Signature, targets
         targets: Lower and upper end of the targets of each output.
 
     Raises:
-        ValueError: The targets of such a state lie far beyond the log.
+        LogError: The targets of such a state lie far beyond the log.
     """
     places = [signature.state_index(name) for name in targets if name in signature.state_names]
-    told = describe_low_signals(data, signature, set(range(signature.n_x)) - set(places))
-    for place in low_signal_states(data) if told else ():
+    findings = low_signal_findings(data, signature, set(range(signature.n_x)) - set(places))
+    for place in low_signal_states(data) if findings else ():
         name, unit = signature.state_names[place], signature.state_units[place]
         reach, ends = float(data.x[:, place].abs().nan_to_num(nan=0.0).max()), targets.get(name, (0.0,))
         if max(map(abs, ends)) > FAR * reach:
-            raise ValueError(
-                f"the targets of {name} go from {ends[0]:g} to {ends[1]:g} {unit}, the log to {reach:.2g} only; {told}"
-            )
-    return told
+            facts = {"state": name, "unit": unit, "low": ends[0], "high": ends[1], "reach": reach}
+            raise LogError("log.quiet_targets", **facts, quiet=findings[0])
+    return findings
 
 
-def _louder(data: Transitions, signature: Signature, times: float) -> str:
-    """Say how far the inputs went, and that they are to go `times` as far, or as far as their actuators reach."""
+def _louder(data: Transitions, signature: Signature, times: float) -> list[dict[str, Any]]:
+    """Return how far the inputs went, and that they are to go `times` as far, or as far as their actuators reach."""
     limits = signature.input_limits or (WHOLE,) * signature.n_u
     low, high = data.u.amin(0).double().numpy(), data.u.amax(0).double().numpy()
     ends = signature.in_own_units(np.stack([low, high])).T.tolist()
-    units = signature.input_units or ("-",) * signature.n_u
-    words = []
+    units, found = signature.input_units or ("-",) * signature.n_u, []
     for i, name in enumerate(signature.input_names):
-        unit = "" if units[i] == "-" else f" {units[i]}"
-        went = f"{name}, which goes from {ends[i][0]:.2g} to {ends[i][1]:.2g}{unit},"
-        room = (limits[i][1] - limits[i][0]) / (high[i] - low[i]) if high[i] - low[i] > TINY else np.inf
-        if not np.isfinite(room):
-            words.append(f"{name}, which does not move")
-        elif room < times:
-            words.append(f"{went} as far as its actuator reaches, about {room:.2g} times as far")
-        else:
-            words.append(f"{went} about {times:.2g} times as far")
-    return f"log it anew and move {', or '.join(words)}"
+        moves = high[i] - low[i] > TINY
+        room = (limits[i][1] - limits[i][0]) / (high[i] - low[i]) if moves else math.inf
+        further = min(room, times) if moves else None
+        own = {"input": name, "low": ends[i][0], "high": ends[i][1], "unit": units[i]}
+        found.append({**own, "times": further, "limited": bool(room < times)})
+    return found

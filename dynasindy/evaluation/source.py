@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 
 from dynasindy.data.csv import Recording
 from dynasindy.data.rates import with_rates
-from dynasindy.evaluation.arguments import as_arguments
+from dynasindy.findings import Finding, note
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import completed, widened
 from dynasindy.sindy.reconstruction import rate_states, with_rate_ranges
@@ -32,17 +33,17 @@ class Source:
         signature: names, units and ranges of states and inputs.
         training: transitions to fit.
         validation: transitions that the fit does not see; there may be none.
-        notes: sentences on how the data came about.
+        findings: what was decided when they were read.
         logged: whether they are a log, so that nothing is known of the plant but what was measured.
-        ends: words that give the ends of the actuators where these are guessed from a log, else empty.
+        ends: column map of the inputs with the ends of their actuators, where these are guessed from a log.
     """
 
     signature: Signature
     training: Transitions
     validation: Transitions
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     logged: bool = False
-    ends: str = ""
+    ends: Mapping[str, Any] | None = None
 
     @classmethod
     def of(cls, log: Recording, share: float = VALIDATION_SHARE) -> Source:
@@ -59,7 +60,7 @@ class Source:
             raise ValueError(f"validation_share is {share}; allowed is 0 to below 1, such as {VALIDATION_SHARE}")
         data = log.transitions
         early = torch.arange(len(data)) < int(len(data) * (1 - share))
-        return cls(log.signature, data.select(early), data.select(~early), log.notes, True, log.ends)
+        return cls(log.signature, data.select(early), data.select(~early), log.findings, True, log.ends)
 
     @property
     def whole(self) -> Transitions:
@@ -73,9 +74,9 @@ class Source:
 
     def __repr__(self) -> str:
         """Say in a few lines what it holds."""
-        told = repr(Recording(self.training, self.signature, tuple(as_arguments(note) for note in self.notes)))
-        head, *notes = told.replace("Recording of", "Data of", 1).split("\n")
-        return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *notes])
+        text = repr(Recording(self.training, self.signature, self.findings))
+        head, *rest = text.replace("Recording of", "Data of", 1).split("\n")
+        return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *rest])
 
     def with_rates(self, known: Mapping[str, str]) -> Source:
         """Return the data with the rates that are known to belong to a state and were not logged.
@@ -88,8 +89,8 @@ class Source:
         found = self._widened(known)
         signature = with_rate_ranges(found.signature, found.whole, known)
         added = found.signature.state_names[self.signature.n_x :]
-        notes = (f"{name} is seen by no sensor; it is estimated with the model" for name in added)
-        return replace(found, signature=signature, notes=(*found.notes, *notes))
+        findings = (note("log.unmeasured", state=name) for name in added)
+        return replace(found, signature=signature, findings=(*found.findings, *findings))
 
     def _widened(self, known: Mapping[str, str]) -> Source:
         """Add a column for each rate that was not logged."""

@@ -10,6 +10,7 @@ from torch import Tensor
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, UNITS
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import representative_episode
+from dynasindy.findings import Finding, note, weak
 from dynasindy.safe_io import write_csv, write_json
 from dynasindy.systems import Signature
 from dynasindy.text import SECONDS, duration_unit, format_duration
@@ -65,35 +66,30 @@ def summarise(evaluation: Evaluation) -> Summary:
     return summary
 
 
-def restless(evaluation: Evaluation) -> list[str]:
-    """Say which inputs go on moving while all targets rest: a plant is held, and a valve wears out."""
+def restless(evaluation: Evaluation) -> list[Finding]:
+    """Return which inputs go on moving while all targets rest: a plant is held, and a valve wears out."""
     if not bool(evaluation.resting.all()):
         return []
     changes = evaluation.inputs[:, -evaluation.steady_periods :].double().diff(dim=1).abs().mean((0, 1)).tolist()
     return [
-        f"note: in the steady state {name} still changes by {50 * change:.2g} % of its range from one control period "
-        "to the next, on average, which may be its answer to the noise and the steps of sensors; see that the "
-        "actuator stands it"
+        weak("control.restless", input=name, percent=50 * change)
         for name, change in zip(evaluation.signature.input_names, changes, strict=True)
         if change > RESTLESS
     ]
 
 
-def beyond_targets(evaluation: Evaluation) -> list[str]:
-    """Say which references lie beyond the ends of the targets that were given for the plant."""
-    lines = []
+def beyond_targets(evaluation: Evaluation) -> list[Finding]:
+    """Return which references lie beyond the ends of the targets that were given for the plant."""
+    findings = []
     for i, (low, high) in enumerate(evaluation.ends):
         name, unit = evaluation.output_names[i], evaluation.units[evaluation.output_names[i]]
         asked = evaluation.references[..., i]
         least, most = float(asked.min()), float(asked.max())
         room = ROUNDING * (high - low)
         if least < low - room or most > high + room:
-            lines.append(
-                f"note: the references of {name} in scenario '{evaluation.scenario}' go from {least:.3g} to {most:.3g} "
-                f"{unit}, and its targets, plant.low and plant.high, from {low:.3g} to {high:.3g} {unit}; the first "
-                "follow plant.signals, and a run that is trained with plant.signals=null keeps within the targets"
-            )
-    return lines
+            facts = {"output": name, "scenario": evaluation.scenario, "unit": unit, "least": least, "most": most}
+            findings.append(note("control.beyond_targets", **facts, low=low, high=high))
+    return findings
 
 
 def evaluation_title(evaluation: Evaluation) -> str:

@@ -11,6 +11,7 @@ from torch.quasirandom import SobolEngine
 
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import logged_input_ranges
+from dynasindy.findings import LogError
 from dynasindy.planning.equilibria import PERIOD, find_equilibria
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature, turn_of
@@ -168,7 +169,7 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
         targets: Lower and upper end of the targets of each output.
 
     Raises:
-        ValueError: Targets of an output are in degrees.
+        LogError: Targets of an output are in degrees.
     """
     signature = source.signature
     for name, ends in targets.items():
@@ -177,12 +178,8 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
         seen = source.training.x[:, signature.state_index(name)]
         reach, asked = float(seen.abs().nan_to_num(nan=0.0).max()), max(map(abs, ends))
         if 0 < FAR * reach < asked and asked > math.pi and asked * DEGREE < NEAR * reach:
-            radians = [f"{end * DEGREE:.4g}" for end in ends]
-            raise ValueError(
-                f"the targets of {name} go from {ends[0]:g} to {ends[1]:g} rad, the log to {reach:.3g} rad only; "
-                f"{name} is in rad, and these look like degrees: give {radians[0]} and {radians[1]} in plant.low and "
-                "plant.high, or keep degrees by unit: deg of its column in data.states"
-            )
+            facts = {"state": name, "low": ends[0], "high": ends[1], "reach": reach}
+            raise LogError("log.target_degrees", **facts, radians=[f"{end * DEGREE:.4g}" for end in ends])
 
 
 def _short(value: float, extent: float, digits: int = DIGITS) -> str:

@@ -273,6 +273,22 @@ def fastest_oscillation(system: System, x: Tensor, u: Tensor, outputs: Sequence[
     return 2 * math.pi / float(rates.imag[counts].max()) if bool(counts.any()) else math.inf
 
 
+def fastest_time_constant(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> float:
+    """Return the shortest time constant of the modes of a model [s]; inf where it has none.
+
+    What no input moves and no output shows does not count.
+
+    Args:
+        system: Vector field.
+        x: Where it is linearised, `(n_x,)`.
+        u: Inputs there, `(n_u,)`.
+        outputs: Places of the measured states.
+    """
+    rates, counts = _modes(system, x, u, outputs)
+    fastest = float(rates[counts].abs().max()) if bool(counts.any()) else 0.0
+    return 1 / fastest if fastest else math.inf
+
+
 def fastest_doubling(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> float:
     """Return the shortest time in which a deviation doubles that nothing controls [s]; inf where none grows.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import inspect
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +18,6 @@ from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
-from dynasindy.evaluation.equations import LATE
 from dynasindy.evaluation.identification import LoggedData
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source, same_input_ranges
@@ -26,6 +26,7 @@ from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
 from dynasindy.rig.log import LAST, FlightRecord, log_headings
+from dynasindy.sentences import line
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.systems import Diverged, Signature
@@ -200,15 +201,15 @@ class Session:
         log = self._source(knowledge.ranged)
         delay = knowledge.longest_delay
 
-        def _say(line: str) -> None:
-            if not line.startswith(f"found: {LATE}"):  # which is said below, in control periods too
-                self.tell(f"  {line}")
-
-        model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=delay, tell=_say)
+        with warnings.catch_warnings(action="ignore"):  # they are among the findings
+            model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=delay)
+        for each in model.findings:
+            if each.code != "model.delay":  # which is said below, in control periods too
+                self.tell(f"  {line(each)}")
         model.save(self.folder / "model.json")
         self.model = model
-        for line in model.equations():
-            self.tell(f"  {line}")
+        for equation in model.equations():
+            self.tell(f"  {equation}")
         if model.delay:
             periods = model.delay / self.wiring.dt
             self.tell(f"  inputs act {1e3 * model.delay:.3g} ms late, {periods:.2g} control periods")
@@ -289,8 +290,8 @@ class Session:
 
     def _tell_inputs(self, signature: Signature) -> None:
         """Say what the numbers that the rig gets are in the units of its actuators."""
-        for line in signature.own_inputs():
-            self.tell(f"  {line}; the rig gets the controller's number, and has to turn it into its own unit")
+        for each in signature.own_inputs():
+            self.tell(f"  {each}; the rig gets the controller's number, and has to turn it into its own unit")
 
     def _fly(self, name: str, act: Callable[[Array, float], Array], periods: int) -> FlightResult:
         self.tell(f"{name.replace('_', ' ')}: {periods * self.wiring.dt:g} s")
@@ -310,7 +311,7 @@ class Session:
             for name, unit, known in zip(signature.state_names, signature.state_units, self.wiring.seen, strict=True)
         }
         inputs: dict[str, Any] = {name: name for name in signature.input_names}
-        logs, notes, useless = [], [], []
+        logs, findings, useless = [], [], []
         for path in (*self.logs("excitation"), *self.logs("flight")):
             try:
                 log = Source.of(LoggedData(str(path), columns, inputs, dt=self.wiring.dt).recording(signature), 0)
@@ -318,7 +319,7 @@ class Session:
                 useless.append(str(error))
                 continue
             logs.append(log)
-            notes += [f"{path.name}: {note}" for note in log.notes]
+            findings += [replace(each, values={**each.values, "file": path.name}) for each in log.findings]
         if not logs:
             raise ValueError(f"nothing can be learnt from the logs in {self.folder}: {'; '.join(useless) or 'none'}")
         for why in useless:
@@ -327,7 +328,7 @@ class Session:
             widest = (max(scales) for scales in zip(*(log.signature.x_scale for log in logs), strict=True))
             signature = replace(logs[0].signature, x_scale=tuple(widest))
         data = Transitions.cat([log.training for log in logs])
-        return replace(logs[0], training=data, signature=signature, notes=tuple(notes))
+        return replace(logs[0], training=data, signature=signature, findings=tuple(findings))
 
 
 def _require_reached(signal: Excitation, levels: Array, signature: Signature) -> None:

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from dynasindy.findings import Finding, note, weak
+from dynasindy.sentences import line
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import change_of
 from dynasindy.sindy.library import Feature, Library
@@ -128,7 +130,7 @@ class Refined(NamedTuple):
         library: candidate functions, with the numbers inside fitted factors.
         coefficients: Xi, `(n_features, n_x)`.
         delay: time between an input and its effect [s].
-        notes: sentences on what was chosen, and by what.
+        findings: what was chosen, and by what.
         in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
         covariance: how well the coefficients are known; None where that is not told.
         delay_at_end: whether the delay is the longest that was tried.
@@ -140,30 +142,26 @@ class Refined(NamedTuple):
     library: Library
     coefficients: Tensor
     delay: float = 0.0
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     in_pieces: bool = False
     covariance: Covariance | None = None
     delay_at_end: bool = False
     missed: dict[str, float] | None = None
     aside: Refined | None = None
 
-    def with_notes(self, notes: tuple[str, ...], longest: float, dt: float) -> Refined:
-        """Return it with notes before its own, the same of what was set aside, and with a note on a delay at its end.
+    def with_findings(self, findings: tuple[Finding, ...], longest: float, dt: float) -> Refined:
+        """Return it with findings before its own, the same of what was set aside, and that a delay is at its end.
 
         Args:
-            notes: sentences on what was chosen before.
+            findings: what was chosen before.
             longest: longest delay of the inputs that was looked for [s].
             dt: sampling time [s].
         """
-        aside = self.aside and self.aside.with_notes(notes, longest, dt)
-        notes, at_end = notes + self.notes, bool(self.delay) and self.delay > longest - 0.5 * dt
+        aside = self.aside and self.aside.with_findings(findings, longest, dt)
+        findings, at_end = findings + self.findings, bool(self.delay) and self.delay > longest - 0.5 * dt
         if at_end:
-            notes += (
-                f"the best delay of the inputs is the longest that was tried, {longest:g} s; it may be "
-                f"longer: give longest_delay={2 * longest:g}, or 0 where it stands for what the equations lack. "
-                "Coefficients may be further off than their standard errors say, which take the delay as right",
-            )
-        return self._replace(notes=notes, delay_at_end=at_end, aside=aside)
+            findings += (weak("fit.longest_delay", seconds=longest),)
+        return self._replace(findings=findings, delay_at_end=at_end, aside=aside)
 
 
 CHANGE = "the change over a step"
@@ -186,7 +184,7 @@ class FitReport:
         terms: number of non-zero coefficients of each equation.
         residual: unexplained part of each state's rate of change, 2-norm relative to the rate's; where single steps
             were fitted, that of its change in a step.
-        notes: sentences on what a reader would not expect.
+        findings: what a reader would not expect.
         dt: time that a transition takes [s].
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
@@ -200,7 +198,7 @@ class FitReport:
     terms: dict[str, int]
     residual: dict[str, float]
     _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     dt: float | None = None
     in_pieces: bool = False
     told: Covariance | Callable[[], Covariance | None] | None = field(default=None, repr=False)
@@ -246,55 +244,50 @@ class FitReport:
         return self.told() if callable(self.told) else self.told
 
     @property
-    def known(self) -> str:
-        """Say how well the coefficients are known; nothing where that is not told."""
+    def accuracy(self) -> list[Finding]:
+        """How well the coefficients are known; nothing where that is not told."""
         if self.covariance is None:
-            return ""
+            return []
         library, xi, _ = self._source
         shares = 100 * self.covariance.shares(xi)
         worst = int(shares.argmax())
-        whose = "" if library.step is None else f" of {CHANGE}"
-        return (
-            f"coefficients{whose} are known within {float(shares.median()):.2g} % of themselves in the median, and "
-            f"that of {self._place(worst)}, the least of all, within {float(shares[worst]):.2g} % (standard errors)"
-            f"{self._loosest()}"
-        )
+        larger, smaller, rest = self._loosest()
+        return [
+            note(
+                "fit.standard_errors",
+                median=float(shares.median()),
+                least=self._place(worst),
+                worst=float(shares[worst]),
+                of_step=library.step is not None,
+                larger=larger,
+                smaller=smaller,
+                rest=rest,
+            )
+        ]
 
-    def _loosest(self) -> str:
-        """Name the change of coefficients that the data hardly tell, if all others are known far better."""
+    def _loosest(self) -> tuple[list[str], list[str], float | None]:
+        """Return the change of coefficients that the data hardly tell, if all others are known far better.
+
+        Returns:
+            Coefficients that grow in size with it and those that shrink, and how well the others were known in the
+            median without it [%]; None where there is no such change.
+        """
         if self.covariance is None or len(self.covariance.factor) < 2:
-            return ""
+            return [], [], None
         xi = self._source[1]
         change, rest = self.covariance.loosest(xi)
         before, after = (float(known.shares(xi).median()) for known in (self.covariance, rest))
         if float(self.covariance.shares(xi).max()) < LOOSE or after > APART * before:
-            return ""
+            return [], [], None
         moved = (change.abs() > PART * change.abs().max()).nonzero().flatten().tolist()
         grown, shrunk = ([self._place(k) for k in moved if sign * change[k] > 0] for sign in (1, -1))
-        ways = [(grown or shrunk, "larger"), (shrunk if grown else [], "smaller")]
-        words = ", and ".join(f"{', '.join(places)} {how}" for places, how in ways if places)
-        return (
-            f"; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. Were it "
-            f"known, the others would be within {100 * after:.2g} % in the median"
-        )
+        return grown or shrunk, shrunk if grown else [], 100 * after
 
     def _place(self, k: int) -> str:
         """Name a coefficient of the covariance by its function and its equation."""
         assert self.covariance is not None
         library, feature, state = self._source[0], int(self.covariance.features[k]), int(self.covariance.states[k])
         return f"{library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
-
-    @property
-    def units(self) -> str:
-        """Say of which hidden states nothing tells the unit; nothing where there are none."""
-        if not self.unscaled:
-            return ""
-        which, its = " and ".join(self.unscaled), "its" if len(self.unscaled) == 1 else "their"
-        return (
-            f"no sensor sees {which}, and nothing else tells {its} unit: in any other unit, with coefficients to "
-            "match, the model predicts the same. The fit keeps about the unit of the first guess, and coefficients and "
-            "standard errors are in that unit"
-        )
 
     def to_text(self) -> str:
         """Write the report in a few lines."""
@@ -307,6 +300,7 @@ class FitReport:
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
             missed = "" if state in self.unmeasured else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
-        notes = [*filter(None, [self.units]), *self.notes]
-        told = [*filter(None, [self.known]), *(f"note: {note}" for note in notes)]
-        return "\n".join([*lines, *told, self.identifiability.to_text()])
+        unscaled = [note("fit.unscaled", states=[*self.unscaled])] if self.unscaled else []
+        known = [str(each) for each in self.accuracy]
+        findings = [line(each) for each in (*unscaled, *self.findings)]
+        return "\n".join([*lines, *known, *findings, self.identifiability.to_text()])

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.findings import Finding, note
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
@@ -54,17 +55,13 @@ class LagStateCandidate:
     signal: str
     gain: float
 
-    def summary(self) -> str:
-        """Say what was found, after the fit; empty where the state does not follow."""
+    def finding(self) -> Finding | None:
+        """Return what was found, after the fit; None where the state does not follow."""
         rate = float(self.model.coefficients[-1, -1])
         if not rate > 0:
-            return ""
-        if self.signal in self.model.signature.input_names:
-            return f"{self.signal} acts through a lag of {1 / rate:.3g} s, a state that no sensor sees"
-        return (
-            f"a part of the plant that no sensor sees follows {self.signal} with a time constant of {1 / rate:.3g} s: "
-            f"it is the state {_lag_state_name(self.signal)}"
-        )
+            return None
+        is_input, state = self.signal in self.model.signature.input_names, _lag_state_name(self.signal)
+        return note("model.lag_state", signal=self.signal, seconds=1 / rate, is_input=is_input, state=state)
 
 
 def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateCandidate]:

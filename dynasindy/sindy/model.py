@@ -26,6 +26,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from dynasindy.findings import Finding, note, wrong
 from dynasindy.safe_io import read_json, reading, write_json
 from dynasindy.sindy.codegen import Field, generate, machine
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
@@ -49,7 +50,7 @@ from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, ENOUGH, RunsAway, states_without_scale
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
-from dynasindy.systems.integrators import moved
+from dynasindy.systems.integrators import moved, trajectory
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
@@ -80,7 +81,8 @@ class SindyModel(WorldModel):
         time: `continuous` identifies a differential equation, `discrete` a difference equation, whose step is the
             sampling time of the data.
 
-    `covariance` tells after a fit how well the coefficients are known; None where nothing does.
+    `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
+    `dynasindy.identify` found.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
@@ -102,6 +104,7 @@ class SindyModel(WorldModel):
         time: Literal["continuous", "discrete"] | None = None,
     ) -> None:
         super().__init__(signature)
+        self.findings: tuple[Finding, ...] = ()
         self.machine_code, self.library = machine_code, _with_time(build_library(library, signature), time)
         self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
@@ -166,10 +169,8 @@ class SindyModel(WorldModel):
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
-        states = [x0]
-        for held in u.unbind(-2):
-            states.append(self.predict(states[-1], held, dt, substeps))
-        return torch.stack(states, -2)
+        states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps)])
+        return states.movedim(0, -2)
 
     @property
     def covariance(self) -> Covariance | None:
@@ -312,14 +313,14 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        notes, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        findings, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
         if self.refinement is not None:
-            notes += unmoved_shapes(self.library, self.coefficients)
+            findings += unmoved_shapes(self.library, self.coefficients)
         of, seconds = (self.library, self.coefficients), time.perf_counter() - start
         # The sums may be of fewer rows than that, each of them the average of many transitions.
         samples = int(rows_after_delay(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
         fields |= {"unmeasured": _unmeasured(*of, data), "unscaled": states_without_scale(*of, constraints.free, data)}
-        fields |= {"samples": samples, "told": self._covariance, "notes": tuple(notes), "dt": data.dt}
+        fields |= {"samples": samples, "told": self._covariance, "findings": tuple(findings), "dt": data.dt}
         return FitReport.of(*of, self.sums, seconds, **fields)
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
@@ -461,8 +462,8 @@ class SindyModel(WorldModel):
 
     def _refine(
         self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
-    ) -> tuple[list[str], dict[str, Any]]:
-        """Refine the coefficients, and return notes and what the report takes from it, by the names of its fields."""
+    ) -> tuple[list[Finding], dict[str, Any]]:
+        """Refine the coefficients, and return findings and fields of the report, by their names."""
         if self.refinement is None:
             return [], {}
         try:
@@ -471,7 +472,7 @@ class SindyModel(WorldModel):
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            return ["the refinement dropped every function, so the fit before it stays; log longer or cleaner data"], {}
+            return [wrong("fit.dropped")], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
         fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end", "aside")}
@@ -483,9 +484,9 @@ class SindyModel(WorldModel):
             recording = DelayedRecording.of(data, guess, rate_states(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording.seen(self.delay)))
         if self.refinement.method == "integral" or len(data) <= ENOUGH:
-            return list(found.notes), fields
-        chosen = f"{ENOUGH} of {len(data)} rows, in {CHOSEN_STRETCHES} stretches spread evenly over them"
-        return [*found.notes, f"functions were chosen on {chosen}; the coefficients were fitted on all rows"], fields
+            return list(found.findings), fields
+        chosen = note("fit.chosen_on", rows=ENOUGH, total=len(data), stretches=CHOSEN_STRETCHES)
+        return [*found.findings, chosen], fields
 
     def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change of what regressions read."""

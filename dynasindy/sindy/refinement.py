@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal
+from typing import Any, Literal
 
 from torch import Tensor
 
+from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count
 from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
@@ -53,12 +54,6 @@ SEVERAL = 10
 """Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("auto", "simulation", "coloured", "prediction")
-COMPARED = "the fit compares whole simulations with the log and not single steps, as {}"
-STEPWISE = (
-    "the fit predicts each sample from the one before, as errors of such predictions do not look like noise of the "
-    "sensors"
-)
-"""Why a method was chosen."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -148,12 +143,8 @@ class Refinement:
         if not lacking:
             return _fit(longest).run(first, rough)
         # A delay would stand for the rate that is missing.
-        note = (
-            f"no delay of the inputs was looked for, as it would stand for the rate of {' and '.join(lacking)}, "
-            "which the log lacks"
-        )
         alone = _fit(0.0).run(first)
-        return alone._replace(notes=(*alone.notes, note))
+        return alone._replace(findings=(*alone.findings, weak("fit.no_delay", states=lacking)))
 
     def _reach(
         self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
@@ -208,7 +199,7 @@ class _Fit:
             fit, found = self._smoothed(found, delay)
         if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
             return Refined(*found, delay)
-        method, noisy, notes = self._chosen(*found, delay)
+        method, noisy, findings = self._chosen(*found, delay)
         left = known = None
         guess, free = fit.recording.guessed(delay), self.constraints.free
         if method == "one_step":
@@ -224,7 +215,7 @@ class _Fit:
             if noisy and not hidden:
                 fit, found = fit._smoothed(found, delay)
             refined = fit._by_trajectories(found, delay)
-        return refined.with_notes(notes, self.longest, data.dt)
+        return refined.with_findings(findings, self.longest, data.dt)
 
     @cached_property
     def _brief(self) -> DelayedRecording:
@@ -277,34 +268,24 @@ class _Fit:
             found = self._fit_with_delay(first, rough, descent, HOPELESS)
             ratio = self._strain(found[:2], found.delay, descent)
         except RunsAway:
-            why = "one simulation through all samples runs away"
+            why: dict[str, Any] = {"why": "runs_away"}
         else:
             worst = int(ratio.argmax())
             name = first[0].signature.state_names[worst]
-            times = f"{ratio[worst]:.2f} times"
+            strain = {"state": name, "ratio": float(ratio[worst])}
             if not math.isfinite(ratio[worst]):
-                why = "a fit of one simulation through all samples leaves no function"
+                why = {"why": "empty"}
             elif float(ratio[worst]) <= WORSE:
-                pieces = int(self.recording.data.begins().sum())
-                over = "of each of its stretches between gaps, " if pieces > 1 else ""
-                note = (
-                    f"the model follows the log in one simulation {over}from its first sample to its last: the error "
-                    f"of {name} is {times} that of simulations that begin anew every {descent.window} samples, which "
-                    "noise of the sensors explains (error=simulation)"
-                )
-                return found._replace(notes=(note, *found.notes))
+                gaps = int(self.recording.data.begins().sum()) > 1
+                follows = note("fit.simulation", samples=descent.window, limit=WORSE, gaps=gaps, **strain)
+                return found._replace(findings=(follows, *found.findings))
             else:
-                strays = f"in one simulation through all samples the error of {name} is {times}"
-                so = "so something pushes the plant, or functions are missing"
-                why = f"{strays} as large, {so}"
-                aside = (f"{strays} that of pieces that begin anew every {descent.window} samples, {so}",)
-                whole = found._replace(notes=(*aside, *found.notes), in_pieces=True)
-        note = (
-            f"the fit simulates the log in pieces that begin anew every {descent.window} samples: {why} "
-            "(error=prediction)"
-        )
+                why = {"why": "strays", **strain}
+                strays = weak("fit.simulation", samples=descent.window, limit=WORSE, gaps=False, **strain)
+                whole = found._replace(findings=(strays, *found.findings), in_pieces=True)
+        pieces = weak("fit.pieces", samples=descent.window, **why)
         found = self._fit_with_delay(first, rough, kinds["prediction"])
-        return found._replace(notes=(note, *found.notes), in_pieces=True, aside=whole)
+        return found._replace(findings=(pieces, *found.findings), in_pieces=True, aside=whole)
 
     def _fit_with_delay(self, found: Model, delay: float, descent: Descent, hopeless: float = math.inf) -> Refined:
         """Return the model that trajectories tell, and the delay, fitted in turn with it.
@@ -329,11 +310,10 @@ class _Fit:
                 delay = last
                 break
             flow = _fitted(_model(flow), delay)
-        notes: tuple[str, ...] = ()
+        findings: tuple[Finding, ...] = ()
         if flow.windows.length != descent.window:
-            long, short = f"simulations of {descent.window} samples", f"pieces of {flow.windows.length}"
-            notes = (f"the model runs away in {long}, so the fit simulates the log in {short}",)
-        return Refined(*_model(flow), delay, notes, covariance=shooting_covariance(flow))
+            findings = (weak("fit.shorter_pieces", long=descent.window, short=flow.windows.length),)
+        return Refined(*_model(flow), delay, findings, covariance=shooting_covariance(flow))
 
     def _fine(self, delay: float, found: Model, descent: Descent) -> float:
         """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s].
@@ -355,19 +335,19 @@ class _Fit:
         measured, start = self.recording.measured(delay), self.recording.guessed(delay).x
         return trajectory_error_ratio(*found, self.constraints.free, measured, descent, start)
 
-    def _chosen(self, library: Library, coefficients: Tensor, delay: float) -> tuple[str, bool, tuple[str, ...]]:
-        """Return the method for these data, whether samples look noisy, and what is to be said of a choice."""
+    def _chosen(self, library: Library, coefficients: Tensor, delay: float) -> tuple[str, bool, tuple[Finding, ...]]:
+        """Return the method for these data, whether samples look noisy, and the finding of a choice."""
         method, data = self.settings.method, self.recording.data
         unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
         names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
         if names:
-            return "trajectory", False, (COMPARED.format(f"not all of {', '.join(names)} was measured"),)
+            return "trajectory", False, (note("fit.trajectories", unmeasured=names),)
         noisy = method != "integral" and looks_noisy(library, coefficients, self.recording.guessed(delay))
         if method != "auto":
             return method, noisy, ()
         if noisy:
-            return "trajectory", True, (COMPARED.format("the errors of single steps look like noise of the sensors"),)
-        return "one_step", False, (STEPWISE,)
+            return "trajectory", True, (note("fit.trajectories", unmeasured=[]),)
+        return "one_step", False, (note("fit.single_steps"),)
 
     def _regressed(self, found: Model, delay: float) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from dynasindy.findings import Finding, weak
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import unexplained
 from dynasindy.sindy.functions import QUOTIENTS
@@ -60,16 +61,12 @@ def fit_shapes(
     return library, xi
 
 
-def unmoved_shapes(library: Library, xi: Tensor) -> list[str]:
-    """Say which numbers inside functions that are used did not move from their first guesses, a sentence each."""
+def unmoved_shapes(library: Library, xi: Tensor) -> list[Finding]:
+    """Return which numbers inside functions that are used did not move from their first guesses."""
     active = (xi != 0).any(-1).nonzero().flatten().tolist()
     used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
     still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
-    return [
-        f"the number in {Feature.of([factor]).name()} did not move from its first guess {factor.fitted:g}: the data "
-        "probably do not determine it"
-        for factor in still
-    ]
+    return [weak("fit.shape", function=Feature.of([factor]).name(), guess=factor.fitted) for factor in still]
 
 
 def _solved(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> tuple[Tensor, float]:

@@ -6,6 +6,7 @@ import copy
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from dynasindy.safe_io import write_json
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.integrators import moved
+from dynasindy.systems.integrators import moved, trajectory
 from dynasindy.systems.transitions import Transitions
 
 
@@ -126,13 +127,13 @@ def open_loop(model: System, data: Transitions, substeps: int = 1) -> Tensor:
     Returns:
         States in the place of `data.x_next`, `(N, n_x)`; what runs away is not finite or very large.
     """
-    predicted = torch.empty_like(data.x_next)
-    fresh = data.begins()
+    begins = data.begins().nonzero().flatten().tolist()
     with torch.no_grad():
-        for k in range(len(data)):
-            x = data.x[k] if fresh[k] else predicted[k - 1]
-            predicted[k] = moved(model, x, data.u[k], data.dt, substeps)
-    return predicted
+        parts = [
+            trajectory(model, data.x[first], data.u[first:last], data.dt, substeps)
+            for first, last in pairwise([*begins, len(data)])
+        ]
+    return torch.cat(parts) if parts else torch.empty_like(data.x_next)
 
 
 def nrmse(predicted: Tensor, data: Transitions) -> Tensor:

@@ -17,6 +17,9 @@ COARSE = 1e-3
 MOST_DOUBLINGS = 5
 """How often they are halved at most."""
 
+AT_ONCE = 1 << 22
+"""Numbers of a trajectory that machine code holds at once, all steps of a period included."""
+
 
 def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float) -> Tensor:
     """Advance states by one classical fourth-order Runge-Kutta step.
@@ -128,6 +131,33 @@ def simulate(
         samples, touched = code.flight(x, u, dt, substeps, stops)
         return _sampled(samples, f.step, substeps), touched
     return repeat_steps(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
+
+
+def trajectory(f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+    """Advance states over times that follow each other, as `moved` does again and again.
+
+    Args:
+        f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
+        x: States at the start, `(*batch, n_x)`.
+        u: Inputs held over each time, `(T, *batch, n_u)`.
+        dt: Length of each time [s].
+        substeps: Runge-Kutta steps in it.
+
+    Returns:
+        States at the end of each time, `(T, *batch, n_x)`.
+    """
+    ends = [x.new_empty(0, *x.shape)]
+    at_once = max(1, AT_ONCE // (max(x.numel(), 1) * substeps))
+    for held in u.split(at_once):
+        if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
+            ends.append(code.flight(x, held, dt, substeps)[0][..., -1, :].clone())
+        else:
+            states = [x]
+            for k in range(len(held)):
+                states.append(moved(f, states[-1], held[k], dt, substeps))
+            ends.append(torch.stack(states[1:]))
+        x = ends[-1][-1]
+    return torch.cat(ends)
 
 
 def repeat_steps(

@@ -53,10 +53,11 @@ def measure(plant: str, seed: int) -> list[Row]:
         words = ["--config-dir", str(EXAMPLES / "conf"), *PLANTS[plant], f"seed={seed}", f"folder={file.parent}"]
         spent = run_command("train", words, Path(folder), file, [EXAMPLES])
         metrics = json.loads(file.read_text())
+    word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[metrics["verdict"]["controlled"]]
     held, cost, own = metrics["held"], metrics["cost"], metrics["evaluation"].get("own_return")
     return [
         {
-            **{"plant": plant, "seed": seed, "verdict": metrics["verdict"]["held"].partition(":")[0], "output": name},
+            **{"plant": plant, "seed": seed, "verdict": word, "output": name},
             "error_percent": _percent(share) if name else "",
             "worst_percent": _percent(held["worst"][name]) if name else "",
             **{"plant_seconds": cost["plant_seconds"], "periods": cost["real_steps"], "cpu_seconds": round(spent, 1)},

@@ -299,7 +299,8 @@ def qube(folder: Path) -> Result:
     }
     # What a user gets who knows nothing of the plant; the order of its states is that of the logs, rates last.
     start = time.process_time()
-    default = identify(read([str(files[name]) for name in ("train_1", "train_2")]), tell=print)
+    default = identify(read([str(files[name]) for name in ("train_1", "train_2")]))
+    print(*default.findings, sep="\n")
     models["ours by default"] = (default, _facts(default, start))
     models["published physics"] = (published_physics("qube"), {})
     models["pysindy"] = (pysindy_of(build_model("qube", "ours"), train, _score), {})

@@ -19,7 +19,7 @@ def test_rows_say_what_the_run_says(tmp_path, monkeypatch):
         "held": {"share": {"p": 0.0052, "theta": None}, "worst": {"p": 0.03, "theta": None}},
         "cost": {"plant_seconds": 30.0, "real_steps": 600},
         "evaluation": {"own_return": -212.946},
-        "verdict": {"held": "NOT CONTROLLED: errors"},
+        "verdict": {"controlled": False},
     }
 
     def trained(command, words, folder, result, modules):
@@ -31,7 +31,7 @@ def test_rows_say_what_the_run_says(tmp_path, monkeypatch):
     monkeypatch.setattr(plants, "run_command", trained)
     out = tmp_path / "plants.csv"
     plants.main(parse("plants", ["--plants", "cart_pole", "--seeds", "3", "--out", str(out)]))
-    metrics |= {"held": {"share": {}}, "verdict": {"held": "NOT JUDGED: x"}}
+    metrics |= {"held": {"share": {}}, "verdict": {"controlled": None}}
     monkeypatch.setitem(PLANTS, "pendulum_own", PLANTS["cart_pole"])
     plants.main(parse("plants", ["--plants", "pendulum_own", "--seeds", "3", "--out", str(out)]))
     first, second, only = read_rows(out)

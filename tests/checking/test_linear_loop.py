@@ -307,26 +307,30 @@ def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts
         last = k + 1 if abs(x[0]) > 0.02 * 0.8 else last
         x = (power @ np.append(x, -2.0 * x[0] - 2.5 * x[1]))[:2]
     assert found.spread.settling[:, -1].tolist() == pytest.approx([0.1 * last] * 2)
-    (line,) = (each for each in check_verdict(found) if each.name == "settling")
-    assert line.good and "slowest" in line.words
-    (line,) = (each for each in check_verdict(found, Thresholds(settled=0.2)) if each.name == "settling")
-    assert line.weak and line.words.endswith("threshold: 1.2 s")
+    (line,) = (each for each in check_verdict(found) if each.code == "check.settling")
+    assert line.severity == "note" and line.values["slowest"] >= line.values["model"]
+    (line,) = (each for each in check_verdict(found, Thresholds(settled=0.2)) if each.code == "check.settling")
+    assert line.severity == "weak" and line.values["limit"] == pytest.approx(1.2)
     slow = torch.full_like(found.spread.settling, math.inf)
     (line,) = (
-        e for e in check_verdict(replace(found, spread=replace(found.spread, settling=slow))) if e.name == "settling"
+        e
+        for e in check_verdict(replace(found, spread=replace(found.spread, settling=slow)))
+        if e.code == "check.settling"
     )
-    assert line.weak and "than" in line.words
+    assert line.severity == "weak" and line.values["slowest"] == math.inf and str(line)
     apart = torch.tensor([[1.0, 2.0, 3.0, 4.0, 5.0], [7.0, 1.0, 1.0, 6.0, 8.0]], dtype=torch.float64)
     unlike = replace(found, spread=replace(found.spread, settling=apart))  # the slower one of both ways counts
-    (line,) = (each for each in check_verdict(unlike) if each.name == "settling")
-    assert "slowest" in line.words
+    (line,) = (each for each in check_verdict(unlike) if each.code == "check.settling")
+    assert line.values["slowest"] == 7.0
     assert [change["settling"] for change in check_record(unlike)["changes"]] == [7.0, 2.0, 3.0, 6.0]
     part = found.spread.radius.clone()
     part[0, 0] = 1.01  # at one of both targets the first plant is not stable
     (line,) = (
-        e for e in check_verdict(replace(found, spread=replace(found.spread, radius=part))) if e.name == "settling"
+        e
+        for e in check_verdict(replace(found, spread=replace(found.spread, radius=part)))
+        if e.code == "check.settling"
     )
-    assert "slowest" in line.words
+    assert not line.values["all_stable"] and line.values["plants"] == 3
     assert check_record(replace(found, spread=replace(found.spread, radius=part)))["changes"][0]["settling"] is None
     none = replace(found.spread, radius=torch.full_like(part, 1.01))
-    assert "settling" not in [each.name for each in check_verdict(replace(found, spread=none))]
+    assert "check.settling" not in [each.code for each in check_verdict(replace(found, spread=none))]

@@ -2,15 +2,14 @@
 
 import csv
 import math
-import shlex
 
 import numpy as np
 import pytest
 import torch
-import yaml
 
 from dynasindy.data.csv import CsvLog
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.findings import LogError, note, weak, wrong
 from dynasindy.systems import BlackBox
 from dynasindy.tasks import base
 
@@ -68,7 +67,8 @@ def test_zero_stays_zero_and_what_an_actuator_does_not_reach_are_limits(tmp_path
     assert (signature.input_limits or ((-1, 1),))[0] == pytest.approx(limits)
     assert signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(values[:-1])
     assert signature.in_own_units([limits[0]]) == pytest.approx([low])
-    assert f"0 is {rest} %, 1 is {rest + one} %; a controller keeps it from {low} to {high} %" in found.notes[1]
+    ends = {"rest": rest, "one": rest + one, "low": low, "high": high}
+    assert found.findings[1] == note("log.scaled", input="valve", unit="%", **ends)
     assert Task(signature).input_limits.flatten().tolist() == pytest.approx(limits)
 
 
@@ -102,13 +102,12 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert rest + one * found.transitions.u[:, 0].numpy() == pytest.approx(values[:-1])
     limits = (found.signature.input_limits or ((-1, 1),))[0]
     assert [rest + one * limit for limit in limits] == pytest.approx(reach)
-    assert found.notes[2].rpartition("as they are: ")[2] == found.ends
-    (word,) = shlex.split(found.ends)
-    given = yaml.safe_load(word.removeprefix("data.inputs="))
+    given = found.ends
+    assert found.findings[2] == note("log.guessed_ends", inputs=given)
     # An actuator that rests at zero reaches zero, whether the log has tried it or not.
     assert (given["valve"]["low"], given["valve"]["high"]) == (min(*reach, rest), max(*reach, rest))
     again = LoggedData(path, inputs=given).recording(None)
-    assert again.signature.input_ends == found.signature.input_ends and again.ends == ""
+    assert again.signature.input_ends == found.signature.input_ends and again.ends is None
     assert torch.equal(again.transitions.u, found.transitions.u)
 
 
@@ -119,24 +118,25 @@ def test_a_rest_outside_of_the_ends_is_refused(tmp_path):
         CsvLog(path, {"level": "level"}, servo).read()
 
 
-@pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, "low: 0, high: 1"), (-0.9, 0.0, "low: -1, high: 0")])
+@pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, (0, 1)), (-0.9, 0.0, (-1, 0))])
 def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path, low, high, ends):
     path = written(tmp_path / "log.csv", levels(low, high), "valve")
     found = LoggedData(path, inputs=["valve"]).recording(None)
     assert found.signature.input_ends == () == found.signature.input_limits
-    (_, note) = found.notes
-    assert f"'data.inputs={{valve: {{name: valve, {ends}}}}}'" in note and "from -1 to 1" in note
-    assert note.endswith(f"say so: {found.ends}")
+    assert found.ends == {"valve": {"name": "valve", "low": ends[0], "high": ends[1]}}
+    assert found.findings[1:] == (note("log.one_sided", input="valve", least=low, most=high, inputs=found.ends),)
 
 
 def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):
     """10 V of 10,000 V are a thousandth."""
     path = written(tmp_path / "log.csv", levels(0.0, 10.0), "valve [V]")
     wide = {"valve": {"name": "valve", "low": 0, "high": 10_000}}
-    notes = LoggedData(path, inputs=wide).recording(None).notes
-    assert "check" in notes[1]
+    found = LoggedData(path, inputs=wide).recording(None).findings[1]
+    assert (found.code, found.severity) == ("log.hardly_moved", "weak")
+    assert found.values["percent"] == pytest.approx(0.1)
     fair = {"valve": {"name": "valve", "low": 0, "high": 100}}
-    assert not any("only" in note for note in LoggedData(path, inputs=fair).recording(None).notes)
+    codes = [each.code for each in LoggedData(path, inputs=fair).recording(None).findings]
+    assert codes == ["log.time", "log.scaled"]
 
 
 @pytest.mark.parametrize("most", [0.4, 1.0, 1.0004])
@@ -144,7 +144,7 @@ def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
     values = levels(-most, most)
     found = LoggedData(written(tmp_path / "log.csv", values), inputs=["valve"]).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
-    assert found.signature.input_ends == () and not found.notes[1:]
+    assert found.signature.input_ends == () and not found.findings[1:]
 
 
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
@@ -152,7 +152,7 @@ def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
     kept = {"valve": {"name": "valve", "low": -1, "high": 1}}
     found = LoggedData(written(tmp_path / "log.csv", values), inputs=kept).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
-    assert "beyond the [-1, 1]" in found.notes[1]
+    assert found.findings[1:] == (weak("log.beyond_ends", input="valve", least=-12, most=12),)
 
 
 @pytest.mark.parametrize(
@@ -177,8 +177,7 @@ def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
     path = written(tmp_path / "log.csv", levels(-12_000.0, 12_000.0), "valve [mV]")
     scaled = {"valve": {"name": "valve", "unit": "V", "scale": 0.001}}
     first = LoggedData(path, inputs=scaled).recording(None)
-    (word,) = shlex.split(first.notes[2].rpartition("as they are: ")[2])
-    given = yaml.safe_load(word.removeprefix("data.inputs="))
+    given = first.ends
     assert given["valve"] == {"name": "valve", "unit": "V", "scale": 0.001, "low": -12, "high": 12}
     second = LoggedData(path, inputs=given).recording(None)
     assert np.array_equal(first.transitions.u.numpy(), second.transitions.u.numpy())
@@ -189,8 +188,10 @@ def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
 def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
     path = written(tmp_path / "log.csv", levels(0.0, 100.0))
     log = CsvLog(path, {"level": "level"}, {"valve": {"name": "valve", "low": low, "high": high}})
-    with pytest.raises(ValueError, match=rf"given low {low} and high {high}, its column goes from 0 to 100 after"):
+    with pytest.raises(LogError) as error:
         log.read()
+    ends = {"input": "valve", "low": low, "high": high, "least": 0, "most": 100}
+    assert error.value.finding == wrong("log.input_ends", file=path, **ends)
 
 
 def test_an_input_may_leave_its_ends_by_rounding(tmp_path):
@@ -224,7 +225,7 @@ def test_the_numbers_that_a_rig_has_logged_stay_what_they_are(tmp_path):
     found = LoggedData(written(tmp_path / "log.csv", values, "valve [-]")).recording(PLANT)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
     assert found.signature.in_own_units(found.transitions.u)[:, 0] == pytest.approx(4 + 16 * values[:-1])
-    assert len(found.notes) == 1 and found.notes[0].startswith("time is the column time")  # none on the input's ends
+    assert [each.code for each in found.findings] == ["log.time"]  # none on the input's ends
 
 
 @pytest.mark.parametrize(
@@ -255,6 +256,7 @@ def test_ends_that_are_those_of_the_plant_may_be_said_again(tmp_path):
 def test_two_levels_of_an_input_are_told_and_three_are_not(tmp_path, low, high):
     """A relay is on or off; a single sample between, as of a valve that was turned, is a third level."""
     values = np.tile(np.repeat([float(low), float(high)], 10), 5)
+    told = weak("log.two_levels", input="valve", low=low, high=high)
     for between, said in ((values, True), (np.r_[values, (low + high) / 2], False)):
-        notes = " ".join(LoggedData(written(tmp_path / "log.csv", between), inputs=["valve"]).recording(None).notes)
-        assert (f"only two levels of input valve, {low} and {high}, so nothing is known" in notes) == said
+        found = LoggedData(written(tmp_path / "log.csv", between), inputs=["valve"]).recording(None).findings
+        assert (told in found) == ("log.two_levels" in [each.code for each in found]) == said

@@ -1,16 +1,15 @@
 """The time of a log, its unit and what is said of it, against times that were written into a file."""
 
 import math
-import shlex
 
 import numpy as np
 import pytest
-import yaml
 from scipy.signal import cont2discrete
 
 import dynasindy
 from dynasindy.data.clock import clock_of, period_of
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.findings import note, weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 
 
@@ -60,35 +59,36 @@ def test_time_is_found_where_only_one_heading_can_mean_it(headings, clock):
 
 
 @pytest.mark.parametrize(
-    ("heading", "per_second", "how"),
+    ("heading", "per_second", "unit"),
     [
-        ("t_ms", 1e3, "in ms"),
-        ("t [ms]", 1e3, "in ms"),
-        ("time_us", 1e6, "in us"),
-        ("Time ms", 1e3, "in ms"),
-        ("millis", 1e3, "in millis"),
-        ("t", 1.0, "taken as seconds"),
-        ("time [s]", 1.0, "in s"),
+        ("t_ms", 1e3, "ms"),
+        ("t [ms]", 1e3, "ms"),
+        ("time_us", 1e6, "us"),
+        ("Time ms", 1e3, "ms"),
+        ("millis", 1e3, "millis"),
+        ("t", 1.0, ""),
+        ("time [s]", 1.0, "s"),
     ],
 )
-def test_the_column_of_time_and_its_unit_are_always_said(tmp_path, heading, per_second, how):
+def test_the_column_of_time_and_its_unit_are_always_said(tmp_path, heading, per_second, unit):
     """Samples every 20 ms, whatever they are counted in."""
     path = written(tmp_path / "log.csv", heading, [f"{0.02 * k * per_second:.6g}" for k in range(100)])
     found = LoggedData(path).recording(None)
     assert found.transitions.dt == pytest.approx(0.02)
-    assert found.notes[0] == f"time is the column {heading.split(' [')[0]}, {how}: 0.02 s between rows"
+    assert found.findings == (
+        note("log.time", column=heading.split(" [")[0], unit=unit, dates=False, dt=pytest.approx(0.02)),
+    )
 
 
 def test_a_counter_gets_a_hint_and_what_the_hint_says_mends_it(tmp_path):
     path = written(tmp_path / "log.csv", "t", range(100))
     found = LoggedData(path).recording(None)
-    assert found.transitions.dt == 1.0 and "taken" in found.notes[0]
+    assert found.transitions.dt == 1.0 and found.findings[1:] == (weak("log.whole_seconds", column="t"),)
     counted = LoggedData(path, dt=0.05).recording(None)
     assert counted.transitions.dt == 0.05 and len(counted.transitions) == 99
-    assert "counter" in counted.notes[0]
-    (word,) = (w for w in shlex.split(found.notes[0].replace(",", " ")) if w.startswith("data.time="))
-    named = LoggedData(path, time=yaml.safe_load(word.removeprefix("data.time="))).recording(None)
-    assert named.transitions.dt == pytest.approx(1e-3) and "ms: 0.001 s" in named.notes[0]
+    assert counted.findings == (note("log.row_counter", column="t", dt=0.05),)
+    named = LoggedData(path, time=f"{found.findings[1].values['column']} [ms]").recording(None)
+    assert named.transitions.dt == pytest.approx(1e-3) and named.findings[0].values["unit"] == "ms"
 
 
 def test_a_counter_that_lost_rows_keeps_its_gaps(tmp_path):
@@ -107,7 +107,7 @@ def test_dates_with_points_are_read_with_the_day_first(tmp_path):
     times = [f"{day}:{second:05.2f}" for day, second in days]
     found = LoggedData(written(tmp_path / "log.csv", "t", times)).recording(None)
     assert found.transitions.dt == pytest.approx(0.25) and found.transitions.segment.unique().tolist() == [0]
-    assert found.notes == ("time is the column t, read as dates: 0.25 s between rows",)
+    assert found.findings == (note("log.time", column="t", unit="", dates=True, dt=pytest.approx(0.25)),)
 
 
 @pytest.mark.parametrize("heading", ["Time [ms]", "Time (ms)"])
@@ -209,7 +209,7 @@ def test_a_clock_that_is_truly_uneven_is_believed(tmp_path, places):
     rng = np.random.default_rng(4)
     times = np.round(0.02 * np.arange(900) + 0.004 * rng.uniform(-1, 1, 900), places)
     log = logged(tmp_path / "log.csv", times, decimals(places))
-    assert "resampled" in " ".join(log.notes)
+    assert "log.resampled" in [each.code for each in log.findings]
     assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
 
 

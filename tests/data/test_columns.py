@@ -8,6 +8,7 @@ import pytest
 
 from dynasindy.data.columns import Column, infer
 from dynasindy.data.csv import CsvLog
+from dynasindy.findings import LogError, note, wrong
 
 
 def log(n: int = 80, dt: float = 0.01) -> np.ndarray:
@@ -44,42 +45,43 @@ def test_inputs_may_be_named_and_all_others_are_states(tmp_path):
 
 def test_headings_without_an_input_are_refused(tmp_path):
     path = write(tmp_path / "log.csv", log())
-    with pytest.raises(ValueError, match="columns") as error:
+    with pytest.raises(LogError) as error:
         infer(path)
+    assert error.value.finding.code == "log.no_roles" and error.value.finding.values["lacks"] == "inputs"
     assert "\n" not in str(error.value)
 
 
 def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_path):
     table = np.concatenate([log(), 3.0 + np.arange(80)[:, None]], -1)
     path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "u", "row"))
-    notes = []
-    states, _ = infer(path, notes=notes)
-    assert list(states) == ["angle", "rate"]
-    (note,) = notes
-    assert "counter" in note and " row;" in note
+    states, _ = infer(path, findings=(found := []))
+    assert list(states) == ["angle", "rate"] and found == [note("log.counters", columns=["row"])]
     assert list(infer(path, states=["angle", "row"])[0]) == ["angle", "row"]
     path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "volt", "row"))
-    with pytest.raises(ValueError, match="counter") as error:
+    with pytest.raises(LogError) as error:
         infer(path)
-    assert str(error.value).endswith("'data.inputs=[volt]' 'data.states=[angle,rate]'")
+    told = error.value.finding.values
+    assert told["left_out"] == [note("log.counters", columns=["row"])]
+    assert (told["guess"]["inputs"], told["guess"]["states"]) == (["volt"], ["angle", "rate"])
 
 
 def test_a_column_of_nan_alone_is_told_and_refused_where_it_is_named(tmp_path):
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k},{math.sin(k)},NaN,{math.cos(k)}" for k in range(20)]
     path.write_text("\n".join(["time,angle [rad],speed [rpm],volts [V]", *rows]))
-    notes: list[str] = []
-    states, inputs = infer(str(path), inputs=["volts"], notes=notes)
-    assert list(states) == ["angle"] and list(inputs) == ["volts"]
-    assert notes == ["left out, as cells that are empty or NaN are all that they hold: speed"]
+    empty = note("log.empty_columns", columns=["speed"])
+    states, inputs = infer(str(path), inputs=["volts"], findings=(found := []))
+    assert list(states) == ["angle"] and list(inputs) == ["volts"] and found == [empty]
     for states_, inputs_ in ((["angle", "speed"], ["volts"]), (None, ["speed [rpm]"])):
-        with pytest.raises(ValueError, match="cells"):
+        with pytest.raises(LogError) as error:
             infer(str(path), states=states_, inputs=inputs_)
+        assert error.value.finding == wrong("log.column_without_numbers", file=str(path), column="speed")
     worded = [f"{row},{'ON' if k % 3 else 'OFF'}" for k, row in enumerate(rows)]
     path.write_text("\n".join(["time,angle [rad],speed [rpm],volts [V],pump", *worded]))
-    infer(str(path), inputs=["volts"], notes=(both := []))
-    assert "words" in both[0] and "speed" in both[1] and len(both) == 2
+    infer(str(path), inputs=["volts"], findings=(both := []))
+    assert both == [note("log.text_columns", columns={"pump": "OFF"}), empty]
     path.write_text("\n".join(["time,speed [rpm],volts [V]", *(f"{0.1 * k},,{math.cos(k)}" for k in range(20))]))
-    with pytest.raises(ValueError, match="hold") as error:
+    with pytest.raises(LogError) as error:
         infer(str(path), inputs=["volts"])
-    assert "the command" not in str(error.value)
+    told = error.value.finding
+    assert told.code == "log.nothing_moves" and told.values["driven"] and told.values["left_out"] == [empty]

@@ -9,6 +9,7 @@ import torch
 
 from dynasindy.data.columns import Column, infer
 from dynasindy.data.csv import CsvLog, _holes, _rates_beside, _stuck
+from dynasindy.findings import Finding, LogError, note, weak
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -25,6 +26,13 @@ def write(path: Path, table, headings=HEADINGS, separator=",") -> str:
     rows = [separator.join("" if math.isnan(v) else repr(float(v)) for v in row) for row in table]
     path.write_text("\n".join([separator.join(headings), *rows]) + "\n")
     return str(path)
+
+
+def refused(path: str, states=STATES, inputs=INPUTS, **settings) -> Finding:
+    with pytest.raises(LogError) as error:
+        CsvLog(path, states, inputs, **settings).read()
+    assert "\n" not in str(error.value)
+    return error.value.finding
 
 
 def refusal(path: str, states=STATES, inputs=INPUTS, **settings) -> str:
@@ -45,7 +53,7 @@ def test_a_file_is_read_to_the_last_digit(tmp_path, separator):
     assert data.dt == pytest.approx(0.01) and data.segment.unique().tolist() == [0]
     assert found.signature.state_units == ("rad", "rad/s") and found.signature.input_names == ("u",)
     assert found.signature.x_scale == pytest.approx(np.abs(table[:, 1:3]).max(0))
-    assert found.notes[1:] == ()
+    assert [each.code for each in found.findings] == ["log.time"]
 
 
 def test_columns_are_found_by_name_whatever_their_order_and_a_byte_order_mark(tmp_path):
@@ -60,7 +68,7 @@ def test_columns_are_found_by_name_whatever_their_order_and_a_byte_order_mark(tm
 def test_an_empty_file_and_no_file_are_refused(tmp_path):
     (tmp_path / "empty.csv").write_text("")
     assert "empty" in refusal(str(tmp_path / "empty.csv"))
-    assert "gives 0 complete rows" in refusal(write(tmp_path / "headings.csv", []))
+    assert refused(write(tmp_path / "headings.csv", [])).code == "log.too_few"
     with pytest.raises(FileNotFoundError):
         CsvLog(str(tmp_path / "absent.csv"), STATES, INPUTS).read()
 
@@ -71,18 +79,17 @@ def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the
     table[51, 3] = np.inf
     path = write(tmp_path / "log.csv", table)
     found = CsvLog(path, STATES, INPUTS).read()
-    skipped = (
-        "2 of 80 rows have values that are missing or not finite (volt: 2), the first in line 52; they were skipped"
-    )
-    kept = "1 of 80 rows have states that are missing or not finite (angle: 1), the first in line 22; the fit goes on"
-    assert skipped in found.notes and any(note.startswith(kept) for note in found.notes)
+    skipped = {"rows": 2, "total": 80, "counts": {"volt": 2}, "line": 52, "skipped": True}
+    kept = {"rows": 1, "total": 80, "counts": {"angle": 1}, "line": 22, "skipped": False}
+    missing = [note("log.missing", **skipped), note("log.missing", **kept)]
+    assert [*found.findings][1:] == [*missing, note("log.gaps", count=1)]
     data = found.transitions
     assert len(data) == 79 - 3  # two rows in turn cost themselves and the transition before them
     assert data.segment.unique().tolist() == [0, 1] and data.u[20, 0] == table[20, 3]
     assert data.x.isnan().nonzero().tolist() == [[20, 0]] and data.x_next.isnan().nonzero().tolist() == [[19, 0]]
     inside = data.segment[1:] == data.segment[:-1]
     assert torch.equal(data.x[1:][inside].nan_to_num(), data.x_next[:-1][inside].nan_to_num())
-    assert "missing=skip" in refusal(path, missing="refuse")
+    assert refused(path, missing="refuse").values == {"file": path, "refused": True, **skipped}
 
 
 def test_text_and_short_rows_are_missing_values(tmp_path):
@@ -91,10 +98,12 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     lines = path.read_text().splitlines()
     lines[10], lines[30] = "0.09,off,1,1", "0.29"
     path.write_text("\n".join(lines))
-    (_, text, short, state, gaps) = CsvLog(str(path), STATES, INPUTS).read().notes
-    assert "line 11, column 'angle' holds 'off'" in text
-    assert "1 of 80 rows" in short and "(angle: 1, rate: 1, volt: 1)" in short and "1 gap longer" in gaps
-    assert "1 of 80 rows" in state and "(angle: 1)" in state
+    assert CsvLog(str(path), STATES, INPUTS).read().findings[1:] == (
+        note("log.words", line=11, column="angle", text="off", count=1),
+        note("log.missing", rows=1, total=80, counts={"angle": 1, "rate": 1, "volt": 1}, line=31, skipped=True),
+        note("log.missing", rows=1, total=80, counts={"angle": 1}, line=11, skipped=False),
+        note("log.gaps", count=1),
+    )
 
 
 def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
@@ -109,7 +118,8 @@ def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
 def test_a_state_with_too_few_samples_is_refused(tmp_path):
     table = log(200)
     table[np.arange(200) % 5 > 0, 1] = np.nan
-    assert "more" in refusal(write(tmp_path / "l.csv", table), min_samples=50)
+    told = refused(write(tmp_path / "l.csv", table), min_samples=50)
+    assert told.code == "log.too_few" and (told.values["state"], told.values["count"]) == ("q", 39)
 
 
 def test_a_rate_beside_lost_samples_is_that_of_the_others(tmp_path):
@@ -139,10 +149,11 @@ def test_uneven_samples_with_lost_ones_are_resampled_by_the_others(tmp_path):
 def test_time_that_does_not_increase_is_refused_at_its_row(tmp_path):
     table = log()
     table[30, 0] = table[29, 0]
-    assert "increase" in refusal(write(tmp_path / "equal.csv", table))
+    told = refused(write(tmp_path / "equal.csv", table))
+    assert told.code == "log.time_order" and told.values["line"] == 32
     swapped = log()
     swapped[[30, 40]] = swapped[[40, 30]]
-    assert "increase" in refusal(write(tmp_path / "swapped.csv", swapped))
+    assert refused(write(tmp_path / "swapped.csv", swapped)).code == "log.time_order"
 
 
 def test_a_recording_that_begins_anew_is_two(tmp_path):
@@ -158,14 +169,16 @@ def test_a_recording_that_begins_anew_is_two(tmp_path):
 def test_a_constant_input_is_refused_by_its_name(tmp_path):
     table = log()
     table[:, 3] = 0.5
-    assert "constant" in refusal(write(tmp_path / "log.csv", table))
+    told = refused(write(tmp_path / "log.csv", table))
+    assert told.code == "log.still_input" and (told.values["input"], told.values["value"]) == ("u", 0.5)
 
 
 def test_too_few_samples_are_refused_with_what_was_left_out(tmp_path):
     table = log(52)
     table[10, 3] = np.nan
-    said = refusal(write(tmp_path / "log.csv", table))
-    assert "gives" in said and "1 of 52 rows" in said
+    told = refused(write(tmp_path / "log.csv", table))
+    assert told.code == "log.too_few" and (told.values["count"], told.values["least"]) == (49, 50)
+    assert [each.code for each in told.values["left_out"]] == ["log.missing", "log.gaps"]
     assert len(CsvLog(write(tmp_path / "enough.csv", log(51)), STATES, INPUTS).read().transitions) == 50
 
 
@@ -175,7 +188,7 @@ def test_uneven_samples_are_resampled_on_the_states_curve_with_inputs_held(tmp_p
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read()
     data = found.transitions
     grid = t[0] + 0.01 * np.arange(len(data))
-    assert len(data) >= 197 and "splines" in " ".join(found.notes)
+    assert len(data) >= 197 and found.findings[-1].code == "log.resampled"
     assert np.allclose(data.x[:, 0], np.sin(3 * grid), atol=1e-6)
     first = t[t >= 1.0][0]  # the first sample that saw the jump: it is held from there on
     held = np.where(grid[:, None] + np.linspace(0, 0.01, 2001)[1:] < first, -1.0, 1.0)
@@ -187,18 +200,18 @@ def test_samples_at_a_stop_are_masked_but_not_a_start_at_rest(tmp_path):
     table[:, 1] = np.minimum(table[:, 1], 0.9)
     stuck = int((table[:, 1] == 0.9).sum())
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
-    assert found.notes[1:] == (f"{stuck} samples with q at 0.9, a stop or saturation, were masked",)
+    assert found.findings[1:] == (note("log.stop", count=stuck, state="q", value=0.9),)
     assert not bool((found.transitions.x[:, 0] == 0.9).any() or (found.transitions.x_next[:, 0] == 0.9).any())
     resting = np.concatenate([np.zeros((20, 4)), log(100)])
     resting[:, 0], resting[20:, 1] = 0.01 * np.arange(120), 1.5 - np.cos(3 * log(100)[:, 0])
-    assert CsvLog(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).read().notes[1:] == ()
+    assert CsvLog(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).read().findings[1:] == ()
 
 
 def test_a_rate_that_was_not_logged_is_the_derivative_of_its_angle(tmp_path):
     table = log()
     states = {"q": "angle", "v": {"derivative_of": "q", "unit": "rad/s"}}
     found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read()
-    assert found.notes[1:] == ("v was reconstructed from q",)
+    assert found.findings[1:] == (note("log.differentiated", state="v", of="q"),)
     assert np.allclose(found.transitions.x[3:-3, 1], table[3:-4, 2], atol=1e-4)
 
 
@@ -206,7 +219,7 @@ def test_stretches_too_short_for_a_rate_are_left_out_not_given_rate_zero(tmp_pat
     table = np.delete(log(), [40, 44], 0)  # rows 41..43 stand alone
     states = {"q": "angle", "v": {"derivative_of": "q"}}
     found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).read()
-    assert any("3 samples in stretches" in note for note in found.notes)
+    assert note("log.short_stretches", count=3, least=7) in found.findings
     assert len(found.transitions) == 39 + 34
     t = 0.01 * np.concatenate([np.arange(39), np.arange(45, 79)])
     assert np.allclose(found.transitions.x[:, 1], 3 * np.cos(3 * t), atol=5e-3)
@@ -248,8 +261,10 @@ def test_text_in_the_first_row_costs_that_row_and_no_state(tmp_path):
     assert list(states) == ["angle", "rate"] and list(inputs) == ["u"]
     found = CsvLog(str(path), states, inputs).read()
     assert np.array_equal(found.transitions.x.numpy(), log()[1:-1, 1:3])
-    assert "line 2, column 'angle' holds 'off'" in found.notes[1]
-    assert "1 of 80 rows" in found.notes[2] and "line" in found.notes[2]
+    assert found.findings[1:] == (
+        note("log.words", line=2, column="angle", text="off", count=1),
+        note("log.missing", rows=1, total=80, counts={"angle": 1, "rate": 1, "u": 1}, line=2, skipped=True),
+    )
 
 
 def test_a_stray_quote_is_refused_at_its_line(tmp_path):
@@ -274,7 +289,7 @@ def test_time_is_read_in_its_unit(tmp_path, unit, factor, heading):
 
 def test_an_unknown_unit_of_time_is_refused(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time [samples]", *HEADINGS[1:]))
-    assert "column" in refusal(path)
+    assert refused(path).code == "log.time_unit"
 
 
 def test_a_heading_that_stands_twice_is_refused(tmp_path):
@@ -286,7 +301,7 @@ def test_a_heading_that_stands_twice_is_refused(tmp_path):
 
 def test_a_state_is_not_called_like_a_function_of_the_library(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time", "1", "rate", "u"))
-    assert "called" in refusal(path, *infer(path))
+    assert refused(path, *infer(path)).values == {"file": path, "name": "1"}
     assert len(CsvLog(path, {"q": "1", "v": "rate"}, {"u": "u"}).read().transitions) == 79
 
 
@@ -311,7 +326,7 @@ def test_inputs_beyond_those_of_a_plant_are_read_and_said(tmp_path):
     table[:, 3] *= 12
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
     assert np.array_equal(found.transitions.u[:, 0].numpy(), table[:-1, 3])
-    assert "beyond" in found.notes[1]
+    assert found.findings[1:] == (weak("log.beyond_ends", input="u", least=-12, most=12),)
 
 
 @pytest.mark.parametrize(
@@ -331,7 +346,7 @@ def test_a_sampling_time_that_is_none_is_refused(dt):
 def test_many_gaps_do_not_take_long(tmp_path):
     table = log(40_000)
     table[:, 0] += 0.03 * (np.arange(40_000) // 2) + 0.001 * (np.arange(40_000) % 2)
-    assert "stretch" in refusal(write(tmp_path / "log.csv", table), dt=0.01)
+    assert refused(write(tmp_path / "log.csv", table), dt=0.01).code == "log.uneven"
 
 
 def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
@@ -368,23 +383,24 @@ def test_the_sampling_time_is_the_median_unless_given(tmp_path):
     table = np.delete(log(100, dt=0.02), [50, 51], 0)
     assert CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read().transitions.dt == pytest.approx(0.02)
     fine = CsvLog(str(tmp_path / "log.csv"), STATES, INPUTS, dt=0.015).read()
-    assert fine.transitions.dt == 0.015 and "are not 0.015 s" in fine.notes[-1]
+    last = fine.findings[-1]
+    assert fine.transitions.dt == 0.015 and last.code == "log.resampled" and last.values["dt"] == 0.015
 
 
 def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_percent_is_even(tmp_path):
     table = log(120)
     table[60:, 0] += 0.004  # a step of 1.4 sampling times is resampled
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).read()
-    assert len(found.notes) == 2 and "1 of 119" in found.notes[1] and "0.01 s" in found.notes[1]
+    assert found.findings[1:] == (note("log.resampled", count=1, total=119, dt=0.01),)
     assert found.transitions.segment.unique().tolist() == [0]
     table[60:, 0] += 0.002  # one of 1.6 splits
     found = CsvLog(write(tmp_path / "gap.csv", table), STATES, INPUTS, dt=0.01).read()
-    assert found.notes[1:] == ("1 gap longer than 1.5 sampling times splits the recording",)
+    assert found.findings[1:] == (note("log.gaps", count=1),)
     for share, even in ((0.019, True), (0.021, False)):
         table = log(120)
         table[60, 0] += share * 0.01
         found = CsvLog(write(tmp_path / "jitter.csv", table), STATES, INPUTS, dt=0.01).read()
-        assert (found.notes[1:] == ()) is even
+        assert (not found.findings[1:]) is even
 
 
 def test_stretches_are_resampled_apart_each_from_its_own_start(tmp_path):
@@ -410,8 +426,7 @@ def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, rest
     table[:, 1] = table[:, 0]
     table[40 : 40 + resting, 1] = -0.5  # the lower end
     found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).read()
-    expected = (f"{masked} samples with q at -0.5, a stop or saturation, were masked",) if masked else ()
-    assert found.notes[1:] == expected
+    assert found.findings[1:] == (note("log.stop", count=masked, state="q", value=-0.5),) * bool(masked)
     assert len(found.transitions) == 99 - (masked + 1 if masked else 0)
 
 
@@ -419,7 +434,7 @@ def test_a_state_that_rests_all_the_time_is_no_stop_and_has_range_one_where_it_i
     table = np.concatenate([log(), np.zeros((80, 1)), np.full((80, 1), -3.0)], -1)
     path = write(tmp_path / "log.csv", table, (*HEADINGS, "still", "low"))
     found = CsvLog(path, {"q": "angle", "z": "still", "w": "low"}, INPUTS).read()
-    assert found.notes[1:] == () and len(found.transitions) == 79
+    assert found.findings[1:] == () and len(found.transitions) == 79
     assert found.signature.x_scale[1:] == (1.0, 3.0)
 
 
@@ -435,14 +450,14 @@ def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path)
 
 def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is():
     away, rest = [3.0, 6.0, 9.0, 9.5, 6.0, 3.0], [0.0] * 6
-    notes: list[str] = []
-    assert not _stuck({"q": np.array([*rest, *away])}, notes).any() and notes == []
-    found = _stuck({"q": np.array([*rest, *away, *rest])}, notes)
+    told: list[Finding] = []
+    assert not _stuck({"q": np.array([*rest, *away])}, told).any() and told == []
+    found = _stuck({"q": np.array([*rest, *away, *rest])}, told)
     assert found.tolist() == [True] * 6 + [False] * 6 + [True] * 6
-    assert notes == ["12 samples with q at 0, a stop or saturation, were masked"]
+    assert told == [note("log.stop", count=12, state="q", value=0)]
     # Five samples at an end are a stop, four are none; wherever they are, they are the ones masked.
-    assert _stuck({"q": np.array([*away, *[0.0] * 5, 3.0])}, notes).tolist() == [False] * 6 + [True] * 5 + [False]
-    assert not _stuck({"q": np.array([*away, *[0.0] * 4, 3.0])}, notes).any()
+    assert _stuck({"q": np.array([*away, *[0.0] * 5, 3.0])}, told).tolist() == [False] * 6 + [True] * 5 + [False]
+    assert not _stuck({"q": np.array([*away, *[0.0] * 4, 3.0])}, told).any()
 
 
 @pytest.mark.parametrize("step", [0.0015, 0.005, 0.02])
@@ -451,11 +466,11 @@ def test_the_peak_of_an_overshoot_that_an_encoder_reads_in_steps_is_no_stop_and_
     t = 0.01 * np.arange(600)
     swing = np.exp(-0.3 * t) * np.cos(2 * t + phase)
     read = step * np.round(swing / step)
-    notes: list[str] = []
-    assert not _stuck({"q": read}, notes).any() and notes == []
+    told: list[Finding] = []
+    assert not _stuck({"q": read}, told).any() and told == []
     stopped = step * np.round(np.clip(swing, -0.3, None) / step)
     held = stopped == stopped.min()
-    assert held.sum() > 30 and np.array_equal(_stuck({"q": stopped}, notes), held)
+    assert held.sum() > 30 and np.array_equal(_stuck({"q": stopped}, told), held)
 
 
 def test_a_state_that_no_sensor_sees_is_nan_and_the_rest_is_as_it_was(tmp_path):
@@ -464,7 +479,7 @@ def test_a_state_that_no_sensor_sees_is_nan_and_the_rest_is_as_it_was(tmp_path):
     data = found.transitions
     assert bool(data.x[:, 1].isnan().all() and data.x_next[:, 1].isnan().all()) and len(data) == 79
     assert np.array_equal(data.x[:, [0, 2]], log()[:-1, 1:3]) and np.array_equal(data.x_next[:, 0], log()[1:, 1])
-    assert found.notes[1:] == ("level is seen by no sensor; it is estimated with the model",)
+    assert found.findings[1:] == (note("log.unmeasured", state="level"),)
     assert found.signature.state_units[1] == "V" and found.signature.x_scale[1] == 1.0
 
 
@@ -473,9 +488,11 @@ def test_a_recording_says_what_it_holds_in_a_line(tmp_path):
     rows = [f"{0.01 * k:.2f},{math.sin(0.1 * k)},{k % 7}" for k in range(201) if k != 100]
     (tmp_path / "log.csv").write_text("\n".join(["time [s],angle [rad],u_m", *rows]))
     recording = CsvLog(str(tmp_path / "log.csv"), {"angle": {"name": "angle", "unit": "rad"}}, {"u_m": "u_m"}).read()
-    first, *notes = repr(recording).splitlines()
+    first, *told = repr(recording).splitlines()
     assert "of 198 rows, 1.98 s every 0.01 s in 2 stretches" in first and "angle [rad]; inputs u_m" in first
-    assert notes == [f"note: {note}" for note in recording.notes] and notes
+    codes = {each.code: each.severity for each in recording.findings}
+    assert codes == {"log.time": "note", "log.beyond_ends": "weak", "log.gaps": "note"}
+    assert [each.partition(":")[0] for each in told] == ["warning", "note", "note"]  # the gravest first
 
 
 def test_several_files_are_one_recording_with_the_ends_of_all(tmp_path):
@@ -489,9 +506,9 @@ def test_several_files_are_one_recording_with_the_ends_of_all(tmp_path):
     assert torch.equal(data.x[59:].nan_to_num(), torch.from_numpy(second[:-1, 1:3]).nan_to_num())
     assert found.signature.in_own_units(data.u.numpy())[:, 0] == pytest.approx([*first[:-1, 3], *second[:-1, 3]])
     assert data.u.min() == -1.0 and found.signature.input_ends == ((-20.0, 20.0),)
-    lost = [note for note in found.notes if "missing" in note]
-    assert len(lost) == 1 and lost[0].startswith(f"{paths[1]}: 1 of 50 rows")
-    assert "constant" in refusal(paths[:1])
+    (lost,) = (each.values for each in found.findings if each.code == "log.missing")
+    assert (lost["file"], lost["rows"], lost["total"]) == (paths[1], 1, 50)
+    assert refused(paths[:1]).code == "log.still_input"
 
 
 def test_files_that_do_not_fit_together_are_refused(tmp_path):
@@ -523,20 +540,20 @@ def lacking(n: int, *rows: slice | int) -> np.ndarray:
 
 
 def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none():
-    segment, notes = np.zeros(100, dtype=np.int64), []
-    out = _holes({"a": lacking(100, slice(20, 29), slice(60, 70)), "b": lacking(100)}, segment, notes)
+    segment, told = np.zeros(100, dtype=np.int64), []
+    out = _holes({"a": lacking(100, slice(20, 29), slice(60, 70)), "b": lacking(100)}, segment, told)
     assert np.flatnonzero(out).tolist() == list(range(60, 70))
-    assert notes == ["10 rows in stretches of more than 10 rows without a were left out"]
+    assert told == [note("log.hole", rows=10, longest=10, state="a")]
 
 
 def test_what_is_long_depends_on_how_often_a_sensor_is_read():
     column = np.full(300, np.nan)
     column[::5] = 1.0
     column[101:149] = np.nan  # 50 rows from one sample to the next are ten usual distances
-    notes = []
-    assert not _holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), notes).any() and not notes
+    told = []
+    assert not _holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), told).any() and not told
     column[150] = np.nan
-    assert np.flatnonzero(_holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), notes)).tolist() == [
+    assert np.flatnonzero(_holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), told)).tolist() == [
         *range(101, 155)
     ]
 

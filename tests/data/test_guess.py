@@ -1,16 +1,15 @@
-"""Words for a log without names, read back by what they are for."""
+"""A guess at the columns of a log without names, read back by what it is for."""
 
 import math
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from dynasindy.data.columns import guess_columns, infer, row_counter
 from dynasindy.data.table import summarise_columns
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.findings import LogError, note, wrong
 
 
 def written(path, headings, order=(0, 1, 2, 3)):
@@ -21,9 +20,15 @@ def written(path, headings, order=(0, 1, 2, 3)):
     return path
 
 
-def settings(words):
-    words = words.rpartition("to be corrected: ")[2]
-    return {key: yaml.safe_load(value) for key, _, value in (word.partition("=") for word in shlex.split(words))}
+def refused(read):
+    with pytest.raises(LogError) as error:
+        read()
+    assert "\n" not in str(error.value)
+    return error.value.finding
+
+
+def roles(guess):
+    return {key: guess[key] for key in ("time", "inputs", "states")}
 
 
 @pytest.mark.parametrize(
@@ -36,39 +41,34 @@ def settings(words):
 )
 def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headings, order):
     path = written(tmp_path / "log.csv", headings, order)
-    with pytest.raises(ValueError, match="called") as error:
-        LoggedData(str(path)).recording(None)
-    assert "\n" not in str(error.value)
-    given = settings(str(error.value))
-    assert given["data.time"] == "Zeit" and given["data.states"] == ["Winkel", "Rate"]
-    read = {key.removeprefix("data."): value for key, value in given.items()}
-    found = LoggedData(str(path), **read).recording(None)
+    told = refused(lambda: LoggedData(str(path)).recording(None))
+    assert told.code == "log.no_roles" and told.values["lacks"] == "time"
+    given = roles(told.values["guess"])
+    assert given["time"] == "Zeit" and given["states"] == ["Winkel", "Rate"]
+    found = LoggedData(str(path), **given).recording(None)
     assert set(np.unique(found.transitions.u)) == {-1.0, 0.0, 1.0} and found.transitions.dt == pytest.approx(0.01)
 
 
 def test_what_headings_tell_is_no_guess(tmp_path):
     path = written(tmp_path / "log.csv", "t,a,b,c")
-    with pytest.raises(ValueError, match="input_") as error:
-        infer(str(path))
-    given = settings(str(error.value))
-    assert given == {"data.time": "t", "data.inputs": ["c"], "data.states": ["a", "b"]}
+    told = refused(lambda: infer(str(path)))
+    assert told.values["lacks"] == "inputs"
+    assert roles(told.values["guess"]) == {"time": "t", "inputs": ["c"], "states": ["a", "b"]}
     named = guess_columns(path, summarise_columns(path), "t", ["a"])
-    assert settings(named) == {"data.time": "t", "data.inputs": ["a"], "data.states": ["b", "c"]}
+    assert roles(named) == {"time": "t", "inputs": ["a"], "states": ["b", "c"]}
 
 
 def test_without_a_column_that_is_held_the_last_one_is_the_input(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a,b", *(f"{k},{math.sin(k)},{math.cos(k)}" for k in range(20))]))
-    assert settings(guess_columns(path, summarise_columns(path), "time", [])) == {
-        "data.inputs": ["b"],
-        "data.states": ["a"],
-    }
+    guess = guess_columns(path, summarise_columns(path), "time", [])
+    assert roles(guess) == {"time": "time", "inputs": ["b"], "states": ["a"]} and not guess["held"]
 
 
 def test_where_nothing_grows_the_heading_of_time_is_left_to_the_user(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("a,b\n1,2\n0,3\n1,1\n")
-    assert settings(guess_columns(path, summarise_columns(path), None, []))["data.time"] == "HEADING"
+    assert guess_columns(path, summarise_columns(path), None, [])["time"] is None
 
 
 def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_path):
@@ -76,14 +76,15 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
-    with pytest.raises(ValueError, match="supply") as error:
-        infer(str(path))
-    assert settings(str(error.value)) == {"data.inputs": ["motor"], "data.states": ["angle"]}
+    told, still = refused(lambda: infer(str(path))).values, note("log.still", columns={"supply": 24.5})
+    assert roles(told["guess"]) == {"time": "time", "inputs": ["motor"], "states": ["angle"]}
+    assert told["left_out"] == [still]
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
-    assert found.signature.state_names == ("angle",) and "supply" in found.notes[-1]
+    assert found.signature.state_names == ("angle",) and still in found.findings
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
     found = LoggedData(str(path)).recording(None)
-    assert found.signature.input_names == ("u_motor",) and "u_supply" in found.notes[-1]
+    assert found.signature.input_names == ("u_motor",)
+    assert note("log.still", columns={"u_supply": 24.5}) in found.findings
     assert LoggedData(str(path), states=["angle"]).recording(None).signature.input_names == ("u_motor",)
 
 
@@ -91,30 +92,25 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     path = tmp_path / "log.csv"
     rows = [f"{k},31.05.2024 12:00:{k // 10:02d}.{k % 10},{math.sin(k)},{k // 4 % 2},{0.1 * k}" for k in range(80)]
     path.write_text("\n".join(["row,Uhr,Winkel,Motor,Zeit", *rows]))
-    with pytest.raises(ValueError, match="called") as error:
-        infer(str(path))
-    given = settings(str(error.value))
-    assert given["data.time"] == "Uhr" and given["data.inputs"] == ["Motor"]
-    read = {key.removeprefix("data."): value for key, value in given.items()}
-    assert LoggedData(str(path), **read).recording(None).transitions.dt == pytest.approx(0.1)
+    given = roles(refused(lambda: infer(str(path))).values["guess"])
+    assert given["time"] == "Uhr" and given["inputs"] == ["Motor"]
+    assert LoggedData(str(path), **given).recording(None).transitions.dt == pytest.approx(0.1)
     path.write_text(
         "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
     )
-    assert settings(guess_columns(path, summarise_columns(path), None, []))["data.time"] == "Zeit"
+    assert guess_columns(path, summarise_columns(path), None, [])["time"] == "Zeit"
     path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
-    told = guess_columns(path, summarise_columns(path), None, [])
-    assert settings(told)["data.time"] == "row" and "data.dt" in told
+    guess = guess_columns(path, summarise_columns(path), None, [])
+    assert guess["time"] == guess["counter"] == "row"
 
 
 def test_a_log_without_a_command_does_not_propose_its_state_as_one(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,angle", *(f"{0.1 * k},{math.sin(k)}" for k in range(80))]))
-    with pytest.raises(ValueError, match="besides") as error:
-        infer(str(path))
-    assert "data.inputs=" not in str(error.value) and "\n" not in str(error.value)
+    told = refused(lambda: infer(str(path)))
+    assert told.code == "log.nothing_moves" and told.values["moving"] == "angle" and not told.values["driven"]
     path.write_text("\n".join(["time,a,b", *(f"{0.1 * k},{math.sin(k)},{math.cos(k)}" for k in range(80))]))
-    with pytest.raises(ValueError, match="command"):
-        infer(str(path))
+    assert not refused(lambda: infer(str(path))).values["guess"]["held"]
 
 
 def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
@@ -122,26 +118,25 @@ def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
     rows = [f"{0.1 * k},{math.sin(k)},{'ON' if k % 9 < 4 else 'OFF'}" for k in range(80)]
     for heading, named in (("u", None), ("heater", ["heater"])):
         path.write_text("\n".join([f"time,angle,{heading}", *rows]))
-        with pytest.raises(ValueError, match=rf"input {heading} holds words, such as 'ON'.*ON and OFF as 1 and 0"):
+        with pytest.raises(LogError) as error:
             infer(str(path), inputs=named)
-    with pytest.raises(ValueError, match="heater"):
-        infer(str(path))
+        assert error.value.finding == wrong("log.worded_input", file=str(path), column=heading, text="ON")
+    assert note("log.text_columns", columns={"heater": "ON"}) in refused(lambda: infer(str(path))).values["left_out"]
 
 
 def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds(tmp_path):
     path = tmp_path / "log.csv"
     rows = [f"31.05.2024 12:00:{k // 10:02d}.{k % 10},{math.sin(k)},{k // 4 % 2},{k}" for k in range(80)]
     path.write_text("\n".join(["Uhr,Winkel,Motor,row", *rows]))
-    with pytest.raises(ValueError, match="called") as error:
-        infer(str(path))
-    assert "ON and OFF" not in str(error.value) and settings(str(error.value))["data.time"] == "Uhr"
-    notes = []
+    told = refused(lambda: infer(str(path))).values
+    assert told["left_out"] == [note("log.counters", columns=["row"])] and told["guess"]["time"] == "Uhr"
     path.write_text("\n".join(["when,angle,u,time", *(f"{row}.5" for row in rows)]))
-    infer(str(path), notes=notes)
-    assert notes == ["left out, as they hold dates, and the time is another column: when"]
+    infer(str(path), findings=(found := []))
+    assert found == [note("log.date_columns", columns=["when"])]
     path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
-    given = settings(guess_columns(path, summarise_columns(path), None, []))
-    assert given == {"data.time": "row", "data.inputs": ["motor"], "data.states": ["angle"], "data.dt": "SECONDS"}
+    guess = guess_columns(path, summarise_columns(path), None, [])
+    assert roles(guess) == {"time": "row", "inputs": ["motor"], "states": ["angle"]}
+    assert guess["counter"] == "row" and not guess["clock_known"]
 
 
 def rows_of_a_swing(path, headings, columns):
@@ -153,12 +148,11 @@ def rows_of_a_swing(path, headings, columns):
 @pytest.mark.parametrize("step", [1, 5])
 def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_for(tmp_path, step):
     path = rows_of_a_swing(tmp_path / "log.csv", "row,angle,u", lambda k: (step * k, math.sin(k), k // 4 % 2))
-    with pytest.raises(ValueError, match="called"):
-        LoggedData(path).recording(None)
+    assert refused(lambda: LoggedData(path).recording(None)).code == "log.no_roles"
     found = LoggedData(path, dt=0.02).recording(None)
     assert found.transitions.dt == 0.02 and len(found.transitions) == 79
     assert found.signature.state_names == ("angle",) and found.signature.input_names == ("u",)
-    assert "column row" in found.notes[0] and "0.02 s" in found.notes[0]
+    assert found.findings[0] == note("log.row_counter", column="row", dt=0.02)
 
 
 def test_a_counter_with_rows_lost_leaves_a_gap_in_time(tmp_path):
@@ -170,13 +164,10 @@ def test_a_counter_with_rows_lost_leaves_a_gap_in_time(tmp_path):
 def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
     """A time in another language, an encoder that only grows, and a column that was named as a state."""
     two = rows_of_a_swing(tmp_path / "a.csv", "row,Zeit,angle,u", lambda k: (k, 0.1 * k, math.sin(k), k // 4 % 2))
-    with pytest.raises(ValueError, match="called") as error:
-        LoggedData(two, dt=0.1).recording(None)
-    assert settings(str(error.value))["data.time"] == "Zeit"
+    assert refused(lambda: LoggedData(two, dt=0.1).recording(None)).values["guess"]["time"] == "Zeit"
     encoder = rows_of_a_swing(tmp_path / "b.csv", "counts,angle,u", lambda k: (k * k, math.sin(k), k // 4 % 2))
-    with pytest.raises(ValueError, match="called") as error:
-        LoggedData(encoder, dt=0.1).recording(None)
-    assert "data.dt" not in str(error.value)  # it was given
+    guess = refused(lambda: LoggedData(encoder, dt=0.1).recording(None)).values["guess"]
+    assert guess["counter"] == ""  # the sampling time was given
     named = rows_of_a_swing(tmp_path / "c.csv", "row,angle,u", lambda k: (k, math.sin(k), k // 4 % 2))
     for states in (["row", "angle"], {"way": "row", "angle": {"name": "angle"}}):
         found = LoggedData(named, states, {"u": "u"}, dt=0.1).recording(None)
@@ -185,8 +176,7 @@ def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
 
 def test_rows_of_a_log_without_any_time_are_even_where_the_sampling_time_is_given(tmp_path):
     path = rows_of_a_swing(tmp_path / "log.csv", "angle,u", lambda k: (math.sin(k), k // 4 % 2))
-    with pytest.raises(ValueError, match="grows"):
-        LoggedData(path).recording(None)
+    assert refused(lambda: LoggedData(path).recording(None)).values["guess"]["time"] is None
     found = LoggedData(path, dt=0.1).recording(None)
     assert found.transitions.dt == 0.1 and found.signature.state_names == ("angle",)
     assert found.transitions.x[:, 0].tolist() == pytest.approx([math.sin(k) for k in range(len(found.transitions))])

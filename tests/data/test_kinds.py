@@ -5,6 +5,7 @@ import pytest
 
 from dynasindy.data.csv import unwrap_angle
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.findings import LogError, note, wrong
 
 ROWS = 400
 T = 0.01 * np.arange(ROWS)
@@ -47,9 +48,11 @@ def test_clocks_of_devices_give_the_time_between_rows(tmp_path, heading, stamps)
 
 
 def test_whole_numbers_that_are_hardly_seconds_ask_for_their_unit(tmp_path):
-    with pytest.raises(ValueError, match=r"data\.time"):
-        recording(tmp_path / "l.csv", "timestamp,angle,u", 183_254_000 + 1e6 * T, ANGLE, COMMAND)
-    found = LoggedData(str(tmp_path / "l.csv"), time="timestamp [us]").recording(None)
+    path = tmp_path / "l.csv"
+    with pytest.raises(LogError) as error:
+        recording(path, "timestamp,angle,u", 183_254_000 + 1e6 * T, ANGLE, COMMAND)
+    assert error.value.finding == wrong("log.whole_time", file=str(path), column="timestamp", step=1e4)
+    found = LoggedData(str(path), time="timestamp [us]").recording(None)
     assert found.transitions.dt == pytest.approx(0.01)
 
 
@@ -60,14 +63,17 @@ def test_places_in_arrays_and_paths_are_names(tmp_path):
 
 def test_names_of_a_pair_get_the_same_role(tmp_path):
     held = np.arange(ROWS) // 20 % 3 - 1.0
-    with pytest.raises(ValueError, match=r"\[\"Heater 1\",\"Heater 2\"\]"):
+    with pytest.raises(LogError) as error:
         recording(tmp_path / "l.csv", "time,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
+    assert error.value.finding.values["guess"]["inputs"] == ["Heater 1", "Heater 2"]
 
 
 def test_the_guess_leaves_a_state_to_a_matrix_without_names(tmp_path):
     held = np.arange(ROWS) // 20 % 3 - 1.0
-    with pytest.raises(ValueError, match=r"data.inputs=\[data_2\]' 'data.states=\[data_1\]"):
+    with pytest.raises(LogError) as error:
         recording(tmp_path / "l.csv", "data[0],data[1],data[2]", T, ANGLE, held)
+    guess = error.value.finding.values["guess"]
+    assert (guess["inputs"], guess["states"]) == (["data_2"], ["data_1"])
 
 
 def test_rows_of_two_streams_are_one_log(tmp_path):
@@ -95,8 +101,9 @@ def test_a_target_beside_an_input_is_no_input(tmp_path):
 def test_rows_in_disorder_are_no_recording_that_begins_anew(tmp_path):
     stamps = T.copy()
     stamps[[30, 52]] = stamps[[52, 30]]
-    with pytest.raises(ValueError, match="increase"):
+    with pytest.raises(LogError) as error:
         recording(tmp_path / "l.csv", "time,angle,u", stamps, ANGLE, COMMAND)
+    assert error.value.finding.code == "log.time_order"
 
 
 def test_rates_are_known_by_their_headings(tmp_path):
@@ -146,10 +153,12 @@ def test_columns_with_a_clock_of_their_own_stand_at_the_times_of_the_first(tmp_p
 def test_an_angle_that_wraps_goes_on(unit, turn, start):
     whole = turn * ANGLE / 3
     whole = whole.round() if unit == "counts" else whole
-    inside, notes = (whole - start * turn) % turn + start * turn, list[str]()
-    found = unwrap_angle("q", np.where(np.arange(ROWS) % 7, inside, np.nan), unit, notes)
+    inside, told = (whole - start * turn) % turn + start * turn, []
+    found = unwrap_angle("q", np.where(np.arange(ROWS) % 7, inside, np.nan), unit, told)
     seen = np.isfinite(found)
-    assert seen.sum() == (np.arange(ROWS) % 7 > 0).sum() and len(notes) == 1
+    jumps = int((np.abs(np.diff(inside[seen])) > turn / 2).sum())
+    assert told == [note("log.unwrapped", state="q", turn=turn, times=jumps, counts=unit == "counts")]
+    assert seen.sum() == (np.arange(ROWS) % 7 > 0).sum()
     assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
 
 
@@ -160,5 +169,5 @@ LEVEL = np.interp(T, [0, 1.5, 1.8, 3.3, 3.6, 4], [0, 355, 2, 355, 1, 90])  # of 
     "x", [ANGLE, LEVEL, LEVEL + 200, np.sign(COMMAND) * np.pi, 180 * COMMAND, np.clip(6 * COMMAND, -np.pi, np.pi)]
 )
 def test_what_moves_within_its_range_stays(x):
-    notes = list[str]()
-    assert np.array_equal(unwrap_angle("q", x, "-", notes), x) and not notes
+    told = []
+    assert np.array_equal(unwrap_angle("q", x, "-", told), x) and not told

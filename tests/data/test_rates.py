@@ -17,6 +17,7 @@ from dynasindy.data.rates import (
 )
 from dynasindy.data.rollout_data import disturb, record_plant
 from dynasindy.excitation import Chirp, Multisine
+from dynasindy.findings import LogError, weak
 from dynasindy.systems import Pendulum, Signature, Tras, Xi
 from dynasindy.systems.transitions import Transitions
 
@@ -40,16 +41,19 @@ def swing(angle_unit: float = 1.0, rate_unit: float = 1.0, noise: float = 0.0, n
         (1.0, 1e3, 0.001, "a time in ms"),
         (1.0, 30 / math.pi, 0.1047, "rpm"),
         (-1.0, 1.0, -1.0, "the other way"),
-        (17.0, 1.0, 17.0, "in which units are they?"),
-        (-180 / math.pi, 1.0, -57.3, "degrees beside rad/s, and one of them counted the other way?"),
-        (-17.0, 1.0, -17.0, "in which units are they, and which one is counted the other way?"),
+        (17.0, 1.0, 17.0, "in which units are they"),
+        (-180 / math.pi, 1.0, -57.3, "degrees beside rad/s, and one of them counted the other way"),
+        (-17.0, 1.0, -17.0, "in which units are they, and which one is counted the other way"),
     ],
 )
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, noise):
     (found,) = mismatched(swing(angle, rate, noise), SIGNATURE)
     assert found.factor == pytest.approx(factor, rel=0.03)
-    assert cause in str(found) and "angle" in str(found) and f"{found.factor:.3g} times rate" in str(found)
+    assert found.finding.code == "log.unit_of_rate" and found.finding.severity == "weak"
+    told = dict(found.finding.values)
+    assert cause in told.pop("cause")
+    assert told == {"state": "angle", "rate": "rate", "factor": found.factor, "guessed": True}
 
 
 @pytest.mark.parametrize(
@@ -66,7 +70,7 @@ def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, no
 )
 def test_causes_whose_factors_are_near_each_other_are_told_apart_where_nothing_is_noisy(angle, rate, cause):
     (found,) = mismatched(swing(angle, rate), SIGNATURE)
-    assert f"; {cause}? Correct" in str(found).replace("hundredths of a unit beside the unit, ", "")
+    assert found.cause().removeprefix("hundredths of a unit beside the unit, ") == cause
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
@@ -119,9 +123,9 @@ def test_a_pair_behind_a_gear_of_70_is_told_only_if_the_units_fit_and_then_as_a_
     found = mismatched(data, signature)
     assert [one.factor for one in found] == ([pytest.approx(1 / 70, rel=0.03)] if told else [])
     named = names[1] == f"{names[0]}_speed"
-    assert all(("gear" in str(one)) != named for one in found)
+    assert all(one.guessed != named for one in found)
     (known,) = mismatched(data, signature, {names[0]: names[1]})
-    assert "guess" not in str(known) and "data.states" in str(known)
+    assert not known.guessed
 
 
 def without(data: Transitions, lost: torch.Tensor) -> Transitions:
@@ -201,9 +205,9 @@ def test_no_simulated_plant_is_told(plant):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.2])
-def test_a_rate_and_its_state_that_were_exchanged_are_told_with_the_right_words(noise):
+def test_a_rate_and_its_state_that_were_exchanged_are_told_with_what_mends_it(noise):
     told = contradicted(swing(noise=noise), SIGNATURE, {"rate": "angle"})
-    assert list(told) == ["rate"] and "plant.known" in told["rate"]
+    assert told == {"rate": weak("log.rate_exchanged", state="rate", rate="angle", known={"angle": "rate"})}
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 2.0])
@@ -218,8 +222,8 @@ def test_a_state_that_moves_by_something_else_contradicts_its_rate():
     data = swing()
     other = torch.randn(len(data), 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64).cumsum(0)
     mixed = Transitions.from_trajectory(torch.cat([data.x[:, :1], other], -1), data.u[1:], 0.01)
-    told = contradicted(mixed, SIGNATURE, {"angle": "rate"})
-    assert "contradicts" in told["angle"]
+    told = contradicted(mixed, SIGNATURE, {"angle": "rate"})["angle"]
+    assert told.code == "log.rate_contradicted" and abs(told.values["correlation"]) < 0.5
 
 
 def test_what_was_not_measured_or_does_not_move_contradicts_nothing():
@@ -264,12 +268,16 @@ def test_a_known_rate_that_is_wrong_by_two_is_told_and_one_that_is_right_is_not(
 
 def test_what_cannot_be_a_known_rate_is_refused_with_what_mends_it():
     def mend(wrong):
-        return f"times {wrong.likely:.4g}"
+        return {"rate": {"scale": wrong.likely}}
 
     require_consistent_rates(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, mend)
-    with pytest.raises(ValueError, match="rad/s"):
+    with pytest.raises(LogError) as error:
         require_consistent_rates(swing(180 / math.pi), SIGNATURE, {"angle": "rate"}, mend)
+    told = error.value.finding
+    assert told.code == "log.rate_units" and told.values["unit"] == "rad/s"
+    assert told.values["states"]["rate"]["scale"] == pytest.approx(180 / math.pi)
     assert list(_exchanged(swing(), SIGNATURE, {"rate": "angle"})) == ["rate"]
     assert _exchanged(swing(), SIGNATURE, {"angle": "rate"}) == {}
-    with pytest.raises(ValueError, match="round"):
+    with pytest.raises(LogError) as error:
         require_consistent_rates(swing(), SIGNATURE, {"rate": "angle"}, mend)
+    assert error.value.finding.code == "log.rate_exchanged"

@@ -16,6 +16,7 @@ from dynasindy.data.rollout_data import (
     transitions,
 )
 from dynasindy.envs import ControlEnv
+from dynasindy.findings import note
 from dynasindy.systems import Diverged, Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.steps import Stops
@@ -133,10 +134,11 @@ class Growing(System):
 def test_a_recording_ends_where_the_plant_leaves_its_bounds():
     plant, u = Growing(), torch.ones(100, 1)
     data = record_plant(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
-    kept, said = before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "in the excitation")
+    kept, left = before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "excitation")
     assert len(kept) == 80 and float(kept.x_next.max()) < 2.0 < float(data.x_next[80])
-    assert "q left its bounds of -1 to 2 m after 0.81 s" in said
-    assert before_leaving(data, plant.signature, {"q": 4.0}, "") == (data, "")
+    ends = {"low": -1, "high": 2, "unit": "m", "bounded": True}
+    assert left == note("excitation.left", during="excitation", state="q", seconds=pytest.approx(0.81), **ends)
+    assert before_leaving(data, plant.signature, {"q": 4.0}, "excitation") == (data, None)
 
 
 @pytest.mark.slow
@@ -145,14 +147,14 @@ def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     data = record_plant(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
     advice = r"excitation\.amplitude, another excitation\.offset, or excitation\.first=0\.1"
     with pytest.raises(Diverged, match=rf"in the excitation q ran away, beyond 1000 m, after 3.81 s.*{advice}"):
-        before_leaving(data, plant.signature, {}, "in the excitation")
+        before_leaving(data, plant.signature, {}, "excitation")
     with pytest.raises(Diverged, match=r"wider plant\.bounds"):
-        before_leaving(data, plant.signature, {"q": 4.0}, "in the excitation")
+        before_leaving(data, plant.signature, {"q": 4.0}, "excitation")
     with pytest.raises(ValueError, match=r"plant\.bounds has speed"):
-        before_leaving(data, plant.signature, {"speed": 4.0}, "in the excitation")
+        before_leaving(data, plant.signature, {"speed": 4.0}, "excitation")
     lost = record_plant(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
     with pytest.raises(Diverged, match="after 10 s"):
-        before_leaving(lost, plant.signature, {}, "in the excitation")
+        before_leaving(lost, plant.signature, {}, "excitation")
 
 
 def rollout(u, steps):

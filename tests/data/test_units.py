@@ -1,15 +1,14 @@
 """Units of headings: angles become radians and say so, whatever the plant; all others stay."""
 
 import math
-import shlex
 
 import numpy as np
 import pytest
-import yaml
 
 from dynasindy.data.columns import Column
 from dynasindy.data.units import in_radians, with_units
 from dynasindy.evaluation.identification import LoggedData
+from dynasindy.findings import LogError
 from dynasindy.systems import Pendulum
 
 TURN = 2 * math.pi
@@ -80,12 +79,11 @@ def test_a_log_in_degrees_is_read_in_radians_and_says_so_in_a_line(tmp_path):
     found = LoggedData(path).recording(None)
     assert found.signature.state_units == ("rad", "rad/s")
     assert found.transitions.x.numpy() == pytest.approx(np.stack([np.sin(t), np.cos(t)], -1)[:-1])
-    (_, note) = found.notes
-    assert "angle from deg to rad, rate from deg/s to rad/s" in note
-    (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
-    given = yaml.safe_load(word.removeprefix("data.states="))
-    kept = LoggedData(path, given).recording(None)
-    assert kept.signature.state_units == ("deg", "deg/s") and not kept.notes[1:]
+    (_, told) = found.findings
+    assert told.code == "log.converted"
+    assert told.values["units"] == {"angle": ("deg", "rad"), "rate": ("deg/s", "rad/s")}
+    kept = LoggedData(path, told.values["kept"]).recording(None)
+    assert kept.signature.state_units == ("deg", "deg/s") and not kept.findings[1:]
     assert kept.transitions.x.numpy() == pytest.approx(np.degrees(np.stack([np.sin(t), np.cos(t)], -1)[:-1]))
 
 
@@ -103,7 +101,8 @@ def test_a_plant_that_is_named_reads_degrees_too(tmp_path):
     path, t = written(tmp_path / "log.csv", "time [s],theta [°],Omega [°/s],u")
     found = LoggedData(path).recording(Pendulum().signature)
     assert found.transitions.x[:, 0].numpy() == pytest.approx(np.sin(t)[:-1])
-    assert len(found.notes) == 2 and "theta" in found.notes[1]
+    (_, told) = found.findings
+    assert told.code == "log.converted" and set(told.values["units"]) == {"theta", "Omega"}
 
 
 def swinging(path, headings, speed=30 / math.pi, noise=0.0):
@@ -127,18 +126,18 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     headings = "time [s],angle [deg],speed [rpm],rotor [rpm],u"
     path, swing = swinging(tmp_path / "log.csv", headings, turned * 30 / math.pi)
     if known and turned < 0:
-        with pytest.raises(ValueError, match="rad/s"):
+        with pytest.raises(LogError) as error:
             LoggedData(path, known=known).recording(None)
+        assert error.value.finding.code == "log.rate_units"
         return
     found = LoggedData(path, known=known).recording(None)
     assert found.signature.state_units == ("rad", "rad/s", "rpm")
     x = found.transitions.x.numpy()
     assert x[:, :2] == pytest.approx(swing * [1, turned]) and 1299 < x[:, 2].max() < 1301
     assert found.signature.x_scale[1] == pytest.approx(4.1, abs=0.01)  # both rates are largest at the start
-    (note,) = [note for note in found.notes if note.startswith("converted: ")]
-    assert "angle from deg to rad, speed from rpm to rad/s" in note
-    (word,) = [word for word in shlex.split(note) if word.startswith("data.states=")]
-    kept = LoggedData(path, yaml.safe_load(word.removeprefix("data.states="))).recording(None)
+    (told,) = (each.values for each in found.findings if each.code == "log.converted")
+    assert told["units"] == {"angle": ("deg", "rad"), "speed": ("rpm", "rad/s")}
+    kept = LoggedData(path, told["kept"]).recording(None)
     assert kept.signature.state_units == ("deg", "rpm", "rpm")
 
 
@@ -160,11 +159,10 @@ def test_a_rough_speed_is_that_of_its_angle_and_a_rotor_with_a_gear_is_not(tmp_p
 )
 def test_a_known_rate_in_other_units_stops_with_the_setting_that_mends_it(tmp_path, headings, speed, scale):
     path, swing = swinging(tmp_path / "log.csv", headings, speed)
-    with pytest.raises(ValueError, match="slope") as error:
+    with pytest.raises(LogError) as error:
         LoggedData(path, known={"angle": "speed"}).recording(None)
-    assert "\n" not in str(error.value)
-    (word,) = [word for word in shlex.split(str(error.value)) if word.startswith("data.states=")]
-    states = yaml.safe_load(word.removeprefix("data.states=").removesuffix(","))
+    assert error.value.finding.code == "log.rate_units" and "\n" not in str(error.value)
+    states = error.value.finding.values["states"]
     assert states["speed"]["scale"] == pytest.approx(scale, rel=0.01)
     found = LoggedData(path, states, known={"angle": "speed"}).recording(None)
     whole = 1.0 if found.signature.state_units[0] == "rad" else 180 / math.pi

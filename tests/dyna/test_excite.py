@@ -20,6 +20,7 @@ from dynasindy.dyna.excite import (
 )
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Multisine
+from dynasindy.findings import note, weak
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -56,7 +57,7 @@ def test_a_plant_within_its_limits_is_excited_open_loop_as_ever():
     assert set(excited.keys(True, True)) == set(wanted.keys(True, True)) and excited.shape == wanted.shape == (40,)
     for key in wanted.keys(True, True):
         torch.testing.assert_close(excited[key], wanted[key], atol=0.0, rtol=0.0)
-    assert restarts(mine, excited) == ""
+    assert restarts(mine, excited) is None
 
 
 def test_a_plant_that_falls_is_caught_after_its_first_fall():
@@ -72,10 +73,9 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
     last[[b - 1 for b in begins[1:]]] = True
     assert inside[~last].all() and not inside[begins[1] - 1]
     assert excited["action"][begins[-2] :].std() > 0.05  # the signal goes on, on top of the loop
-    times = "once" if len(lengths) == 2 else f"{len(lengths) - 1} times"
-    assert restarts(experiment, excited) == (
-        f"The excitation ended early and began anew at the start {times}: theta beyond -0.5 to 0.5 rad {times}."
-    )
+    times = len(lengths) - 1
+    left = {"state": "theta", "low": -0.5, "high": 0.5, "unit": "rad", "times": times}
+    assert restarts(experiment, excited) == note("excitation.restarts", times=times, beyond=[left])
 
 
 def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
@@ -92,7 +92,7 @@ def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
     assert lengths[0] < 40 and max(lengths) > 100
     truth = excited["next", "true_state"][..., 0].abs()
     assert float(truth.max()) < 0.7
-    assert "anew" in restarts(experiment, excited)
+    assert restarts(experiment, excited).values["times"] == len(lengths) - 1
     blind = excited.clone()
     blind["next", "true_state"].fill_(torch.nan)
     assert restarts(experiment, blind) == restarts(experiment, excited)
@@ -136,7 +136,7 @@ def test_under_a_gain_that_is_given_a_plant_that_falls_stays_from_the_first_peri
     experiment = parts(Inverted(), bounds={"theta": 0.5}, careful={"gain": gain})
     experiment.excitation.offset[:] = -1.0 / 8.0  # against the pull
     rows = excite(experiment)
-    assert restarts(experiment, rows) == "" and len(rows) == 200
+    assert restarts(experiment, rows) is None and len(rows) == 200
     signal = experiment.excitation(rows.select("step_count"))["action"]
     expected = signal.double() - rows["state"] @ torch.tensor(gain, dtype=torch.float64).mT
     torch.testing.assert_close(rows["action"].double(), expected.clamp(-1.0, 1.0), atol=1e-6, rtol=0.0)
@@ -307,18 +307,16 @@ def test_an_episode_that_the_task_ends_closes_no_loop(monkeypatch):
 
 def test_periods_at_a_stop_are_told_as_they_are_left_out():
     rows = excite(parts(Xi(), 2, 2.0))
-    assert left_out(rows) == ""
+    assert left_out(rows) is None
     rows["next", "at_stop"][[3, 4, 17]] = True
     fine = transitions(rows, 0.01)
-    touched = "The excitation reached a mechanical stop in {} of 40 control periods"
-    assert left_out(rows) == touched.format(3) + "; the model is fitted to the other 37."
+    assert left_out(rows) == note("excitation.stops", count=3, total=40, much=False)
     assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]
     # What would leave more data is said only where much is lost.
-    for count, said in ((9, False), (10, True)):
+    for count, kind in ((9, note), (10, weak)):
         rows["next", "at_stop"][:] = False
         rows["next", "at_stop"][:count] = True
-        assert left_out(rows).startswith(touched.format(count))
-        assert ("a smaller excitation.amplitude" in left_out(rows)) is said
+        assert left_out(rows) == kind("excitation.stops", count=count, total=40, much=kind is weak)
 
 
 def kept_share(rate, steps):
@@ -344,10 +342,9 @@ def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_ne
     fewer = [n for n in (5, 10, 20) if n < (steps or 5)]
     assert all(abs(kept_share(rate, n) - kept_share(rate, 2 * n)) * most > 1e-3 for n in fewer)
     assert abs(kept_share(rate, steps or 5) - kept_share(rate, 2 * (steps or 5))) * most <= 1e-3
-    assert told == "" if steps is None else f"so give env.substeps={steps}," in told
-    if steps is not None:
-        elsewhere = abs(kept_share(rate, 5) - kept_share(rate, 10)) * most
-        assert float(told.partition(" ends ")[2].split()[0]) == pytest.approx(elsewhere, rel=0.05)  # two digits
+    elsewhere = abs(kept_share(rate, 5) - kept_share(rate, 10)) * most
+    wanted = weak("plant.coarse_steps", apart=pytest.approx(elsewhere, rel=0.01), needed=steps)
+    assert told == (None if steps is None else wanted)
 
 
 def test_a_plant_that_jumps_is_not_told_that_more_steps_would_do():
@@ -362,4 +359,4 @@ def test_a_plant_that_jumps_is_not_told_that_more_steps_would_do():
 
     experiment = parts(Jumping(), duration=2.0)
     told = coarse(experiment.plant, excite(experiment))
-    assert "enough" in told and "env.substeps" not in told
+    assert told.code == "plant.coarse_steps" and told.values["needed"] is None

@@ -12,6 +12,7 @@ from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, m
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
+from dynasindy.findings import note
 from dynasindy.sindy import Oracle, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step
@@ -28,13 +29,14 @@ def build(signature):
 def source():
     data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
     place = torch.arange(len(data))
-    return Source(Pendulum().signature, data.select(place < 400), data.select(place >= 400), ("two rows were skipped",))
+    findings = (note("log.gaps", count=2),)
+    return Source(Pendulum().signature, data.select(place < 400), data.select(place >= 400), findings)
 
 
-def test_the_fit_is_said_with_the_notes_of_the_log(source, capsys):
+def test_the_fit_is_said_with_the_findings_of_the_log(source, capsys):
     model = model_of(source, build)
     said = capsys.readouterr().out
-    assert "fit of 400 transitions" in said and "skipped" in said
+    assert "fit of 400 transitions" in said and f"note: {source.findings[0]}" in said
     assert model.equations()[1].startswith("Omega' = ")
 
 

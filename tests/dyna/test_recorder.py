@@ -121,7 +121,13 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     assert metrics["units"] == {"alpha_a": "rad", "alpha_p": "rad"} and metrics["steady_seconds"] == pytest.approx(1.5)
     for axis in ("alpha_a", "alpha_p"):  # without a box, errors count in their unit
         assert metrics["held"]["share"][axis] == pytest.approx(final[f"steady_state_error/{axis}"], rel=1e-5)
-    assert not metrics["verdict"]["controlled"] and metrics["verdict"]["held"].startswith("NOT CONTROLLED: ")
+    assert metrics["verdict"]["controlled"] is False
+    last = metrics["findings"][-1]
+    assert (last["code"], last["severity"], set(last["values"]["outputs"])) == (
+        "run.controlled",
+        "wrong",
+        {"alpha_a", "alpha_p"},
+    )
     *flown, end = rows(folder / "data" / "step_response.csv")
     assert len(flown) == 120 and all(row["u_a [-]"] for row in flown)
     # The state at which the last period ends, to which no input belongs.

@@ -85,7 +85,7 @@ def test_a_plant_that_falls_is_held_within_its_bounds_and_found_without_bias():
         assert int(lengths.max()) > 0.5 * len(data)  # most of it is one flight
     assert len(exact.training) == 1000 and len(exact.validation) == 2000
     assert exact.validation.segment.unique().numel() == 1  # the regulator of the training holds it from the start
-    assert "began anew" in exact.notes[0]
+    assert [each.code for each in exact.findings] == ["excitation.restarts"]
     library = ["1", "theta", "Omega", "u"]
     model = SindyModel(source.signature, library, Regression("bic"), Refinement("trajectory"), known={"theta": "Omega"})
     model.fit(source.training)
@@ -102,7 +102,7 @@ def test_a_gain_that_is_given_holds_the_recording_and_its_validation():
     """The poles of s^2 + 8 K_2 s + 8 K_1 - 5 are -3 and -4."""
     gain = [[(12.0 + 5.0) / 8.0, 7.0 / 8.0]]
     source = Simulated(bounds={"theta": 0.5}).load(Inverted(), partial(CHIRP, first=0.1, gain=gain))
-    assert source.notes == ()
+    assert source.findings == ()
     assert source.training.segment.unique().numel() == source.validation.segment.unique().numel() == 1
     with pytest.raises(ValueError, match="has 1 columns"):
         Simulated().load(Inverted(), partial(CHIRP, gain=[[1.0]]))

@@ -1,19 +1,18 @@
-"""What is said before a fit: wrong units first, then few rows, angles without sines, and long lists of functions."""
+"""What is found before a fit: wrong units first, then few rows, angles without sines, and long lists of functions."""
 
-import shlex
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
-import yaml
 
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
 from dynasindy.evaluation.identification import LoggedData
 from dynasindy.excitation import Aprbs, Chirp
+from dynasindy.findings import note, weak
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
 
@@ -30,8 +29,9 @@ def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
 
 
 def told(source, library="auto"):
-    lines = before_fit(SindyModel(source.signature, library), source).lines
-    return [line for line in lines if not line.startswith("note: time is the column")]
+    return [
+        each for each in before_fit(SindyModel(source.signature, library), source).findings if each.code != "log.time"
+    ]
 
 
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
@@ -42,39 +42,35 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     source = LoggedData(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
     model = SindyModel(source.signature, "auto")
     (told,) = wrong_units(model, source)
-    assert "warning: Omega" in told and "57.3 times Omega" in told
-    assert before_fit(model, source).lines[0] == told
+    assert (told.code, told.severity) == ("log.unit_of_rate", "weak") and told.values["rate"] == "Omega"
+    assert told.values["factor"] == pytest.approx(57.3, rel=1e-3)
+    assert before_fit(model, source).findings[0] == told
     exact = Simulated().load(Pendulum(), EXCITATION)
-    assert not before_fit(SindyModel(exact.signature, "auto"), exact).lines
+    assert not before_fit(SindyModel(exact.signature, "auto"), exact).findings
 
 
 @pytest.mark.parametrize("library", ["auto", "auto_rig"])
-def test_an_angle_in_degrees_is_told_the_words_that_read_it_in_rad(tmp_path, library):
+def test_an_angle_in_degrees_is_told_the_map_that_reads_it_in_rad(tmp_path, library):
     """Degrees that a heading names are converted; these were asked for."""
     log(tmp_path / "log.csv", "time,theta [deg],Omega [deg/s],u", (57.29578, 57.29578, 1.0))
     kept = {"theta": {"name": "theta", "unit": "deg"}, "Omega": {"name": "Omega", "unit": "deg/s"}}
     source = LoggedData(str(tmp_path / "log.csv"), kept).load(None, EXCITATION)
-    (words,) = told(source, library)
-    assert "theta is in deg" in words and "sin(theta)" in words
-    # The words are those of a shell, and read what makes a library with sines.
-    (word,) = shlex.split(words.rpartition("give ")[2])
-    states = yaml.safe_load(word.removeprefix("data.states="))
-    read = LoggedData(str(tmp_path / "log.csv"), states).load(None, EXCITATION)
+    (found,) = told(source, library)
+    assert found.code == "log.degrees" and (found.values["angle"], found.values["unit"]) == ("theta", "deg")
+    read = LoggedData(str(tmp_path / "log.csv"), found.values["states"]).load(None, EXCITATION)
     assert read.signature.state_units == ("rad", "rad/s") and not told(read)
     assert float(read.training.x[:, 0].abs().max() / source.training.x[:, 0].abs().max()) == pytest.approx(0.01745329)
     assert not told(source, ["theta", "Omega", "u"])  # whoever names the functions has chosen
     # A rate that no column has is no column to be read: `plant.known` adds it.
     x = source.training.x.clone()
     x[:, 1] = torch.nan
-    (words,) = told(replace(source, training=replace(source.training, x=x)), library)[:1]
-    (word,) = shlex.split(words.rpartition("give ")[2])
-    assert list(yaml.safe_load(word.removeprefix("data.states="))) == ["theta"]
+    found = told(replace(source, training=replace(source.training, x=x)), library)[0]
+    assert list(found.values["states"]) == ["theta"]
 
 
 def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
-    (words,) = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [1/s],u"))
-    assert "of theta only sin(theta)" in words
-    assert "plant.known={theta: theta_rate}" in words
+    found = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [1/s],u"))
+    assert found == [note("fit.no_torque", angle="theta", known={"theta": "theta_rate"})]
     source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
     model = SindyModel(source.signature, "auto")
     lacking = rates_lacking(model, source)
@@ -90,21 +86,17 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
     source = LoggedData(path).load(None, EXCITATION)
-    (hint,) = told(source)
-    assert "depends" in hint and "'plant.known={a: a_rate}'" in hint
+    assert told(source) == [weak("fit.rates_missing", states=["a"], known={"a": "a_rate"})]
     known = LoggedData(path, known={"a": "a_rate"}).load(None, EXCITATION)
-    found, rates, words = with_missing_rates(partial(SindyModel, library="auto"), source, None)
+    found, rates, said = with_missing_rates(partial(SindyModel, library="auto"), source, None)
     assert rates == {"a": "a_rate"} and found.signature == known.signature
-    assert words == [
-        "note: what a will do depends on its rate, which the log lacks. It is estimated with the model, as if "
-        "'plant.known={a: a_rate}' had been given; 'plant.known={}' leaves that out"
-    ]
+    assert said == [note("fit.rates_added", known={"a": "a_rate"})]
     for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
         assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    clock, unseen = before_fit(model, known).lines
-    assert "column" in clock and clock.endswith(": 0.01 s between rows")
-    assert "a_rate" in unseen
+    clock, unseen = before_fit(model, known).findings
+    assert clock.code == "log.time" and clock.values["dt"] == pytest.approx(0.01)
+    assert unseen == note("log.unmeasured", state="a_rate")
     assert rates_lacking(model, known).shown == {"a": "a_rate"}
     assert before_fit(model, known).lacking == rates_lacking(model, known)
 
@@ -120,14 +112,14 @@ def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_
 
 def test_few_rows_are_told_with_what_was_left_out(tmp_path):
     heading = "time,theta [rad],Omega [rad/s],u"
-    words = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])[0]
-    assert "has 45 rows" in words  # three quarters of 60
+    few = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])[0]
+    assert few == weak("log.few_rows", rows=45, least=50)  # three quarters of 60
     enough = told(log(tmp_path / "log.csv", heading, rows=81), ["theta", "Omega", "u", "sin(theta)"])
-    assert not any("rows only" in line for line in enough)
+    assert "log.few_rows" not in [each.code for each in enough]
     lines = (tmp_path / "log.csv").read_text().splitlines()
     (tmp_path / "log.csv").write_text("\n".join([*lines[:30], "0.3,,,", *lines[31:62]]))
-    words = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
-    assert "rows" in words[0] and "1 of 61 rows" in words[1]
+    found = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
+    assert [each.code for each in found[:2]] == ["log.few_rows", "log.missing"] and found[1].values["rows"] == 1
 
 
 def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_path):
@@ -136,20 +128,20 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
     rows = [",".join(map(str, (k * data.dt, *data.x[k].tolist(), *data.u[k].tolist()))) for k in range(len(data))]
     (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *units, *signature.input_names]), *rows]))
     source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
-    (words,) = told(source)
+    (found,) = told(source)
     library = SindyModel(source.signature, "auto").library  # of its four quotients a fit keeps those of one angle
     others = ("alpha_a)^2)", "alpha_a + alpha_p)^2)", "alpha_a - alpha_p)^2)")
-    count = int(words.split()[5])
+    count = found.values["count"]
     assert len([name for name in library.names if not name.endswith(others)]) >= count > len(library) / 4
-    assert words.startswith(f"note: the fit chooses from {count} candidate functions by {len(source.training)} rows")
-    assert "tras, trms33, xi," in words
+    plants = ["tras", "trms33", "xi"]
+    assert found == note("fit.many_functions", count=count, rows=len(source.training), plants=plants)
     assert not told(source, "rotor")
     # The columns of no plant of the package: fewer than 150 functions are many for few rows alone.
     lines = (tmp_path / "log.csv").read_text().replace("alpha_a", "yaw", 1).splitlines()
     for number, many in ((101, True), (len(lines), False)):
         (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
-        words = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION))
-        assert ["system=" not in line for line in words if "plant.library=" in line] == [True] * many
+        found = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION))
+        assert [each.values["plants"] for each in found if each.code == "fit.many_functions"] == [[]] * many
 
 
 def test_every_plant_that_is_named_is_an_option():

@@ -1,4 +1,4 @@
-"""Equations in words: delay, friction, springs, and states that take no part in them."""
+"""What equations hold: delay, friction, springs, and states that take no part in them."""
 
 import math
 from dataclasses import replace
@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.evaluation.equations import bend_hint, describe_model, hidden_states, idle
+from dynasindy.evaluation.equations import equation_findings, hidden_states, idle_states, missing_nonlinearity
+from dynasindy.findings import note, weak
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity
 from dynasindy.sindy.regression import RunningSums
@@ -15,30 +16,31 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 
-def test_delay_friction_and_springs_of_a_model_are_said_in_words():
+def test_delay_friction_and_springs_of_a_model_are_found():
     model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
-    assert describe_model(model) == []
+    assert equation_findings(model) == []
     coefficients, model.delay = model.coefficients.clone(), 0.0123
     rates = {name: model.signature.state_index(name) for name in ("Omega_a", "Omega_p")}
     for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
         coefficients[model.library.index(name), rates[state]] = -1.0
     model.set_coefficients(coefficients)
-    expected = ["the inputs act 12.3 ms late", "Omega_a' has a spring in alpha_a", "Omega_p' has dry friction"]
-    assert describe_model(model) == expected
+    late, spring = note("model.delay", seconds=0.0123), note("model.spring", state="Omega_a", of="alpha_a")
+    assert equation_findings(model) == [late, spring, note("model.dry_friction", state="Omega_p")]
     # What drives a rate the more, the faster it is, is no friction.
     coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
     model.set_coefficients(coefficients)
-    assert describe_model(model) == expected[:2]
+    assert equation_findings(model) == [late, spring]
 
 
 def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tell():
     """Of speeds up to 4 rad/s, tanh(v / 8) is a drag, and tanh(20 v) friction unless others make up for it."""
     signature = Signature(("v",), ("rad/s",), ("u",), (4.0,))
-    for width, expected in ((0.125, []), (1.2, []), (1.3, ["v' has dry friction"]), (20.0, ["v' has dry friction"])):
+    dry = [note("model.dry_friction", state="v")]
+    for width, expected in ((0.125, []), (1.2, []), (1.3, dry), (20.0, dry)):
         model = SindyModel(signature, [f"tanh({width} v)", "u"])
         model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
-        assert describe_model(model) == describe_model(model, report_of(model, 0.5)) == expected
-        assert describe_model(model, report_of(model, 0.001)) == []
+        assert equation_findings(model) == equation_findings(model, report_of(model, 0.5)) == expected
+        assert equation_findings(model, report_of(model, 0.001)) == []
 
 
 @pytest.mark.parametrize(
@@ -55,29 +57,32 @@ def test_a_delay_is_told_unless_its_search_ended_there_or_a_poor_fit_cannot_tell
     model = SindyModel(Signature(("v",), ("m/s",), ("u",), (4.0,)), ["v", "u"])
     model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
     model.delay = 0.002
-    found = describe_model(model, replace(report_of(model, 0.5), **doubts))
-    assert found == (["the inputs act 2 ms late"] if said else [])
+    found = equation_findings(model, replace(report_of(model, 0.5), **doubts))
+    assert found == [note("model.delay", seconds=0.002)] * said
 
 
-def test_dead_zones_and_saturations_are_said_in_the_unit_of_the_actuator():
+def test_dead_zones_and_saturations_are_found_in_the_unit_of_the_actuator():
     """An input of 1 is 12 V: what is flat from -0.25 to 0.5 is so from -3 V to 6 V."""
     volts = {"input_ends": ((-12.0, 12.0),), "input_units": ("V",)}
     signature = Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 4.0), **volts)
     words = ["q", "v", "u", "max(0, u - 0.5)", "max(0, u - -0.25)"]
     model = SindyModel(signature, words, known={"q": "v"})
 
-    def said(*of_u):
+    def bends(*of_u):
         xi = model.coefficients.clone()
         xi[2:, 1] = torch.tensor(of_u, dtype=torch.float64)
         model.set_coefficients(xi)
-        return describe_model(model)
+        return equation_findings(model)
 
-    assert said(20.0, 20.0, -20.0) == ["u does nothing from -3 V to 6 V"]
-    assert said(0.0, -20.0, 20.0) == ["u has no more effect below -3 V and above 6 V"]
-    assert said(20.0, -20.0, 0.0) == ["u has no more effect above 6 V"]
-    assert said(20.0, 5.0, -5.0) == []
-    hint = bend_hint(InputNonlinearity("u", "dead zone", -0.25, 0.5), model)
-    assert "nothing" in hint and "plant.library=dead_zone 'plant.known={q: v}'" in hint
+    def bend(kind, low, high):
+        return {"input": "u", "kind": kind, "low": low, "high": high, "unit": "V"}
+
+    assert bends(20.0, 20.0, -20.0) == [note("model.bend", **bend("dead zone", -3, 6))]
+    assert bends(0.0, -20.0, 20.0) == [note("model.bend", **bend("saturation", -3, 6))]
+    assert bends(20.0, -20.0, 0.0) == [note("model.bend", **bend("saturation", -math.inf, 6))]
+    assert bends(20.0, 5.0, -5.0) == []
+    missing = missing_nonlinearity(InputNonlinearity("u", "dead zone", -0.25, 0.5), model)
+    assert missing == weak("model.missing_bend", known={"q": "v"}, **bend("dead zone", -3, 6))
 
 
 def report_of(model: SindyModel, apart: float) -> FitReport:
@@ -105,12 +110,13 @@ def test_a_hidden_state_is_none_that_is_measured_through_its_rate_or_that_follow
 def test_a_hidden_state_in_no_equation_is_said_to_need_a_first_guess_and_how_it_is_given():
     signature = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0))
     model, log = SindyModel(signature, ["upper", "lower", "u"]), log_of(math.nan, 1.0)
-    (said,) = idle(model, log)
-    assert "equation" in said
-    assert "plant.initial" in said
-    assert idle(model, log_of(1.0, 1.0)) == []  # it was measured
+    (told,) = idle_states(model, log)
+    assert (told.code, told.severity) == ("model.idle_state", "weak") and told.values["states"] == ["upper"]
+    guessed = SindyModel(signature, ["upper", "lower", "u"], initial=told.values["initial"])
+    assert bool(guessed.initial[:, 0].any())  # as it is given
+    assert idle_states(model, log_of(1.0, 1.0)) == []  # it was measured
     for place in ((0, 1), (2, 0)):  # it moves the lower level, or is moved
         coefficients = torch.zeros_like(model.coefficients)
         coefficients[place] = 0.3
         model.set_coefficients(coefficients)
-        assert idle(model, log) == []
+        assert idle_states(model, log) == []

@@ -15,6 +15,7 @@ from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria
+from dynasindy.findings import weak, wrong
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
@@ -25,33 +26,41 @@ def seen(share, away=None, worst=None, idle=None):
 
 
 @pytest.mark.parametrize(
-    ("flights", "words"),
+    ("flights", "errors", "more"),
     [
+        ((seen(0.001), seen(0.02)), ("wrong", 0.1, 2, 6), weak("forecast.models_differ")),
+        ((seen(0.001, worst=0.2),), ("wrong", 0.1, 0.1, 20), weak("forecast.longer_plan")),
+        ((seen(0.001), None), ("note", 0.1, 0.1, 0.3), wrong("forecast.runs_away", models=1, of=2)),
+        ((None, None), None, wrong("forecast.runs_away", models=2, of=2)),
         (
-            (seen(0.001), seen(0.02)),
-            "NOT promised, 1 % is asked for, and 10 % at worst: errors at the end: theta 0.1 to 2 %",
+            (seen(0.001, {"cart": 0.5}),),
+            ("note", 0.1, 0.1, 0.3),
+            wrong("forecast.untracked", state="cart", runs_away=True),
         ),
-        ((seen(0.001, worst=0.2),), "NOT promised, 1 % is asked for.*20 % at worst"),
-        ((seen(0.001), None), "NOT promised.*1 of 2 models run away"),
-        ((None, None), "NOT promised, all of them run away"),
-        ((seen(0.001, {"cart": 0.5}),), "NOT promised: .*cart, which is not tracked, runs away"),
     ],
 )
-def test_one_model_that_is_not_held_breaks_it(flights, words):
+def test_one_model_that_is_not_held_breaks_it(flights, errors, more):
     found = Forecast(flights)
-    assert not found.promised
-    with pytest.raises(ValueError, match=words):
-        raise ValueError(found.summary())
+    assert not found.promised and "NOT promised" in found.summary()
+    *first, last = found.findings
+    assert last == more and [each.code for each in first] == ["forecast.errors"] * bool(errors)
+    for each in first:
+        told = each.values["outputs"]["theta"]
+        assert (each.severity, each.values["within"], each.values["lost"]) == (errors[0], 1, 10)
+        assert [told[name] for name in ("least", "most", "worst")] == pytest.approx(errors[1:])
     assert found.record()["promised"] is False
     assert len(found.record()["flights"]) == len(flights)
 
 
 def test_an_error_that_is_finer_than_the_sensor_is_told_as_one_that_it_cannot_show():
     fine = Forecast((seen(0.001), seen(0.002)), resolved={"theta": 0.01})
-    told = "theta 0.1 to 0.2 % of the target range on average (its sensor resolves 1 %, and cannot show what is less)"
-    assert told in fine.summary()
-    assert "sensor" not in replace(fine, resolved={"theta": 0.0005}).summary()
-    assert "sensor" not in replace(fine, resolved={}).summary()
+
+    def resolved(found):
+        return found.findings[0].values["outputs"]["theta"]["resolved"]
+
+    assert resolved(fine) == pytest.approx(1) and "resolves 1 %" in fine.summary()
+    assert resolved(replace(fine, resolved={"theta": 0.0005})) is None
+    assert resolved(replace(fine, resolved={})) is None
 
 
 def test_what_a_sensor_resolves_is_a_share_of_the_targets():
@@ -69,11 +78,10 @@ def test_a_model_promises_nothing_of_itself():
     found = Forecast((seen(0.001),), own=True)
     assert found.controlled
     assert not found.promised
-    assert "promises" in found.summary()
-    assert "asked for" not in found.summary()
+    assert "promises nothing" in found.summary() and "NOT" not in found.summary()
     far = Forecast((seen(0.02),), own=True)
     assert not far.controlled
-    assert "CONTROLLED" in far.summary()
+    assert "NOT CONTROLLED" in far.summary()
 
 
 def test_what_is_asked_for_is_an_argument():
@@ -188,27 +196,31 @@ def test_a_delay_is_not_negative():
 
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
-    longer = "nothing runs away: a longer plan, of more updates, may hold it"
+    longer = weak("forecast.longer_plan")
     swinging = TrackingCriteria({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
-    assert "tracked" in Forecast((swinging,)).summary()
-    assert longer in Forecast((swinging,)).summary() and longer in Forecast((seen(0.02),)).summary()
-    assert longer not in Forecast((seen(0.001),)).summary()
+    assert wrong("forecast.untracked", state="cart", runs_away=False) in Forecast((swinging,)).findings
+    assert longer in Forecast((swinging,)).findings and longer in Forecast((seen(0.02),)).findings
+    assert longer not in Forecast((seen(0.001),)).findings
     for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):
-        assert longer not in Forecast(gone).summary() and "away" in Forecast(gone).summary()
+        found = Forecast(gone).findings
+        assert longer not in found
+        assert {"forecast.runs_away", "forecast.untracked"} & {each.code for each in found}
 
 
 def test_a_doubt_breaks_a_promise():
-    doubted = Forecast((seen(0.001),), doubts=("a function is missing",))
+    doubt = wrong("model.better", seconds=2.0)
+    doubted = Forecast((seen(0.001),), doubts=(doubt,))
     assert not doubted.controlled and not doubted.record()["controlled"]
-    assert doubted.record()["doubts"] == ["a function is missing"]
-    assert "promised" in doubted.summary() and doubted.summary().endswith("a function is missing")
+    assert doubted.findings[-1] == doubt and doubted.record()["findings"][-1] == doubt.record()
+    assert "NOT promised" in doubted.summary() and doubted.summary().endswith(str(doubt))
 
 
 def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
-    told = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).summary()
-    assert "flights" in told
-    assert "0.3 % at worst" in told and "62 %" in told
-    assert "overshot" not in Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).summary()
+    (told,) = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).findings
+    assert (told.code, told.severity, told.values["seconds"]) == ("forecast.errors", "note", 400)
+    assert told.values["outputs"]["theta"]["overshoot"] == 62
+    (told,) = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).findings
+    assert told.values["outputs"]["theta"]["overshoot"] is None
 
 
 def test_the_overshoot_is_that_of_flights():
@@ -226,8 +238,9 @@ def test_the_overshoot_is_that_of_flights():
 
 @pytest.mark.parametrize(("flights", "told"), [((None,), True), ((seen(0.02),), True), ((seen(0.001),), False)])
 def test_a_period_to_try_is_told_in_place_of_a_longer_plan_where_a_plan_fails(flights, told):
-    words = Forecast(flights, period="try a control period of 2 s").summary()
-    assert words.endswith("try a control period of 2 s") == told and "longer plan" not in words
+    period = weak("control.other_period", cause="settles", value=9.0, periods=4.0, wanted=2.0, log=False)
+    found = Forecast(flights, period=period).findings
+    assert (found[-1] == period) == told and "forecast.longer_plan" not in [each.code for each in found]
 
 
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():

@@ -13,12 +13,17 @@ from dynasindy.evaluation.identification import LoggedData, identify_source
 from dynasindy.evaluation.identification_report import to_words
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Aprbs, Chirp
+from dynasindy.findings import LogError, note, weak
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
 EXCITATION = partial(Chirp, duration=10.0, amplitude=0.6)
+
+
+def codes(findings):
+    return [each.code for each in findings]
 
 
 def _identified(source):
@@ -33,7 +38,7 @@ def test_the_pendulum_is_found_and_predicts_unseen_inputs():
     found = _identified(source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
     assert max(found.metrics["open_loop_nrmse"].values()) < 1e-4
-    assert "prediction" in to_words(found, source) and "does not predict" not in to_words(found, source)
+    assert "prediction" in to_words(found, source) and codes(found.verdict) == ["model.predicts"]
 
 
 def test_of_an_exact_log_nothing_stays_unexplained_and_of_a_poor_library_what_single_steps_miss():
@@ -74,8 +79,9 @@ def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
     assert names(states={"x": "b"}, inputs=["motor"])[0] == ("x",)
     with pytest.raises(ValueError, match="columns"):
         names(states=["motor"], inputs=["motor"])
-    with pytest.raises(ValueError, match="corrected"):
+    with pytest.raises(LogError) as error:
         names()
+    assert error.value.finding.values["guess"]
 
 
 def test_settings_that_make_no_sense_are_refused():
@@ -92,8 +98,9 @@ def test_a_log_whose_headings_say_nothing_is_read_by_its_maps_alone(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(["time,angle,torque", *rows]))
     read = LoggedData(str(tmp_path / "log.csv"), {"a": "angle"}, {"b": "torque"}).load(None, EXCITATION).signature
     assert (read.state_names, read.input_names) == (("a",), ("b",))
-    with pytest.raises(ValueError, match="corrected"):
+    with pytest.raises(LogError) as error:
         LoggedData(str(tmp_path / "log.csv"), {"a": "angle"}).load(None, EXCITATION)
+    assert error.value.finding.values["guess"]
 
 
 def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings(tmp_path):
@@ -118,7 +125,7 @@ def test_a_plant_that_leaves_its_bounds_is_told_and_not_fitted():
     source = Simulated(bounds={"theta": 1.0}, validation_seconds=1.0).load(
         Pendulum(), partial(EXCITATION, amplitude=0.1)
     )
-    assert source.notes == () and len(source.training) == 1000
+    assert source.findings == () and len(source.training) == 1000
     with pytest.raises(Diverged, match="bounds"):
         Simulated(bounds={"theta": 0.1}, validation_seconds=1.0).load(Pendulum(), EXCITATION)
 
@@ -142,7 +149,7 @@ def test_validation_is_random_levels_of_seven_tenths_of_the_range_about_the_same
     assert (len(one.training), len(one.validation), one.validation.dt) == (250, 300, 0.02)
     expected = Aprbs(1, 6.0, amplitude=0.42, offset=0.2, seed=1).samples(0.02)  # the next seed
     torch.testing.assert_close(u, expected.to(u))
-    assert not torch.equal(u, other.validation.u) and one.notes == ()
+    assert not torch.equal(u, other.validation.u) and one.findings == ()
     assert torch.equal(one.training.u, other.training.u)  # a chirp has no seed
 
 
@@ -163,7 +170,7 @@ def test_samples_at_a_stop_are_left_out_and_counted():
     plant = Tras(azimuth_stop=0.05)
     source = Simulated(substeps=1, validation_seconds=0.1).load(plant, hard)
     left_out = 300 - len(source.training)
-    assert left_out > 0 and source.notes == (f"{left_out} samples that touched a stop were left out",)
+    assert left_out > 0 and source.findings == (note("log.touched_stop", count=left_out),)
 
 
 def test_the_last_part_of_a_log_is_for_validation(tmp_path):
@@ -187,9 +194,7 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
     model = SindyModel(source.signature, library, Regression("bic"), refinement, known={"theta": "Omega"})
     found = identify_source(model, source)
     assert found.model.equations(3)[1] == "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)"
-    words = to_words(found, source)
-    assert "compares" in words
-    assert "predicts" in words.splitlines()[-1] and "does not" not in words.splitlines()[-1]
+    assert "fit.trajectories" in codes(found.report.findings) and codes(found.verdict) == ["model.predicts"]
     assert set(found.metrics["open_loop_nrmse"]) == {"theta"} and not any(
         "nan" in str(v) for v in found.metrics.values()
     )
@@ -209,8 +214,8 @@ def angle_alone(tmp_path):
 def test_no_delay_stands_for_a_rate_that_is_missing(angle_alone):
     source = LoggedData(angle_alone).load(None, EXCITATION)
     model = SindyModel(source.signature, "auto", Regression("bic"), Refinement("auto", longest_delay=0.05))
-    words = to_words(identify_source(model, source), source)
-    assert "looked" in words and "hint" not in words and "late" not in words
+    found = identify_source(model, source)
+    assert weak("fit.no_delay", states=["angle"]) in found.findings and "model.delay" not in codes(found.findings)
 
 
 def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
@@ -225,7 +230,7 @@ def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
     library = ["u", "angle_rate", "sin(angle)"]
     model = SindyModel(source.signature, library, Regression("bic"), Refinement("auto"), known=known)
     found = identify_source(model, source)
-    assert "hint" not in to_words(found, source)
+    assert "fit.rates_missing" not in codes(found.findings)
     equation = [model.coefficients[model.library.names.index(name), 1].item() for name in library]
     assert equation == pytest.approx([12.0, -0.5, -9.81], rel=0.02)
 
@@ -245,10 +250,9 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
         )
 
     quiet, loud = found(2 * step), found(500 * step)
-    words = to_words(quiet, quiet.source)
-    assert "quiet" in words
-    assert "this model" not in words and not quiet.predicts
-    assert "this model" in to_words(loud, loud.source) and not loud.quiet
+    assert codes(quiet.verdict) == ["log.quiet"] and not quiet.predicts
+    assert all(code.startswith("model.") for code in codes(loud.verdict)) and loud.verdict and not loud.quiet
+    assert "quiet" in to_words(quiet, quiet.source).splitlines()[-1]
 
 
 def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_path):
@@ -260,6 +264,6 @@ def test_several_logs_are_read_and_a_column_may_stand_still_in_one_of_them(tmp_p
     found = LoggedData(both).recording(None)
     assert found.signature.state_names == ("way",) and found.signature.input_names == ("u",)
     assert found.transitions.segment.bincount().tolist() == [99, 99]
-    assert not any("left out" in note for note in found.notes)
+    assert {each.code for each in found.findings} == {"log.time"}
     with pytest.raises(ValueError, match="names a file twice"):
         LoggedData([both[0], both[0]])

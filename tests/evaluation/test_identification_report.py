@@ -11,6 +11,7 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.identification import identify_source
 from dynasindy.evaluation.identification_report import describe_restarts, to_words, write_identification
 from dynasindy.excitation import Chirp
+from dynasindy.findings import Finding, note
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
 from dynasindy.systems.transitions import Transitions
@@ -26,21 +27,23 @@ def test_coefficients_without_standard_errors_say_why():
     x = torch.randn(1001, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     noise = replace(source, training=replace(source.training, x=x[:-1], x_next=x[1:]))
     model = SindyModel(source.signature, ["u", "1"], refinement=Refinement("one_step"))
-    words = to_words(identify_source(model, noise), noise)
+    found = identify_source(model, noise)
     said = "the refinement, which tells them, found no equations, or ones that run away from the data"
-    assert (
-        f"coefficients have no standard errors (±): {said}" in words.splitlines() and "dropped every function" in words
-    )
+    assert f"coefficients have no standard errors (±): {said}" in to_words(found, noise).splitlines()
+    assert "fit.dropped" in [each.code for each in found.report.findings]
 
 
 def test_everything_is_written(tmp_path):
     source = Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
     found = identify_source(SindyModel(source.signature, ["u"], Regression("bic"), Refinement("one_step")), source)
-    write_identification(found, source, tmp_path / "run")
+    before = [note("log.gaps", count=1)]
+    write_identification(found, source, tmp_path / "run", before)
     names = {p.name for p in (tmp_path / "run").iterdir()}
     tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
     assert names == {"model.json", "metrics.json", "report.txt", *tables}
-    assert json.loads((tmp_path / "run/metrics.json").read_text()) == found.metrics
+    written = json.loads((tmp_path / "run/metrics.json").read_text())
+    assert [Finding.of(each) for each in written.pop("findings")] == [*before, *found.findings]
+    assert written == found.metrics
     assert torch.equal(SindyModel.load(tmp_path / "run/model.json").coefficients, found.model.coefficients)
 
 

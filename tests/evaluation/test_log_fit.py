@@ -14,6 +14,7 @@ from dynasindy.evaluation.log_fit import LogFit, fit_log
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
+from dynasindy.findings import note, weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.lag_states import LagStateCandidate
@@ -56,8 +57,8 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
     assert fit_log(model, source).hidden == [] and not asked
     monkeypatch.setattr(module, "unresolved", lambda *given: torch.ones(1))
     plain = fit_log(model, source)  # with a lag that is not there nothing is better
-    assert plain.model is model and plain.source is source and plain.follower == "" and len(asked) == 1
-    assert "looked for" in plain.sought and plain.hidden == [f"note: {plain.sought}"]
+    assert plain.model is model and plain.source is source and plain.follower is None and len(asked) == 1
+    assert plain.hidden == [plain.sought] == [weak("fit.no_lag_state", what="a state")]
     simulated = Source(source.signature, source.training, source.validation)
     assert fit_log(model, simulated).model is model and len(asked) == 1  # of a plant that is known none is looked for
     monkeypatch.setattr(module, "_better", lambda *given: True)
@@ -65,7 +66,7 @@ def test_a_state_is_looked_for_only_where_something_lacks_and_believed_only_wher
     assert found.model.signature.state_names == (*model.signature.state_names, "u_lagging")
     assert found.source.signature == found.model.signature and found.report is not plain.report
     assert found.source.training.x.shape[-1] == found.source.validation.x.shape[-1] == 3
-    assert "found: u" in found.hidden[0] and found.sought == ""
+    assert [each.code for each in found.hidden] == ["model.lag_state"] and found.hidden[0].values["signal"] == "u"
 
 
 def test_no_lag_is_looked_for_while_a_rate_is_missing(source, model, monkeypatch):
@@ -199,8 +200,9 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     found = dict(zip(straight.model.library.names, straight.model.coefficients[:, 0].tolist(), strict=True))
     wanted = dict.fromkeys(found, 0.0) | {"u_lagging": 2.0, "y": -0.5}
     assert found == pytest.approx(wanted, rel=0.01, abs=0.01)
-    assert "lag of 1.5 s" in straight.follower
-    assert module.STRAIGHT in straight.report.notes and module.STRAIGHT not in bent.report.notes
+    told = {"signal": "u", "seconds": pytest.approx(1.5, rel=3e-3), "is_input": True, "state": "u_lagging"}
+    assert straight.follower == note("model.lag_state", **told)
+    assert note("fit.straight") in straight.report.findings and note("fit.straight") not in bent.report.findings
     free = bent.model.constraints.free & ~straight.model.constraints.free
     bends = {name for name, lost in zip(bent.model.library.names, free.any(-1).tolist(), strict=True) if lost}
     assert bends == {"y^2", "y u_lagging", "u_lagging^2"}
@@ -278,7 +280,7 @@ def test_what_was_set_aside_is_taken_where_it_predicts_better_by_a_tenth(part, t
     assert torch.equal(after.model.coefficients, (0.5 if taken else 1.0) * xi)
     assert float(errors.model[0, 0]) == pytest.approx(0.1 * (part if taken else 1.0))
     assert after.model.refinement.error == ("simulation" if taken else None)
-    assert f"{part:.2f} times" in after.report.notes[-1] and (" not taken" in after.report.notes[-1]) == (not taken)
+    assert after.report.findings[-1] == note("fit.whole", ratio=pytest.approx(part), taken=taken)
 
 
 def two_tanks(seed, samples=400, dt=4.0):
@@ -305,7 +307,8 @@ def test_the_better_one_of_two_fits_is_the_better_one_on_other_logs_too():
     report = model.fit(source.training)
     assert report.in_pieces
     taken = module._whole(LogFit(model, source, report), forecast_errors(model, source.training, source.validation))[0]
-    assert taken.model is not model and "(error=simulation)" in taken.report.notes[-1]
+    last = taken.report.findings[-1]
+    assert taken.model is not model and last.code == "fit.whole" and last.values["taken"]
     others = [two_tanks(seed) for seed in (11, 12, 13)]
     ours, theirs = (
         sum(float(forecast_errors(each, source.training, other).model[:, 1].log().mean()) for other in others)

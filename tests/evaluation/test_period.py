@@ -15,6 +15,7 @@ from dynasindy.evaluation.period import _typical, as_planned, closest_period, ot
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
+from dynasindy.findings import Finding, note, weak
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, System
 from dynasindy.workbench import tracking_task
@@ -84,10 +85,20 @@ def test_a_period_is_a_fifth_of_the_swing_of_a_spring_in_whole_samples(hertz, dt
         assert found.seconds <= max(longest, dt) * (1 + 1e-6)
 
 
+def chosen(seconds, cause, value) -> Finding:
+    return note(
+        "control.period",
+        seconds=pytest.approx(seconds),
+        cause=cause,
+        value=pytest.approx(value, rel=5e-3),
+        ahead=80,
+    )
+
+
 def test_an_overdamped_spring_keeps_ten_samples():
     found = suited(9.4, 2.0, 0.002)
     assert found.seconds == pytest.approx(0.02)
-    assert "0.02 s, ten samples" in found.why
+    assert found.why == chosen(0.02, "samples", 0)
     assert suited(9.4, 2.0, 0.005).seconds == pytest.approx(0.05)
     assert suited(9.4, 2.0, None).seconds == 0.05
 
@@ -148,7 +159,7 @@ def test_a_swing_that_friction_hides_at_rest_counts_where_the_log_moves(seen):
     model = rubbing(9.4, 0.1, 40.0)
     log = logged(0.005, model.signature)
     found = suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), log if seen else blind(log))
-    assert found.seconds == pytest.approx(0.02) and "oscillation of 0.107 s" in found.why
+    assert found.seconds == pytest.approx(0.02) and found.why == chosen(0.02, "oscillation", 0.10692)
 
 
 def test_a_swing_that_few_places_of_a_log_show_does_not_count():
@@ -203,7 +214,7 @@ def test_a_slow_plant_settles_in_the_80_periods_that_a_plan_looks_ahead(slow, dt
     found, wanted = tank_period(slow, dt), SETTLED * slow / 80
     assert wanted * 0.99 <= found.seconds < 1.03 * wanted + dt and found.seconds > max(dt, 0.05)
     assert found.seconds / dt == pytest.approx(round(found.seconds / dt))
-    assert "settles" in found.why and "env.dt" in found.why
+    assert found.why.values["cause"] == "settles" and found.why.values["value"] == pytest.approx(80 * wanted, rel=0.02)
 
 
 def test_a_plant_that_fits_keeps_its_period_and_a_slow_one_without_a_log_gets_two_digits():
@@ -247,31 +258,38 @@ def test_the_period_of_an_unstable_plant_is_a_quarter_of_the_time_in_which_it_do
     model = growing(rate)
     found = suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), logged(dt, model.signature))
     assert found.seconds == pytest.approx(seconds)
-    assert (found.seconds <= max(dt, math.log(2) / abs(rate) / 4)) and ("doubles" in found.why) is (abs(rate) > 3)
+    doubles = math.log(2) / abs(rate)
+    assert found.seconds <= max(dt, doubles / 4)
+    cause = "doubling" if dt < doubles / 4 else "sample_doubling"
+    assert found.why == (None if abs(rate) == 3 else chosen(seconds, cause, doubles))
 
 
 def test_a_plan_of_an_unstable_plant_that_fails_is_told_a_shorter_period():
     model = growing(60.0)
     task, log = tracking_task(model, {"p": (-0.5, 0.5)}), logged(0.001, model.signature)
-    told = other_period(model, task, log, 0.01)
-    assert "in 0.0116 s, which is 1.2 control" in told
-    assert "period" in told and other_period(model, task, log, 0.002) == ""
+    assert other_period(model, task, log, 0.01) == other("doubling", 0.01155, 1.155, 0.002)
+    assert other_period(model, task, log, 0.002) is None
+
+
+def other(cause, value, periods, wanted, log=False) -> Finding:
+    found = {"value": value, "periods": periods, "wanted": wanted}
+    return weak(
+        "control.other_period", cause=cause, **{name: pytest.approx(v, rel=5e-3) for name, v in found.items()}, log=log
+    )
 
 
 def test_a_plan_that_fails_is_told_which_period_to_try():
     spring, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
     task, log = tracking_task(spring, targets), logged(0.005, spring.signature)
-    told = other_period(spring, task, log, 0.05)
-    assert "every 0.107 s, which is 2.1 control" in told
-    assert told.endswith("dt=0.02")
-    assert other_period(spring, task, log, 0.02) == ""
+    assert other_period(spring, task, log, 0.05) == other("oscillation", 0.10692, 2.138, 0.02)
+    assert other_period(spring, task, log, 0.02) is None
     coarse = other_period(spring, task, logged(0.05, spring.signature), 0.05)
-    assert "2.1 control periods" in coarse and "0.021 s" in coarse
+    assert coarse == other("oscillation", 0.10692, 2.138, 0.10692 / 5, log=True)
     slow = tank(4000)
-    told = other_period(slow, tracking_task(slow, {"h": (-0.5, 0.5)}), tank_log(1.0, slow), 1.0)
+    told = other_period(slow, tracking_task(slow, {"h": (-0.5, 0.5)}), tank_log(1.0, slow), 1.0).values
     # All but exp(-7) is over after seven time constants of 398 s, 46 min; in 80 periods that is 34.8 s each.
-    assert told.startswith("the model takes 4") and "fully" in told
-    assert 34.8 <= float(told.rpartition("dt=")[2]) <= 36
+    assert (told["cause"], told["periods"]) == ("settles", 80) and 2780 < told["value"] < 2880
+    assert 34.8 <= told["wanted"] <= 36
 
 
 def mapped(a, b, step):
@@ -286,7 +304,7 @@ def test_the_period_of_a_difference_equation_without_a_log_is_its_step():
     model = mapped(-0.6, 1.0, 0.3)
     found = suited_period(model, tracking_task(model, {"x": (-0.5, 0.5)}), None)
     assert found.seconds == 0.3
-    assert "0.3 s, the step" in found.why
+    assert found.why == chosen(0.3, "step", 0)
 
 
 def test_the_period_of_a_slow_difference_equation_is_as_many_steps_as_a_plan_needs_to_see_it_settle():
@@ -304,7 +322,7 @@ def test_no_other_period_is_told_for_a_difference_equation():
     """It swings in 0.6 s, two of its steps; a period of a fifth of that is none that it has."""
     model = mapped(-0.6, 1.0, 0.3)
     task = tracking_task(model, {"x": (-0.5, 0.5)})
-    assert other_period(model, task, None, 0.3) == "" and other_period(model, task, None, 0.6) == ""
+    assert other_period(model, task, None, 0.3) is None and other_period(model, task, None, 0.6) is None
 
 
 def test_a_task_that_is_planned_for_twice_is_planned_for_once():
@@ -322,5 +340,5 @@ def test_a_controller_out_of_a_file_that_fails_is_told_which_period_to_try(tmp_p
     controller = dynasindy.plan(model, targets, log, dt=0.05, updates=1, rollouts=4, window=5)
     save(controller, tmp_path / "controller.json")
     steps = Scenario("step", step_references([-0.5], [0.5], 4), 4, 2.0)
-    told = dynasindy.forecast(dynasindy.load(tmp_path), model, log, steps).summary()
-    assert "flights" in told and "env.dt=0.02" in told
+    found = dynasindy.forecast(dynasindy.load(tmp_path), model, log, steps).findings
+    assert [each.values["wanted"] for each in found if each.code == "control.other_period"] == [pytest.approx(0.02)]

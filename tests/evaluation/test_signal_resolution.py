@@ -8,11 +8,12 @@ import torch
 from dynasindy.evaluation.forecast_errors import ForecastErrors
 from dynasindy.evaluation.signal_resolution import (
     FEW,
-    describe_low_signal_targets,
-    describe_low_signals,
+    low_signal_findings,
     low_signal_states,
+    low_signal_targets,
     resolved_errors,
 )
+from dynasindy.findings import LogError
 from dynasindy.systems import Pendulum, Signature, rk4
 from dynasindy.systems.transitions import Transitions
 
@@ -49,7 +50,7 @@ def test_a_loud_log_is_not_quiet_nor_is_what_does_not_move():
     assert not low_signal_states(pendulum(0.2))
     assert not low_signal_states(pendulum(0.0))
     assert not low_signal_states(pendulum(0.001), {0})
-    assert describe_low_signals(pendulum(0.2), SIGNATURE) == ""
+    assert low_signal_findings(pendulum(0.2), SIGNATURE) == []
 
 
 def in_stretches(x, length):
@@ -87,32 +88,41 @@ def test_a_state_that_rests_in_the_longest_stretch_and_moves_in_another_is_not_q
     assert not low_signal_states(Transitions.cat(stretches))  # 200 steps from end to end
 
 
-def test_the_words_say_which_input_to_move_and_how_much_further():
+def test_it_is_told_which_input_to_move_and_how_much_further():
     log = pendulum(0.001)
-    times = 100 / low_signal_states(log)[0]
-    told = describe_low_signals(log, SIGNATURE)
-    assert "quiet" in told and "angle" in told
-    assert told.endswith(f"move u, which goes from -0.001 to 0.001, about {times:.2g} times as far")
+    count = low_signal_states(log)[0]
+    times = 100 / count
+    (told,) = low_signal_findings(log, SIGNATURE)
+    assert (told.code, told.severity) == ("log.quiet", "wrong") and told.values["steps"] == {"angle": round(count)}
+    (move,) = told.values["inputs"]
+    ends = {"input": "u", "low": pytest.approx(-0.001, rel=1e-3), "high": pytest.approx(0.001, rel=1e-3), "unit": "-"}
+    assert move == {**ends, "times": pytest.approx(times), "limited": False}
     # Where it moves that much further the log is loud, as the pendulum is nearly linear.
     assert not low_signal_states(pendulum(0.001 * times))
 
 
 def test_no_input_is_to_go_beyond_its_actuator():
     motor = Signature(("angle", "way"), ("rad", "m"), ("u",), (1.0, 1.0), ((-12.0, 12.0),), ((-0.002, 0.002),), ("V",))
-    told = describe_low_signals(pendulum(0.001), motor)
-    assert "-0.012 to 0.012 V" in told and "about 2 times" in told
+    (move,) = low_signal_findings(pendulum(0.001), motor)[0].values["inputs"]
+    assert (move["high"], move["unit"]) == (pytest.approx(0.012, rel=1e-3), "V")
+    assert move["limited"] and move["times"] == pytest.approx(2, rel=1e-3)
     still = pendulum(0.001)
     still.u.zero_()
-    assert "does not move" in describe_low_signals(still, SIGNATURE)
+    (told,) = low_signal_findings(still, SIGNATURE)
+    assert told.values["inputs"][0]["times"] is None and "does not move" in str(told)
 
 
 def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
     log = pendulum(0.001)
-    with pytest.raises(ValueError, match="angle"):
-        describe_low_signal_targets(log, SIGNATURE, {"angle": (-0.03, 0.03)})
-    assert "quiet" in describe_low_signal_targets(log, SIGNATURE, {"angle": (-0.002, 0.002)})
-    assert describe_low_signal_targets(log, SIGNATURE, {"way": (-50.0, 50.0)}) == ""
-    assert describe_low_signal_targets(pendulum(0.2), SIGNATURE, {"angle": (-30.0, 30.0)}) == ""
+    quiet = low_signal_findings(log, SIGNATURE)
+    with pytest.raises(LogError) as error:
+        low_signal_targets(log, SIGNATURE, {"angle": (-0.03, 0.03)})
+    told = error.value.finding
+    assert told.code == "log.quiet_targets" and [told.values["quiet"]] == quiet
+    assert (told.values["state"], told.values["low"], told.values["high"]) == ("angle", -0.03, 0.03)
+    assert low_signal_targets(log, SIGNATURE, {"angle": (-0.002, 0.002)}) == quiet
+    assert low_signal_targets(log, SIGNATURE, {"way": (-50.0, 50.0)}) == []
+    assert low_signal_targets(pendulum(0.2), SIGNATURE, {"angle": (-30.0, 30.0)}) == []
 
 
 def test_errors_of_what_is_quiet_are_not_judged():

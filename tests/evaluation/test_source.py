@@ -7,6 +7,7 @@ import torch
 
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.source import Source
+from dynasindy.findings import note
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -16,13 +17,13 @@ SIGNATURE = Signature(("q", "p"), ("rad", "-"), ("u",), (1.0, 1.0))
 
 def recording(rows=8):
     x = torch.arange(2.0 * (rows + 1)).reshape(rows + 1, 2)
-    return Recording(Transitions.from_trajectory(x, torch.zeros(rows, 1), 0.1), SIGNATURE, ("two rows were skipped",))
+    return Recording(Transitions.from_trajectory(x, torch.zeros(rows, 1), 0.1), SIGNATURE, (note("log.gaps", count=1),))
 
 
-def test_a_source_is_simulated_and_without_notes_unless_it_is_said():
+def test_a_source_is_simulated_and_without_findings_unless_it_is_said():
     data = Transitions.from_trajectory(torch.zeros(3, 1), torch.zeros(2, 1), 0.1)
     source = Source(Signature(("x",), ("m",), ("u",), (1.0,)), data, data)
-    assert not source.logged and source.notes == ()
+    assert not source.logged and source.findings == ()
 
 
 @pytest.mark.parametrize(("share", "rows"), [(0.25, 6), (0.5, 4), (0.0, 8)])
@@ -30,7 +31,7 @@ def test_the_last_part_of_a_log_is_kept_and_all_of_it_is_one_stretch_again(share
     log = recording()
     source = Source.of(log, share)
     assert (len(source.training), len(source.validation)) == (rows, 8 - rows)
-    assert source.logged and source.notes == log.notes
+    assert source.logged and source.findings == log.findings
     assert repr(source).startswith(f"Data of {rows} rows, ") and f"{8 - rows} rows more to judge on" in repr(source)
     assert torch.equal(source.whole.x, log.transitions.x)
     assert torch.equal(source.whole.segment, log.transitions.segment)
@@ -55,10 +56,9 @@ def test_a_rate_that_was_not_logged_is_a_state_that_no_sensor_sees():
     assert source.signature.state_units == ("rad", "-", "rad/s", "1/s")
     for part in (source.training, source.validation):
         assert part.x[:, 2:].isnan().all() and not part.x[:, :2].isnan().any()
-    unseen = [f"{name} is seen by no sensor; it is estimated with the model" for name in ("w", "p_rate")]
-    assert list(source.notes[-2:]) == unseen
+    assert source.findings[-2:] == tuple(note("log.unmeasured", state=name) for name in ("w", "p_rate"))
     again = source.with_rates({"q": "w"})
-    assert again.signature == source.signature and again.notes == source.notes
+    assert again.signature == source.signature and again.findings == source.findings
 
 
 def test_data_get_the_states_of_a_model_and_those_of_another_plant_are_refused():

@@ -16,6 +16,7 @@ from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metri
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, save_evaluation, summarise, to_text
 from dynasindy.evaluation.tracking_criteria import representative_episode
+from dynasindy.findings import weak
 from dynasindy.systems import Pendulum, Signature, Xi
 from dynasindy.tasks import Step, Tracking, TrackingReward, Wave, wave
 
@@ -48,8 +49,7 @@ def test_an_input_that_swings_while_a_target_is_held_is_told() -> None:
     signature = Signature(("a",), ("rad",), ("u", "v"), (1.0,))
     trajectory = TensorDict({"action": action, "reference": torch.zeros(2, 100, 1)}, [2, 100])
     found = Evaluation("made up", signature, (0,), 0.05 * torch.arange(100), trajectory, {})
-    (said,) = restless(found)
-    assert "still" in said
+    assert restless(found) == [weak("control.restless", input="u", percent=pytest.approx(2.5))]
     trajectory["reference"][:, -1] = 1.0
     assert restless(found) == []
 
@@ -149,9 +149,10 @@ def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not(
         return td.set("action", torch.zeros(*td.batch_size, 1))
 
     own = Wave([0.35], [1.0], "square")
-    (line,) = beyond_targets(evaluate(env, still, Scenario("square", own, seconds=2.0)))
-    assert "scenario" in line
-    assert "from -0.3 to 0.4 rad" in line and "plant.signals=null" in line
+    (told,) = beyond_targets(evaluate(env, still, Scenario("square", own, seconds=2.0)))
+    assert (told.code, told.values["output"], told.values["scenario"]) == ("control.beyond_targets", "theta", "square")
+    ends = [told.values[name] for name in ("least", "most", "low", "high")]
+    assert ends == pytest.approx([-0.35, 0.35, -0.3, 0.4])
     derived = wave("square", [-0.3], [0.4], 20, 0.05)
     assert beyond_targets(evaluate(env, still, Scenario("square", derived, seconds=2.0))) == []
     assert beyond_targets(evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0))) == []

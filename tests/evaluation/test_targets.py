@@ -8,6 +8,7 @@ import torch
 from dynasindy.data.csv import Recording
 from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.targets import in_words, logged_range, require_radians, targets_like
+from dynasindy.findings import LogError
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -62,8 +63,10 @@ def test_targets_are_told_in_their_units_and_angles_in_degrees_too():
 
 
 def test_targets_in_degrees_of_an_angle_in_radians_are_refused_with_those_in_radians():
-    with pytest.raises(ValueError, match="like"):
+    with pytest.raises(LogError) as error:
         require_radians(swung(0.9), {"angle": (-60, 60)})
+    told = error.value.finding
+    assert told.code == "log.target_degrees" and told.values["radians"] == ["-1.047", "1.047"]
 
 
 @pytest.mark.parametrize(

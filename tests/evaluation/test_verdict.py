@@ -8,18 +8,19 @@ import pytest
 import torch
 
 from dynasindy.evaluation.forecast_errors import ForecastErrors
+from dynasindy.evaluation.identification_report import table
 from dynasindy.evaluation.verdict import (
-    beyond,
-    describe_data,
-    doubts,
     errors,
-    judge,
+    inputs_beyond_log,
+    linear_better,
     logged_input_ranges,
-    table,
-    uncontrolled_outputs,
-    unlogged,
+    model_findings,
+    recording_findings,
+    require_controlled,
+    targets_beyond_log,
     unresolved,
 )
+from dynasindy.findings import FindingError, note, weak, wrong
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
 from dynasindy.systems import Pendulum
@@ -39,60 +40,73 @@ def forecasts(q: float, w: float = 20.0, linear: float = 1.0) -> ForecastErrors:
 
 
 @pytest.mark.parametrize(
-    ("q", "said"),
+    ("q", "told"),
     [
-        (0.002, "this model predicts 2 s ahead, and q, w as exactly as the sensors can tell"),
-        (0.04, "this model predicts 2 s ahead, and w as exactly as the sensors can tell"),
-        (0.06, "this model does not predict: over 2 s it misses q by 0.06 rad; the last value held misses 0.1"),
-        (math.inf, "this model does not predict: within 2 s q runs away"),
+        (0.002, note("model.predicts", seconds=2.0, exact=["q", "w"])),
+        (0.04, note("model.predicts", seconds=2.0, exact=["w"])),
+        (
+            0.06,
+            wrong(
+                "model.misses",
+                seconds=2.0,
+                errors={"q": pytest.approx(0.06)},
+                held={"q": pytest.approx(0.1)},
+                units={"q": "rad"},
+            ),
+        ),
+        (math.inf, wrong("model.runs_away", seconds=2.0, states=["q"])),
     ],
 )
-def test_a_model_predicts_if_it_halves_the_error_of_the_last_value_held_or_meets_the_sensors(q, said):
-    assert judge(forecasts(q), SIGNATURE) == [said]
+def test_a_model_predicts_if_it_halves_the_error_of_the_last_value_held_or_meets_the_sensors(q, told):
+    assert model_findings(forecasts(q), SIGNATURE) == [told]
 
 
 def test_the_horizons_of_a_slow_plant_are_told_in_hours():
     shown = forecasts(0.002)
     hours = tuple(3600 * horizon for horizon in shown.horizons)
     slow = replace(shown, horizons=hours, characteristic=3600 * shown.characteristic)
-    assert judge(slow, SIGNATURE) == ["this model predicts 2 h ahead, and q, w as exactly as the sensors can tell"]
+    (told,) = model_findings(slow, SIGNATURE)
+    assert told.values["seconds"] == 7200 and "2 h ahead" in str(told)
     assert table(slow, SIGNATURE)[1].split() == ["12", "min", "2", "h", "5", "h"]
 
 
+def better(error, linear):
+    """Return what is known of q over 2 s."""
+    errors_ = {"error": pytest.approx(error), "linear": pytest.approx(linear)}
+    return {"state": "q", "unit": "rad", "seconds": 2.0, **errors_}
+
+
 def test_a_linear_model_that_is_better_is_said_to_be():
-    (said,) = judge(forecasts(0.04, linear=0.03), SIGNATURE)
-    assert "predicts 2 s ahead" in said and "but a linear model" in said
-    assert "misses" in said
-    assert len(judge(forecasts(0.04, linear=0.039), SIGNATURE)) == 1
-    lacking, why = judge(forecasts(0.04, linear=0.01), SIGNATURE)
-    assert "for 2 s," in lacking
-    assert "q 2 s ahead to 0.01 rad, this one to 0.04 rad" in why
+    promise = note("model.predicts", seconds=2.0, exact=["w"])
+    assert model_findings(forecasts(0.04, linear=0.03), SIGNATURE) == [
+        weak("model.linear_better", **better(0.04, 0.03), far=False),
+        promise,
+    ]
+    assert model_findings(forecasts(0.04, linear=0.039), SIGNATURE) == [promise]
+    assert model_findings(forecasts(0.04, linear=0.01), SIGNATURE) == [
+        wrong("model.linear_better", **better(0.04, 0.01), far=True),
+        weak("model.better", seconds=2.0),
+    ]
 
 
 @pytest.mark.parametrize("q", [0.06, math.inf])
 def test_what_a_linear_model_knows_better_is_said_of_the_worst_models_too(q):
-    short, why = judge(forecasts(q, linear=0.02), SIGNATURE)
-    assert short.startswith("this model does not predict: ")
-    assert "q 2 s ahead to 0.02 rad," in why
+    short, why = model_findings(forecasts(q, linear=0.02), SIGNATURE)
+    assert short.code in ("model.misses", "model.runs_away") and short.severity == "wrong"
+    assert why == wrong("model.linear_better", **better(q, 0.02), far=True)
 
 
-@pytest.mark.parametrize(
-    ("first", "said"),
-    [
-        (0.01, "up to 0.2 s ahead this model has at most half of"),
-        (0.09, "this model has more than half of the error of the last"),
-    ],
-)
-def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_so_too(first, said):
+@pytest.mark.parametrize(("first", "seconds"), [(0.01, 0.2), (0.09, 0.0)])
+def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_so_too(first, seconds):
     """Of a range of 1 rad errors of more than 10 rad are lost; the last value held misses 0.1 rad."""
     ours = torch.tensor([[first], [math.inf], [math.inf]])
     found = replace(forecasts(0.002), model=ours, held=torch.full((3, 1), 0.1), resolution=torch.tensor([0.001]))
     one = Signature(("q",), ("rad",), ("u",), (1.0,))
-    falling = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [11.0]])), one)
-    assert "within 2 s q runs away" in falling[0] and len(falling) == 2
-    assert "q run away, too" in falling[1] and said in falling[1]
-    staying = judge(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
-    assert not any("by itself" in line for line in staying)
+    lost = wrong("model.runs_away", seconds=2.0, states=["q"])
+    falling = model_findings(replace(found, linear=torch.tensor([[0.1], [1.0], [11.0]])), one)
+    assert falling == [lost, weak("model.falls", states=["q"], seconds=seconds)]
+    staying = model_findings(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
+    assert staying == [lost]
 
 
 def test_a_sensor_without_noise_is_said_to_be_one():
@@ -150,14 +164,18 @@ def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
         linear=torch.tensor([[1e-5], [0.02]]),
     )
     one = Signature(("q",), ("rad",), ("u",), (1.0,))
-    (said,) = doubts(found, one)
-    assert "predicts" in said
-    assert doubts(replace(found, model=near), one) == []
-    assert doubts(replace(found, linear=torch.tensor([[1.0], [0.03]])), one) == []
+
+    def doubts(errors_, signature=one):
+        return [each for each in linear_better(errors_, signature) if each.severity == "wrong"]
+
+    (told,) = doubts(found)
+    assert told.values["seconds"] == 0.2 and told.values["far"]
+    assert doubts(replace(found, model=near)) == []
+    assert doubts(replace(found, linear=torch.tensor([[1.0], [0.03]]))) == []
     wide = Signature(("q",), ("rad",), ("u",), (51.0,))
     assert doubts(found, wide) == []  # 0.05 of 51 rad is as good as nothing
     unseen = replace(found, model=torch.full((2, 1), torch.nan), linear=torch.full((2, 1), torch.nan))
-    assert doubts(unseen, one) == []
+    assert doubts(unseen) == []
 
 
 def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():
@@ -255,12 +273,14 @@ def test_flights_beyond_the_inputs_of_a_log_are_told_if_the_equations_bend_in_th
     logged = torch.tensor([[-0.1, 0.1], [0.1, 0.9]])
 
     def told(*flown):
-        return beyond(model, logged, torch.tensor([[-1.0, 0.5], *([1.0, u] for u in flown)]))
+        return inputs_beyond_log(model, logged, torch.tensor([[-1.0, 0.5], *([1.0, u] for u in flown)]))
 
     assert told(0.0601, 0.9399) == [] and told(0.06 - 1e-6, 0.94 + 1e-6) == []  # rounding is no flight
-    for flown, ends in (((0.05,), "0.05 to 0.5"), ((0.95,), "0.5 to 0.95"), ((0.04, 0.96), "0.04 to 0.96")):
+    for flown, ends in (((0.05,), (0.05, 0.5)), ((0.95,), (0.5, 0.95)), ((0.04, 0.96), (0.04, 0.96))):
         (said,) = told(*flown)
-        assert said.startswith(f"flights take u from {ends}, the log tells of 0.06 to 0.94, and the equations")
+        both = {"low": ends[0], "high": ends[1], "least": 0.06, "most": 0.94}
+        assert (said.code, said.severity) == ("forecast.beyond_inputs", "wrong")
+        assert said.values == {"input": "u", **{name: pytest.approx(end, abs=1e-6) for name, end in both.items()}}
 
 
 def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
@@ -272,19 +292,23 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     signature = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))
     fine = replace(data, x=torch.tensor(np.stack([0.002 * np.round(np.sin(1.3 * t) / 0.002), walk], -1)[:-1]))
     fine = replace(fine, x_next=torch.cat([fine.x[1:], fine.x[-1:]]))
-    assert "of 0.002 rad" in describe_data(fine, signature)[0]  # a thousandth of its way
-    assert describe_data(data, signature) == [
-        "q is read in steps of 0.02 rad; standard errors take it that the sensor rounds: one that cuts off reads half "
-        "a step too low, which no log tells and none of them holds",
-        f"u is at an end of its range, -1 to 1, in {share:.0f} % of the samples",
-        "a controller made v out of the measured states (closed loop)",
+    steps = {"state": "q", "unit": "rad"}
+    thousandth = note("log.resolution", **steps, step=pytest.approx(0.002), coarse=False)
+    assert recording_findings(fine, signature)[0] == thousandth  # of its way
+    ends = {"low": -1, "high": 1, "unit": "-"}
+    assert recording_findings(data, signature) == [
+        note("log.resolution", **steps, step=pytest.approx(0.02), coarse=True),
+        note("log.saturated", input="u", percent=pytest.approx(share, abs=0.2), **ends),
+        weak("log.closed_loop", inputs=["v"]),
     ]
     volts = {"input_ends": ((-24.0, 24.0), (-1.0, 1.0)), "input_units": ("V", "-")}
     own = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), **volts)
-    assert "range, -24 to 24 V," in describe_data(data, own)[1]
+    found = recording_findings(data, own)[1].values
+    assert (found["low"], found["high"], found["unit"]) == (-24, 24, "V")
     wide = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), input_limits=((-1.0, 0.9), (-1.0, 1.0)))
     low = 100 * np.mean(clipped[:-1] == -1)
-    assert f"in {low:.0f} %" in describe_data(data, wide)[1]  # the other end is none of the actuator's
+    found = recording_findings(data, wide)[1].values
+    assert found["percent"] == pytest.approx(low, abs=0.2)  # the other end is none of the actuator's
 
 
 def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():
@@ -304,12 +328,12 @@ def test_targets_far_beyond_the_log_are_a_guess_if_the_equations_read_them():
         coefficients = model.coefficients.clone()
         coefficients[model.library.index("sin(theta)"), 1] = coefficient
         model.set_coefficients(coefficients)
-        return unlogged(model, logged, {"theta": (low, high), "Omega": (-9.0, 9.0)})
+        return targets_beyond_log(model, logged, {"theta": (low, high), "Omega": (-9.0, 9.0)})
 
     assert told(-9.81, 0.1, 3.9) == told(0.0, -8.0, 8.0) == []
     for ends in ((-0.1, 2.0), (2.0, 4.1)):
-        (said,) = told(-9.81, *ends)
-        assert f"go from {ends[0]:g} to {ends[1]:g} rad, the log from 1 to 3" in said
+        both = {"low": ends[0], "high": ends[1], "least": 1, "most": 3}
+        assert told(-9.81, *ends) == [wrong("forecast.beyond_log", state="theta", unit="rad", **both)]
 
 
 def test_an_input_moves_an_output_through_other_states():
@@ -317,7 +341,9 @@ def test_an_input_moves_an_output_through_other_states():
     coefficients = model.coefficients.clone()
     coefficients[1:, 1] = 0.0
     model.set_coefficients(coefficients)
-    assert "moves" in uncontrolled_outputs(model, ["theta"])
+    with pytest.raises(FindingError) as error:
+        require_controlled(model, ["theta"])
+    assert error.value.finding == wrong("model.uncontrolled", outputs=["theta"])
     coefficients[model.library.index("u"), 1] = 2.0
     model.set_coefficients(coefficients)
-    assert uncontrolled_outputs(model, ["theta", "Omega"]) == ""
+    require_controlled(model, ["theta", "Omega"])

@@ -57,17 +57,19 @@ def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
     given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}", "longest_delay=0.02"]
     first = _run(tmp_path / "first", *given, "plant.known={}")
-    (*_, hint) = [line for line in first.stdout.splitlines() if line.startswith("hint: ")]
+    (hint,) = [line for line in first.stdout.splitlines() if line.startswith("warning: what theta will do")]
     assert first.stdout.count("plant.known") == 2  # the hint, and the command that does so
     python, script, *words = next_command(first)
     assert (python, script) == ("python", "scripts/identify.py") and "'plant.known={theta: theta_rate}'" in hint
     assert words == [*given, "plant.known={theta: theta_rate}"]
     second = _run(tmp_path / "second", *words)
-    assert "this model predicts" in second.stdout and "hint" not in second.stdout
     alone = _run(tmp_path / "alone", *given)  # the rate is added, and said to be
-    assert any(line.startswith("note: ") and "theta" in line for line in alone.stdout.splitlines())
-    for name in ("model.json", "metrics.json"):
-        assert (tmp_path / "alone" / name).read_text() == (tmp_path / "second" / name).read_text()
+    metrics = [json.loads((tmp_path / name / "metrics.json").read_text()) for name in ("first", "second", "alone")]
+    codes = [[each["code"] for each in found.pop("findings")] for found in metrics]
+    assert "fit.rates_missing" in codes[0] and "fit.rates_missing" not in codes[1] + codes[2]
+    assert codes[1][-1] == codes[2][-1] == "model.predicts" and "fit.rates_added" in codes[2]
+    assert metrics[1] == metrics[2]
+    assert (tmp_path / "alone" / "model.json").read_text() == (tmp_path / "second" / "model.json").read_text()
     assert next_command(alone)[2 : 2 + len(given)] == given
     python, script, *words = next_command(second)
     assert script == "scripts/train.py" and words[:5] == [*given, "plant.known={theta: theta_rate}"]

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def steps(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "scripts")
+    monkeypatch.setattr("dynasindy.sentences._words_of_commands", True)
     import next_steps
 
     return next_steps
@@ -106,7 +107,7 @@ def test_a_log_of_a_known_plant_is_offered_its_library(steps, monkeypatch):
 def test_a_log_that_lacks_rates_is_identified_again_with_them(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/identify.py"])
     words = ["data=csv", "data.path=a.csv", "plant.known={q: w}", "+plant.start={q: 1}", "folder=x"]
-    line = steps.with_rates(words, "plant.known={q: w, p: p_rate}")
+    line = steps.with_rates(words, {"q": "w", "p": "p_rate"})
     expected = ["data=csv", "data.path=a.csv", "+plant.start={q: 1}", "plant.known={q: w, p: p_rate}"]
     assert shlex.split(line) == ["python", "scripts/identify.py", *expected]
 
@@ -114,7 +115,7 @@ def test_a_log_that_lacks_rates_is_identified_again_with_them(steps, monkeypatch
 def test_ends_of_actuators_that_were_guessed_take_the_place_of_the_inputs_that_were_named(steps, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["scripts/identify.py"])
     words = ["data=csv", "data.path=a.csv", "data.inputs=[valve]", "longest_delay=0", "folder=x"]
-    line = steps.with_ends(words, "'data.inputs={valve: {name: valve, low: 0, high: 87}}'")
+    line = steps.with_ends(words, {"valve": {"name": "valve", "low": 0.0, "high": 87.0}})
     expected = [*words[:2], "longest_delay=0", "data.inputs={valve: {name: valve, low: 0, high: 87}}"]
     assert shlex.split(line, comments=True) == ["python", "scripts/identify.py", *expected]
 

@@ -1,12 +1,12 @@
 """A report's figures are those of the samples."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from dynasindy.findings import note
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.library import CONSTANT, Library, variable
@@ -74,18 +74,22 @@ def test_the_text_says_the_figures():
 
 def test_the_text_says_how_well_coefficients_are_known():
     found, _ = report(rows())
-    assert found.known == ""
+    assert found.accuracy == []
     places = torch.tensor([1, 0, 2]), torch.tensor([0, 1, 1])
     told = replace(found, told=Covariance(*places, torch.diag(torch.tensor([0.004, 0.03, 0.25])).double()))
-    assert re.findall(r"[\d.]+ %|u in b'", told.known) == ["3 %", "u in b'", "25 %"]
-    assert told.known in told.to_text().splitlines()
+    (known,) = told.accuracy
+    assert known.code == "fit.standard_errors" and known.values["rest"] is None and not known.values["of_step"]
+    assert (known.values["median"], known.values["worst"]) == (pytest.approx(3), pytest.approx(25))
+    assert known.values["least"] == "u in b'" and str(known) in told.to_text().splitlines()
 
 
 def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
     _, sums = report(rows())
     known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
     stepped = replace(FitReport.of(LIBRARY.with_step(0.01), XI, sums, 0.25, dt=0.01), told=known)
-    assert "25 %" in stepped.known and "u in the change of b" in stepped.known
+    (known,) = stepped.accuracy
+    assert known.values["worst"] == pytest.approx(25) and known.values["of_step"]
+    assert known.values["least"] == "u in the change of b"
     part = f"{100 * stepped.residual['a']:.3g} %"
     assert stepped.to_text().splitlines()[1].startswith(f"  a[k+1] - a[k]: 1 term; {part}")
 
@@ -110,19 +114,16 @@ def test_nothing_is_said_of_what_stays_unexplained_of_a_rate_that_nobody_measure
 
 
 def known_by(factor):
-    """Return what is said of coefficients a in a', 1 in b' and u in b', which are 2, 1 and -1."""
+    """Return what is known of coefficients a in a', 1 in b' and u in b', which are 2, 1 and -1."""
     covariance = Covariance(torch.tensor([1, 0, 2]), torch.tensor([0, 1, 1]), torch.tensor(factor, dtype=torch.float64))
-    return replace(report(rows())[0], told=covariance).known
+    return replace(report(rows())[0], told=covariance).accuracy[0].values
 
 
 def test_one_change_that_the_data_hardly_tell_is_named_with_the_signs_of_its_parts():
     """a in a' and 1 in b' grow by 19 times themselves while u in b' loses as much; each alone is known within 5 %."""
     told = known_by([[38.0, 0.1, 0.0, 0.0], [19.0, 0.0, 0.05, 0.0], [19.0, 0.0, 0.0, -0.05]])
-    change = told.split("hardly tell: ")[1].split(" in size")[0]
-    pair, one = "a in a', 1 in b'", "u in b'"
-    assert change in (f"{pair} larger, and {one} smaller", f"{one} larger, and {pair} smaller")
-    first, *_, last = (float(part) for part in re.findall(r"([\d.e+]+) %", told))
-    assert first == 1900 and last < 5
+    assert sorted([told["larger"], told["smaller"]]) == [["a in a'", "1 in b'"], ["u in b'"]]
+    assert told["median"] == pytest.approx(1900, rel=1e-3) and told["rest"] <= 5
 
 
 @pytest.mark.parametrize(
@@ -133,11 +134,12 @@ def test_one_change_that_the_data_hardly_tell_is_named_with_the_signs_of_its_par
     ],
 )
 def test_no_change_is_named_where_none_stands_out_or_all_is_known(factor):
-    assert "hardly tell" not in known_by(factor)
+    told = known_by(factor)
+    assert told["rest"] is None and not told["larger"] and not told["smaller"]
 
 
 def test_the_free_unit_of_a_hidden_state_is_said_once():
     found = report(rows())[0]
-    assert found.units == ""
-    told = replace(found, unscaled=("a", "b"))
-    assert "a and b" in told.units and told.to_text().count(told.units) == 1
+    assert "unit" not in found.to_text()
+    told = note("fit.unscaled", states=["a", "b"])
+    assert replace(found, unscaled=("a", "b")).to_text().count(str(told)) == 1

@@ -7,6 +7,7 @@ from functools import cache
 import pytest
 import torch
 
+from dynasindy.findings import note
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.lag_states import (
     TIMES,
@@ -99,11 +100,12 @@ def test_the_time_of_a_lag_is_found_and_one_that_is_not_there_is_not():
     assert best.signal == "u" and 1 / float(wide.initial[-1, -1]) == pytest.approx(near)
     assert wide.signature.state_names == ("q", "w", "u_lagging") and wide.signature.state_units[-1] == "1"
     assert wide.followed == {"u_lagging": "u"} and wide.followers == {}
-    assert best.summary() == ""  # nothing is fitted yet
+    assert best.finding() is None  # nothing is fitted yet
     wide.fit(widened(data))
     assert 1 / float(wide.coefficients[-1, 2]) == pytest.approx(0.15, rel=0.02)
     assert wide.library.names[-1] == "(u - u_lagging)" and wide.delay < 0.005
-    assert "0.1" in best.summary()
+    found = {"signal": "u", "seconds": pytest.approx(0.15, rel=0.02), "is_input": True, "state": "u_lagging"}
+    assert best.finding() == note("model.lag_state", **found)
     assert terms(wide, "w") == {
         "u_lagging": pytest.approx(8, rel=0.02),
         "w": pytest.approx(-0.5, rel=0.05),
@@ -134,7 +136,8 @@ def test_a_second_heat_store_is_found_from_the_temperature_of_the_first():
     found = {"1": 0.16, "T": -0.002, "u": 0.12, "(T - T_lagging)": -0.003}
     assert terms(best.model, "T") == {name: pytest.approx(value, rel=1e-4) for name, value in found.items()}
     assert terms(best.model, "T_lagging") == {"(T - T_lagging)": pytest.approx(1 / 360, rel=1e-4)}
-    assert "360 s" in best.summary() and "T_lagging" in best.summary()
+    found = {"signal": "T", "seconds": pytest.approx(360, rel=1e-4), "is_input": False, "state": "T_lagging"}
+    assert best.finding() == note("model.lag_state", **found)
 
 
 def commanded(data, samples):

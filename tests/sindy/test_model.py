@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from torch import Tensor
 
 from dynasindy.excitation import Aprbs, Chirp, Excitation, Multisine
+from dynasindy.findings import wrong
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import of_sums
 from dynasindy.sindy.fit_report import Refined
@@ -177,10 +178,10 @@ class Nothing(Refinement):
 def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
     data = _recording(Xi(), Multisine(2, 5.0, amplitude=(0.4, 0.3), offset=HOVER))
     plain, refined = (SindyModel(Xi().signature, refinement=r, known=KNOWN) for r in (None, Nothing()))
-    assert not plain.fit(data).notes
+    assert not plain.fit(data).findings
     report = refined.fit(data)
     assert torch.equal(refined.coefficients, plain.coefficients) and refined.coefficients.count_nonzero() > 2
-    assert len(report.notes) == 1
+    assert report.findings == (wrong("fit.dropped"),)
 
 
 @pytest.mark.parametrize("time", ["continuous", "discrete"])
@@ -193,7 +194,7 @@ def test_a_log_of_nothing_but_noise_is_no_error(method, time):
     library = Library(signature, [CONSTANT, variable("u")])
     model = SindyModel(signature, library, refinement=Refinement(method=method), time=time)
     report = model.fit(Transitions(x[:-1], u, x[1:], 0.1, torch.zeros(300, dtype=torch.long)))
-    assert any("dropped" in note for note in report.notes) and model.covariance is None
+    assert wrong("fit.dropped") in report.findings and model.covariance is None
 
 
 @pytest.mark.parametrize("stage", ["regression", "refinement"])

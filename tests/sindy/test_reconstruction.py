@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, variable
 from dynasindy.sindy.named_libraries import polynomial
@@ -268,7 +269,7 @@ def test_a_delay_is_not_made_up_where_a_rate_is_missing():
     model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=0.1))
     report = model.fit(recorded(swing, 2, [0]))
     assert model.delay == 0
-    assert any("rate of y" in note for note in report.notes)
+    assert weak("fit.no_delay", states=["y"]) in report.findings
 
 
 def test_a_delay_at_the_end_of_what_was_looked_for_is_said_to_be_one():
@@ -277,7 +278,7 @@ def test_a_delay_at_the_end_of_what_was_looked_for_is_said_to_be_one():
     model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=2 * PERIOD))
     report = model.fit(data)
     assert model.delay == pytest.approx(0.04) and report.delay_at_end
-    assert any("longest_delay=0.08" in note for note in report.notes)
+    assert weak("fit.longest_delay", seconds=pytest.approx(0.04)) in report.findings
     longer = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=5 * PERIOD))
     assert not longer.fit(data).delay_at_end
     assert longer.delay == pytest.approx(0.06)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Library, parse
@@ -111,7 +112,7 @@ def test_a_fit_says_that_a_number_inside_a_function_means_nothing():
     full = Transitions.from_trajectory(torch.tensor(v).double()[:, None], torch.from_numpy(u)[:, None], DT)
     for data, guess, silent in ((full, 1000, False), (recording(cart, [0.0]), 20, True)):
         model = SindyModel(CART, ["v", "u", f"tanh(~{guess} v)"], Regression("bic"), Refinement("integral", rounds=4))
-        told = any(f"tanh({guess} v)" in note for note in model.fit(data).notes)
+        told = weak("fit.shape", function=f"tanh({guess} v)", guess=guess) in model.fit(data).findings
         assert told != silent
 
 

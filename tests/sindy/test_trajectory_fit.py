@@ -9,6 +9,7 @@ from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, m
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy import trajectory_fit as trajectory
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
@@ -208,9 +209,9 @@ def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so
     y = torch.from_numpy(1 / np.sqrt(1 - 2 * dt * (np.arange(n + 1) % 8))).unsqueeze(-1)
     data = Transitions.from_trajectory(y, torch.zeros(n, 1, dtype=torch.float64), dt)
     library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
-    notes = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).notes
+    findings = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).findings
     assert refine_trajectory(library, xi, free, data, Descent(20)).windows.length == 8
-    assert len(notes) == 1 and "pieces of 8" in notes[0]
+    assert findings == (weak("fit.shorter_pieces", long=20, short=8),)
 
 
 def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew():

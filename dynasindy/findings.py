@@ -1,0 +1,95 @@
+"""Findings: what was decided or found out about a log, a model or a controller, as data that programs can read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Severity = Literal["note", "weak", "wrong"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fact that a user should know; `str()` says it in a sentence, see `dynasindy.sentences`.
+
+    Attributes:
+        code: What was found, as `log.gaps`; the first word says of what.
+        severity: `note` is good to know, `weak` limits what is promised, `wrong` ends it.
+        values: Numbers and names of it, by what they are; times are in s.
+    """
+
+    code: str
+    severity: Severity = "note"
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        from dynasindy.sentences import sentence  # sentences read no other module, and are needed to print alone
+
+        return sentence(self.code, self.values)
+
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON can hold it; null stands for a number that is not finite."""
+        return {"code": self.code, "severity": self.severity, "values": _plain(self.values)}
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Finding:
+        """Return the finding that `record` returned."""
+        return cls(record["code"], record["severity"], record["values"])
+
+
+class FindingError(ValueError):
+    """A fact that stops what was asked for.
+
+    Attributes:
+        finding: The fact, of severity `wrong`.
+    """
+
+    def __init__(self, code: str, **values: Any) -> None:
+        super().__init__(code, values)
+        self.finding = Finding(code, "wrong", values)
+
+    def __str__(self) -> str:
+        return str(self.finding)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (type(self), self.finding.code, dict(self.finding.values))
+
+
+class LogError(FindingError):
+    """A log that cannot be read as it was asked for."""
+
+
+def note(code: str, **values: Any) -> Finding:
+    """Return a finding that is good to know."""
+    return Finding(code, "note", values)
+
+
+def weak(code: str, **values: Any) -> Finding:
+    """Return a finding that limits what is promised."""
+    return Finding(code, "weak", values)
+
+
+def wrong(code: str, **values: Any) -> Finding:
+    """Return a finding that ends a promise."""
+    return Finding(code, "wrong", values)
+
+
+def records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Return findings as JSON can hold them."""
+    return [finding.record() for finding in findings]
+
+
+def _rebuilt(kind: type[FindingError], code: str, values: dict[str, Any]) -> FindingError:
+    return kind(code, **values)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int | bool) else str(value)

@@ -1,0 +1,1175 @@
+"""Findings in words: the one place in which they are written.
+
+Settings are named as the reader knows them: as arguments of functions, or on the command line by their keys.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import string
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dynasindy.text import did_you_mean, format_duration
+
+if TYPE_CHECKING:
+    from dynasindy.findings import Finding
+
+_words_of_commands = False
+CALLS = {"data.states": "read", "data.inputs": "read", "plant.known": "identify"}
+"""Functions that take a mapping that is one word on the command line."""
+SETTING = re.compile(r"<([a-z_]+(?:\.[a-z_]+)+)((?:=[^>]*)?)>")
+PLAIN = re.compile(r"[^\W\d][\w ./^²°%-]*|[-+]?[\d.]+(?:e[-+]?\d+)?|NUMBER")
+"""A word that YAML takes without quotation marks."""
+HEADS = {"note": "note", "weak": "warning", "wrong": "wrong"}
+
+
+def use_command_words() -> None:
+    """Name settings by their keys from now on in this process, as the commands do."""
+    global _words_of_commands
+    _words_of_commands = True
+
+
+def setting(key: str, value: Any = None) -> str:
+    """Return a setting, and its value if there is one, as the reader gives it.
+
+    Args:
+        key: Its key, as `data.dt`.
+        value: What to give it; a mapping or a list is written out.
+    """
+    name = key.rpartition(".")[2]
+    if value is None:
+        return key if _words_of_commands else name
+    if _words_of_commands:
+        return f"'{key}={_flow(value)}'" if isinstance(value, Mapping) else f"{key}={_flow(value)}"
+    return f"{CALLS[key]}({name}={value!r})" if key in CALLS else f"{name}={value!r}"
+
+
+def sentence(code: str, values: Mapping[str, Any]) -> str:
+    """Return a finding in words.
+
+    Args:
+        code: What was found.
+        values: Numbers and names of it.
+    """
+    template = SENTENCES[code]
+    rest = {name: value for name, value in values.items() if name != "file"}
+    text = template(**rest) if callable(template) else _FORMATTER.vformat(template, (), rest)
+    text = SETTING.sub(_named, text)
+    return f"{values['file']}: {text}" if "file" in values else text
+
+
+def _named(found: re.Match[str]) -> str:
+    return setting(found[1]) + found[2]
+
+
+def line(finding: Finding) -> str:
+    """Return a finding as a line of a report."""
+    return f"{HEADS[finding.severity]}: {finding}"
+
+
+def lines(findings: Iterable[Finding]) -> list[str]:
+    """Return a line for each finding, the gravest first."""
+    return [line(each) for each in sorted(findings, key=lambda each: [*HEADS][::-1].index(each.severity))]
+
+
+class _Formatter(string.Formatter):
+    """Format lists, durations, units, plurals and settings, beside what Python formats."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec == "list":
+            return ", ".join(map(str, value))
+        if format_spec == "and":
+            return " and ".join(map(str, value))
+        if format_spec == "time":
+            return format_duration(value)
+        if format_spec == "unit":
+            return "" if value in ("", "-") else f" {value}"
+        if format_spec == "s":
+            return "" if value == 1 else "s"
+        return (
+            setting(format_spec, value)
+            if "." in format_spec[1:-1] and format_spec[0].isalpha()
+            else format(value, format_spec)
+        )
+
+
+_FORMATTER = _Formatter()
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML writes it in one line."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{name}: {_flow(each)}' for name, each in value.items())}}}"
+    if isinstance(value, list | tuple):
+        return f"[{','.join(map(_flow, value))}]"
+    text = value if isinstance(value, str) else f"{value:.7g}" if isinstance(value, float) else str(value)
+    return text if PLAIN.fullmatch(text) else f'"{text}"'
+
+
+def error_of(value: float) -> str:
+    """Return an error in two digits, `-` of what is no number."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:.2g}" if abs(value) < 100 else (f"{value:.0f}" if math.isfinite(value) else "runs away")
+
+
+# --- the log ---------------------------------------------------------------------------------------------------------
+
+
+def _time(column: str, unit: str, dates: bool, dt: float) -> str:
+    how = "read as dates" if dates else f"in {unit}" if unit else "taken as seconds"
+    return f"time is the column {column}, {how}{f': {dt:.4g} s between rows' if dt else ''}"
+
+
+def _named_unit(column: str, unit: str) -> str:
+    """Return the setting that says the unit of the time."""
+    text = f"{column} [{unit}]"
+    return f"'data.time=\"{text}\"'" if _words_of_commands else f"time={text!r}"
+
+
+def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool, **refused: bool) -> str:
+    what = "values" if skipped else "states"
+    where = ", ".join(f"{name}: {count}" for name, count in counts.items())
+    text = f"{rows} of {total} rows have {what} that are missing or not finite ({where}), the first in line {line}; "
+    if refused:
+        return f"{text}mend them or set missing=skip"
+    return text + (
+        "they were skipped" if skipped else "the fit goes on without them, and with what else these rows hold"
+    )
+
+
+def _unwrapped(state: str, turn: float, times: int, counts: bool) -> str:
+    size = "2 pi" if math.isclose(turn, 2 * math.pi) else f"{turn:g}"
+    scaled = {state: {"name": state, "unit": "rad", "scale": float(f"{2 * math.pi / turn:.6g}")}}
+    more = f"; if these are a turn, {setting('data.states', scaled)} gives rad" if counts else ""
+    return (
+        f"{state} jumps by {size} {times} times and was unwrapped, as a controller has to do{more}; a unit that is "
+        f"none "
+        "of an angle keeps it as it is"
+    )
+
+
+def _words_in_column(line: int, column: str, text: str, count: int) -> str:
+    first = f"line {line}, column {column!r} holds {text!r}, which is no number"
+    if count == 1:
+        return f"{first}; it counts as missing"
+    more = "1 more cell of the column holds none" if count == 2 else f"{count - 1} more cells of the column hold none"
+    return f"{first}, and {more}; they count as missing"
+
+
+def _pairs(found: Mapping[str, Any], form: str) -> str:
+    return ", ".join(f"{name} ({form.format(value)})" for name, value in found.items())
+
+
+def _taken(left_out: Sequence[Finding]) -> str:
+    return "".join(f" {str(each)[:1].upper()}{str(each)[1:]}." for each in left_out)
+
+
+def _no_roles(
+    path: str,
+    columns: Sequence[str],
+    numbers: Sequence[str],
+    lacks: str,
+    clock: str,
+    left_out: Sequence[Finding],
+    guess: Mapping[str, Any] | None,
+) -> str:
+    """Say what a file lacks, and which columns may be what."""
+    lacking = {
+        "time": f"none of them is called {clock}",
+        "inputs": "none that moves is called u, u_... or input_..., as inputs are",
+        "states": "besides time and inputs none is left, which would be a state",
+    }
+    return (
+        f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; "
+        f"{lacking[lacks]}. "
+        "Allowed are a column of time, one state or more, and one input or more: say which is which, by <data.time>, "
+        f"<data.inputs> and <data.states>.{_taken(left_out)}{_guess(**guess) if guess else ''}"
+    )
+
+
+def _guess(
+    time: str | None, inputs: Sequence[str], states: Sequence[str], clock_known: bool, counter: str, held: bool
+) -> str:
+    """Say what columns may be: sentences, then settings to copy."""
+    hints = []
+    if not time:
+        hints.append("No column grows from row to row, as time does: write the time of each row into the file")
+    if counter:
+        hints.append(
+            f"{counter} holds whole numbers, as a counter does: if it counts rows, give <data.dt>, too, in seconds"
+        )
+    if not held:
+        hints.append(
+            "No column is held for some samples, as commands are: if the log has no command, log it, too, for without "
+            "one nothing can be identified"
+        )
+    text = "".join(f" {hint}." for hint in hints) + " This is a first guess, to be corrected: "
+    given: dict[str, Any] = {} if clock_known and time == "time" else {"time": time or "HEADING"}
+    given |= {"inputs": [*inputs], "states": [*states]}
+    seconds = counter and not clock_known
+    if _words_of_commands:
+        words = [f"'data.{key}={_flow_of_names(value)}'" for key, value in given.items()]
+        return text + " ".join([*words, *(["data.dt=SECONDS"] if seconds else [])])
+    words = [f"{key}={value!r}" for key, value in given.items()]
+    return f"{text}read({', '.join(['path', *words, *(['dt=SECONDS'] if seconds else [])])})"
+
+
+def _flow_of_names(value: Any) -> str:
+    """Return names as the command line takes them: in quotation marks, unless they are one plain word."""
+    if isinstance(value, list):
+        return f"[{','.join(map(_flow_of_names, value))}]"
+    return value if re.fullmatch(r"[A-Za-z_]\w*", value) else f'"{value}"'
+
+
+def _nothing_moves(
+    path: str,
+    columns: Sequence[str],
+    numbers: Sequence[str],
+    clock: str,
+    moving: str,
+    driven: bool,
+    left_out: Sequence[Finding],
+) -> str:
+    lack = "what the plant does" if driven else "the command that moves the plant"
+    return (
+        f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; besides "
+        f"{clock}, "
+        f"the time, {f'only {moving}' if moving else 'nothing'} changes. Allowed are one state or more and one input "
+        f"or "
+        f"more: log {lack}, too, for without one nothing can be identified.{_taken(left_out)}"
+    )
+
+
+def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], state: str = "") -> str:
+    what = f"samples of {state}" if state else "transitions"
+    more = "; ".join(map(str, left_out)) or "nothing"
+    return f"{path} gives {count} {what}; allowed are {least} or more: log longer. What was decided of it: {more}"
+
+
+def _mismatch(state: str, rate: str, factor: float, cause: str, guessed: bool) -> str:
+    text = (
+        f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}; {cause}? Correct the "
+        f"column, "
+        "or give it a scale in <data.states>"
+    )
+    if not guessed:
+        return text
+    return (
+        f"{text}. That {rate} is the rate of {state} is a guess: a gear between them or another axis may be the cause, "
+        f"too; if so, give {rate} a unit of its own, such as 'motor rad/s', and this is not said"
+    )
+
+
+def _louder(inputs: Sequence[Mapping[str, Any]]) -> str:
+    """Say how far inputs went, and how far they are to go."""
+    words = []
+    for each in inputs:
+        unit = "" if each["unit"] == "-" else f" {each['unit']}"
+        went = f"{each['input']}, which goes from {each['low']:.2g} to {each['high']:.2g}{unit},"
+        if each["times"] is None:
+            words.append(f"{each['input']}, which does not move")
+        elif each["limited"]:
+            words.append(f"{went} as far as its actuator reaches, about {each['times']:.2g} times as far")
+        else:
+            words.append(f"{went} about {each['times']:.2g} times as far")
+    return f"log it anew and move {', or '.join(words)}"
+
+
+def _quiet(steps: Mapping[str, int], wanted: int, inputs: Sequence[Mapping[str, Any]]) -> str:
+    which = " and ".join(f"{name}, which moves by {count} steps of its sensor" for name, count in steps.items())
+    return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: {_louder(inputs)}"
+
+
+def _beyond_quiet(state: str, low: float, high: float, unit: str, reach: float, quiet: Finding) -> str:
+    return f"the targets of {state} go from {low:g} to {high:g} {unit}, the log to {reach:.2g} only; {quiet}"
+
+
+# --- the model -------------------------------------------------------------------------------------------------------
+
+
+def _bend(input: str, kind: str, low: float, high: float, unit: str) -> str:
+    ends = [f"{end:.3g}{'' if unit == '-' else f' {unit}'}" for end in (low, high)]
+    if kind == "dead zone":
+        return f"{input} does nothing from {ends[0]} to {ends[1]}"
+    sides = [f"{side} {end}" for side, end in zip(("below", "above"), ends, strict=True) if "inf" not in end]
+    return f"{input} has no more effect {' and '.join(sides)}"
+
+
+def _missing_bend(known: Mapping[str, str], kind: str, **bend: Any) -> str:
+    more = f" {setting('plant.known', known)}" if known else ""
+    return (
+        f"what the equations leave over looks like a {kind}, as if {_bend(kind=kind, **bend)}, about: "
+        f"{setting('plant.library', 'dead_zone')}{more} fits such bends of the inputs beside linear functions"
+    )
+
+
+def _idle(states: Sequence[str], initial: Mapping[str, Any]) -> str:
+    stands, needs = ("stands", "it needs") if len(states) == 1 else ("stand", "they need")
+    example = f"'plant.initial={_flow(initial)}'" if _words_of_commands else f"initial={initial!r}"
+    return (
+        f"{' and '.join(states)} {stands} in no equation: no sensor sees what it does in any form, so {needs} a first "
+        f"guess of the equations, as in {example}, with numbers of your plant"
+    )
+
+
+def _rates_added(known: Mapping[str, str]) -> str:
+    its, are = ("its rate", "It is") if len(known) == 1 else ("their rates", "They are")
+    without = "'plant.known={}'" if _words_of_commands else "known={}"
+    return (
+        f"what {' and '.join(known)} will do depends on {its}, which the log lacks. {are} estimated with the model, as "
+        f"if {setting('plant.known', dict(known))} had been given; {without} leaves that out"
+    )
+
+
+def _rates_missing(states: Sequence[str], known: Mapping[str, str]) -> str:
+    its = "its rate, which is" if len(states) == 1 else "their rates, which are"
+    return (
+        f"what {' and '.join(states)} will do depends on {its} no state yet. Give {setting('plant.known', known)}: a "
+        "column of that name is read as the rate; without one, the rate is estimated"
+    )
+
+
+def _many_functions(count: int, rows: int, plants: Sequence[str]) -> str:
+    text = f"the fit chooses from {count} candidate functions by {rows} rows"
+    if plants:
+        which = (
+            f"system={plants[0]} takes" if len(plants) == 1 else f"system=NAME, NAME one of {', '.join(plants)}, takes"
+        )
+        return (
+            f"{text}; the columns are named as the states of a plant in this package. If your log is of such a plant, "
+            f"{which} a shorter list made for it"
+        )
+    example = (
+        '\'plant.library=["1",angle,rate,u,"sin(angle)"]\'' if _words_of_commands else "library=['1', 'angle', 'u']"
+    )
+    return (
+        f"{text}, which takes long and lets functions in that do not belong; if you know what moves your plant, name "
+        f"it, "
+        f"as in {example}"
+    )
+
+
+def _predicts(seconds: float, exact: Sequence[str]) -> str:
+    near = f", and {', '.join(exact)} as exactly as the sensors can tell" if exact else ""
+    return f"this model predicts {format_duration(seconds)} ahead{near}"
+
+
+def _runs_away(seconds: float, states: Sequence[str]) -> str:
+    return (
+        f"this model does not predict: within {format_duration(seconds)} {', '.join(states)} "
+        f"run{'s' * (len(states) == 1)} away"
+    )
+
+
+def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str], held: Mapping[str, float]) -> str:
+    said = ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
+    than = ", ".join(map(error_of, held.values()))
+    return f"this model does not predict: over {format_duration(seconds)} it misses {said}; the last value held "
+    f"misses {than}"
+
+
+def _falls(states: Sequence[str], seconds: float) -> str:
+    half = "half of the error of the last value held"
+    least = f"up to {format_duration(seconds)} ahead this model has at most {half}"
+    if not seconds:
+        least = f"this model has more than {half} over any time"
+    return (
+        f"a linear model on past samples lets {' and '.join(states)} run away, too: the plant seems to run away by "
+        f"itself, as a pole that falls, and no model predicts that for long without the controller; {least}"
+    )
+
+
+def _linear_better(state: str, seconds: float, error: float, linear: float, unit: str, far: bool) -> str:
+    ours = "this one runs away" if not math.isfinite(error) else f"this one to {error_of(error)} {unit}"
+    why = "a function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
+    return (
+        f"a linear model on past samples predicts {state} {format_duration(seconds)} ahead to {error_of(linear)} "
+        f"{unit}, "
+        f"{ours}: {why if far else 'it is the better one over that time, and something may be missing here'}"
+    )
+
+
+def _standard_errors(
+    median: float,
+    least: str,
+    worst: float,
+    of_step: bool,
+    larger: Sequence[str],
+    smaller: Sequence[str],
+    rest: float | None,
+) -> str:
+    text = (
+        f"coefficients{' of the change over a step' * of_step} are known within {median:.2g} % of themselves in the "
+        f"median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)"
+    )
+    if rest is None:
+        return text
+    words = ", and ".join(
+        f"{', '.join(places)} {how}" for places, how in ((larger, "larger"), (smaller, "smaller")) if places
+    )
+    return (
+        f"{text}; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. Were "
+        f"it "
+        f"known, the others would be within {rest:.2g} % in the median"
+    )
+
+
+def _unscaled(states: Sequence[str]) -> str:
+    its = "its" if len(states) == 1 else "their"
+    return (
+        f"no sensor sees {' and '.join(states)}, and nothing else tells {its} unit: in any other unit, with "
+        f"coefficients "
+        "to match, the model predicts the same. The fit keeps about the unit of the first guess, and coefficients and "
+        "standard errors are in that unit"
+    )
+
+
+def _in_pieces(samples: int, why: str, state: str = "", ratio: float = math.nan) -> str:
+    causes = {
+        "runs_away": "one simulation through all samples runs away",
+        "empty": "a fit of one simulation through all samples leaves no function",
+        "strays": f"in one simulation through all samples the error of {state} is {ratio:.2f} times as large: "
+        f"something "
+        "pushes the plant, or functions are missing",
+    }
+    return (
+        f"the fit simulates the log in pieces that begin anew every {samples} samples: {causes[why]} (error=prediction)"
+    )
+
+
+def _one_simulation(samples: int, state: str, ratio: float, limit: float, gaps: bool) -> str:
+    over = "of each of its stretches between gaps, " if gaps else ""
+    if ratio <= limit:
+        return (
+            f"the model follows the log in one simulation {over}from its first sample to its last: the error of "
+            f"{state} "
+            f"is {ratio:.2f} times that of simulations that begin anew every {samples} samples, which noise of the "
+            "sensors explains (error=simulation)"
+        )
+    return (
+        f"in one simulation through all samples the error of {state} is {ratio:.2f} times that of pieces that begin "
+        f"anew "
+        f"every {samples} samples: something pushes the plant, or functions are missing"
+    )
+
+
+def _longest_delay(seconds: float) -> str:
+    longer = setting("refinement.longest_delay", float(f"{2 * seconds:g}"))
+    return (
+        f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give {longer}, "
+        f"or "
+        "0 where it stands for what the equations lack. Coefficients may be further off than their standard errors "
+        "say, "
+        "which take the delay as right"
+    )
+
+
+PROMISES = ("model.predicts", "model.better")
+"""What is promised of a model or a controller, unless something is wrong."""
+
+
+def verdict_lines(findings: Sequence[Finding]) -> list[str]:
+    """Return a verdict: what is wrong or limits a promise comes first, the gravest before others, then the promise.
+
+    Args:
+        findings: What the verdict is made of.
+    """
+    graver = sorted(findings, key=lambda each: (each.code in PROMISES, [*HEADS][::-1].index(each.severity)))
+    return [f"verdict: {each}" if not k else line(each) for k, each in enumerate(graver)]
+
+
+def _restarts(times: int, beyond: Sequence[Mapping[str, Any]]) -> str:
+    why = [
+        f"{each['state']} beyond {each['low']:g} to {each['high']:g} {each['unit']} {_times(each['times'])}"
+        for each in beyond
+    ]
+    reasons = ", ".join(why) or "an episode was over"
+    return f"the excitation ended early and began anew at the start {_times(times)}: {reasons}"
+
+
+def _times(n: int) -> str:
+    return "once" if n == 1 else f"{n} times"
+
+
+def _stops(count: int, total: int, much: bool) -> str:
+    touched = f"the excitation reached a mechanical stop in {count} of {total} control periods"
+    if not much:
+        return f"{touched}; the model is fitted to the other {total - count}"
+    return (
+        f"{touched}, so the model is fitted to the other {total - count} only; a smaller <excitation.amplitude>, or "
+        "another <excitation.offset>, would leave more data"
+    )
+
+
+def _coarse_steps(apart: float | None, needed: int | None) -> str:
+    mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
+    if needed is not None:
+        mend = f"so give {setting('env.substeps', needed)}, or a shorter <env.dt>"
+    elsewhere = "at no number" if apart is None else f"{apart:.2g} ranges of a state elsewhere"
+    return (
+        "the simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
+        f"{elsewhere}, {mend}"
+    )
+
+
+def _left(during: str, state: str, seconds: float, low: float, high: float, unit: str, bounded: bool) -> str:
+    where = "in the excitation" if during == "excitation" else "in the validation, under random inputs,"
+    went = f"left its bounds of {low:g} to {high:g} {unit}" if bounded else f"ran away, beyond {high:g} {unit},"
+    return f"{where} {state} {went} after {seconds:.3g} s; what came later was left out"
+
+
+def _returns(trained: float, untrained: float, scenario: str) -> str:
+    return f"its return in scenario '{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}"
+
+
+def _better(trained: float, untrained: float, scenario: str, percent: float, hardly: bool) -> str:
+    word = f"hardly better, by {percent:.2g} %," if hardly else "better"
+    return f"the trained policy is {word} than the untrained one: {_returns(trained, untrained, scenario)}"
+
+
+def _no_better(trained: float | None, untrained: float | None, scenario: str, episodes: bool) -> str:
+    if trained is None or untrained is None:
+        return (
+            f"there is no usable result: the return in scenario '{scenario}' is not finite (trained {trained}, "
+            f"untrained "
+            f"{untrained}); check the plant and the task's reward"
+        )
+    how = "worse than" if trained < untrained else "no better than"
+    look = ", or look in gate.csv whether the model was trusted" if episodes else ""
+    return (
+        f"there is no usable result: the trained policy is {how} the untrained one: "
+        f"{_returns(trained, untrained, scenario)}; train for more episodes{look}"
+    )
+
+
+def _controlled(
+    controlled: bool | None,
+    outputs: Mapping[str, Mapping[str, Any]],
+    within: float,
+    away: Mapping[str, Any],
+    idle: Mapping[str, Any],
+    grew: bool,
+) -> str:
+    """Say whether a plant is held, and how near."""
+    word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
+    texts = [
+        f"{name} {percent(each['share'])} {'of a turn' if each['of_turn'] else 'of the target range'} on average, "
+        f"{percent(each['worst'])} at worst"
+        for name, each in outputs.items()
+    ]
+    parts = [f"errors at the end: {'; '.join(texts)} ({percent(within)} is asked for)"]
+    if not outputs:
+        parts = [
+            "the task names no targets, so nothing is said of control; all that was compared is the mean return of the "
+            f"trained policy with that of the untrained one, and it {'grew' if grew else 'did not grow'}"
+        ]
+    for name, each in away.items():
+        fate = "does not come to rest" if each["swings"] else "runs away or does not come to rest"
+        parts.append(f"{name}, which is not tracked, {fate} in {percent(each['share'])} of the runs")
+    parts += [
+        f"{name} runs on in {percent(share)} of the runs, which nothing depends on" for name, share in idle.items()
+    ]
+    return f"{word}: {'; '.join(parts)}"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in percent, or as a factor from 10 on."""
+    if share is None or not math.isfinite(share):
+        return "no number"
+    return f"{float(f'{100 * share:.2g}'):g} %" if share < 10 else f"{float(f'{share:.2g}'):g} times"
+
+
+def _distrusted(closed: int, episodes: int, episode: int, error: float | None, cause: str, limit: float | None) -> str:
+    what = (
+        {
+            "reward_closes": f"the model's reward error on real periods that it was not fitted to was {error:.2g} per "
+            f"control "
+            f"period, above {setting('gate.close_above', limit)}",
+            "reward_opens": f"the model's reward error on real periods that it was not fitted to was {error:.2g} per "
+            f"control "
+            f"period, above {setting('gate.open_below', limit)}, at which a closed gate opens",
+            "state": f"its state error was {error:.2g} ranges, above {setting('gate.state_error', limit)}",
+        }
+        if error is not None and limit is not None
+        else {}
+    )
+    why = what.get(cause, "its errors on real periods were no numbers")
+    return (
+        f"the model was not trusted after {closed} of {episodes} episodes, so nothing was planned on it there: after "
+        f"episode {episode} {why}; gate.csv tells of each"
+    )
+
+
+# --- what a controller will do ---------------------------------------------------------------------------------------
+
+
+def _forecast_errors(
+    outputs: Mapping[str, Mapping[str, Any]], seconds: float | None, within: float, lost: float
+) -> str:
+    """Say how large errors are at the end, of each output."""
+    end = "the end" if seconds is None else f"the end of simulations of {format_duration(seconds)}"
+    texts, missed = [], False
+    for name, each in outputs.items():
+        missed |= not (each["most"] <= within and each["worst"] <= lost)
+        both = dict.fromkeys(
+            f"{value:.2g}" for value in (each["least"], each["most"])
+        )  # one of them where they are alike
+        over = "" if each["overshoot"] is None else f", after it overshot by {each['overshoot']:.2g} % of the step"
+        hidden = each["resolved"]
+        hidden = "" if hidden is None else f" (its sensor resolves {hidden:.2g} %, and cannot show what is less)"
+        reference = "of a turn" if each["of_turn"] else "of the target range"
+        average = f"{name} {' to '.join(both)} % {reference} on average{hidden}"
+        texts.append(f"{average}, {each['worst']:.2g} % at worst{over}")
+    asked = f" ({within:g} % is asked for, and {lost:g} % at worst)" if missed else ""
+    return f"errors at {end}{asked}: {'; '.join(texts)}"
+
+
+def _other_period(cause: str, value: float, periods: float, wanted: float, log: bool) -> str:
+    causes = {
+        "oscillation": f"the model swings every {value:.3g} s, which is {periods:.2g} control periods only",
+        "doubling": f"a deviation of the unstable model doubles in {value:.3g} s, which is {periods:.2g} control "
+        f"periods only",
+        "settles": f"the model takes {format_duration(value, digits=2)} to settle fully, and a plan looks "
+        f"{format_duration(periods, digits=2)} ahead",
+    }
+    if log:
+        return f"{causes[cause]}: log with a sampling time of {wanted:.2g} s at most"
+    return f"{causes[cause]}: try a control period of {wanted:g} s, {setting('env.dt', wanted)}"
+
+
+def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
+    causes = {
+        "step": "the step of the model",
+        "oscillation": f"a fifth of the model's fastest oscillation of {value:.3g} s",
+        "doubling": f"a quarter of the {value:.3g} s in which a deviation of the unstable model doubles",
+        "sample_oscillation": f"one sample of the log, as the model's fastest oscillation takes {value:.3g} s",
+        "sample_doubling": f"one sample of the log, as a deviation of the unstable model doubles in {value:.3g} s",
+        "settles": f"as the model settles in {format_duration(value, digits=2)}, and a plan looks {ahead} periods "
+        f"ahead",
+        "samples": "ten samples of the log",
+    }
+    return f"the control period is {seconds:g} s, {causes[cause]}; <env.dt> chooses another one"
+
+
+# --- the check of a controller ---------------------------------------------------------------------------------------
+
+
+def _beside(value: float, limit: float, digits: int = 3) -> str:
+    """Return a figure with as many digits as tell on which side of its threshold it is."""
+    for more in range(12):
+        text = f"{value:.{digits + more}g}"
+        if (float(text) < limit, float(text) > limit) == (value < limit, value > limit):
+            break
+    return text
+
+
+def _places(values: Sequence[float]) -> str:
+    return f"({', '.join(f'{value:g}' for value in values)})"
+
+
+def _error(error: float | None, limit: float, unit: str, output: str, resolution: float | None, **_: Any) -> str:
+    """Say how large an error is, and that no measurement can show it where a sensor does not resolve it."""
+    text = "no bound" if error is None or math.isinf(error) else f"{_beside(error, limit)} {unit}"
+    hidden = "" if resolution is None else f" (the sensor cannot show it, which resolves {resolution:.3g} {unit})"
+    return f"{text} of {output}{hidden}"
+
+
+def _error_limit(limit: float, unit: str, size: float, output: str, **_: Any) -> str:
+    return f"{limit:.3g} {unit}, {100 * limit / size:g} % of {size:.3g} {unit}, the typical size of {output}"
+
+
+def _stability(targets: int, unstable: int, outputs: Sequence[str], target: Sequence[float], **more: Any) -> str:
+    grid = f"{targets} target{'s' * (targets > 1)} of {' and '.join(outputs)}"
+    if not unstable:
+        radius, slowest, dt = (more[key] for key in ("radius", "slowest", "dt"))
+        return (
+            f"stable at {'all ' * (targets > 1)}{grid}; largest spectral radius {_beside(radius, 1.0, 4)} at "
+            f"{_places(target)}: there the slowest part of plant and controller together dies out with a time "
+            f"constant of "
+            f"{format_duration(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt = "
+            f"{format_duration(dt, digits=2)}; threshold: < 1"
+        )
+    rest = f"; at {more['restless']} of these targets there is no rest" if more["restless"] else ""
+    swing, limit = more["swing"], more["swing_limit"]
+    share = math.inf if swing["share"] is None else swing["share"]
+    moves = (
+        f"the loop goes on swinging, by {_swing(swing)}, {_beside(100 * share, 100 * limit, 2)} % of its typical size"
+    )
+    moves += f", and {more['input']} by {more['input_swing']:.2g}"
+    if math.isinf(share):
+        moves = f"{swing['output']} runs away, or its swings still grow"
+    return (
+        f"NOT stable at {unstable} of {grid}, {'such as ' * (unstable > 1)}{_places(target)}{rest}; simulated there "
+        f"for "
+        f"{format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
+        f"{moves}; "
+        f"thresholds: spectral radius < 1 at all, swings of {100 * limit:g} %"
+    )
+
+
+def _swing(swing: Mapping[str, Any]) -> str:
+    return f"{_error(**swing)} to either side"
+
+
+def _margin(form: str) -> Callable[..., str]:
+    """Return what says a margin, its figure being in `form`."""
+
+    def text(value: float | None, limit: float, input: str, target: Sequence[float], small: bool, dt: float) -> str:
+        slow = ", in movements so small that dry friction damps them" * small
+        if value is None or math.isinf(value):
+            return f"without limit of {input} at {_places(target)}{slow}; threshold: {form.format(f'{limit:g}')}"
+        lag = f", {1000 * value * dt:.0f} ms," * form.endswith("periods")
+        figure = form.format(_beside(value, limit))
+        return (
+            f"the least is {figure}{lag} of {input} at {_places(target)}{slow}; threshold: {form.format(f'{limit:g}')}"
+        )
+
+    return text
+
+
+def _large_movements(gain: float | None, delay: float = 0.0, **more: Any) -> str:
+    if gain is None:
+        return "simulated from target to target, the plant does not come to rest"
+    limits = {kind: more[f"{kind}_limit"] for kind in ("gain", "delay")}
+    stronger, later = (
+        "at least " * more["tried"][kind] + _beside(value, limits[kind])
+        for kind, value in (("gain", gain), ("delay", delay))
+    )
+    counts = more["counts"]
+    both = " and the ".join(f"{name} margin" for name in counts)
+    which = "The margins above are less than these, and count"
+    if counts:
+        which = f"This is less than the {both} above, so this line counts for {'both' if counts[1:] else 'that'}"
+    return (
+        f"simulated from target to target, the inputs may act {stronger} times as strongly, or {later} control "
+        f"periods, "
+        f"{1000 * delay * more['dt']:.0f} ms, later. {which}; thresholds: {limits['gain']:g} and {limits['delay']:g}"
+    )
+
+
+def _noise(value: float = 0.0, limit: float = 0.0, input: str = "", known: bool = True) -> str:
+    if not known:
+        return (
+            "not known, as the controller's file states no noise of sensors; check.json has what a unit of it would "
+            "do, "
+            "and a run with sensors=bench, or on a log, states it"
+        )
+    return f"noise of the sensors moves {input} by {_beside(value, limit)} (standard deviation); threshold: {limit:g}"
+
+
+def _coefficients(
+    plants: int, held: int, how: str, unstable: int, worst: str, radius: float | None, ran_away: int, **error: Any
+) -> str:
+    stays = "stable with all" if not unstable else f"NOT stable with {unstable}"
+    far = "no rest" if radius is None or math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
+    steady = "no steady error, as none comes to rest"
+    if unstable < plants:
+        steady = f"steady error at most {_error(**error)}" + ", of those that come to rest" * bool(unstable)
+    if ran_away:
+        steady += f"; {ran_away} run{'s' * (ran_away == 1)} away in the step of steps.png"
+    return (
+        f"{plants} plants with other coefficients, {how}, at the {held} target{'s' * (held > 1)} where the model "
+        f"itself is "
+        f"stable: {stays} of these plants, worst {worst} ({far}), {steady}; threshold: stable, {_error_limit(**error)}"
+    )
+
+
+def _settling(
+    model: float | None,
+    slowest: float | None,
+    worst: str,
+    plants: int,
+    all_stable: bool,
+    closed: float,
+    limit: float,
+    longest: float,
+) -> str:
+    end = f"more than {format_duration(longest, digits=2)}"
+    shown, own = (
+        end if each is None or math.isinf(each) else format_duration(each, digits=3) for each in (slowest, model)
+    )
+    return (
+        f"between opposite targets, limits of inputs apart, all but {100 * closed:g} % of the way is done after {own} "
+        f"with "
+        f"the model, and after {shown} with the slowest of {plants} plants with other coefficients"
+        f"{'' if all_stable else ' that are stable'}, {worst}; threshold: {format_duration(limit, digits=3)}"
+    )
+
+
+def _recovery(shares: Mapping[str, float], reach: float, tried: int, limit: float, **error: Any) -> str:
+    found = ", ".join(f"{_beside(100 * share, 100 * limit)} % in {both}" for both, share in shares.items())
+    return (
+        f"comes back from errors of up to {reach:g} times the typical size of each state: {found}, of {tried} errors "
+        f"in "
+        f"each such plane; the error that stays where it rests is {_error(**error, limit=math.inf)}; threshold: "
+        f"{100 * limit:g} %"
+    )
+
+
+_GENTLE = (
+    "Where <plant.rates> names rates, try <task.reward.rate_weight=10>, by which quick movements cost more than by 0.1"
+)
+_CAREFUL = (
+    f"{_GENTLE}. On any plant, try <planning.gain_range=0.5> with <planning.randomization.parameters=0.2>, by which "
+    "training varies the plant more"
+)
+_VARIED = (
+    "Where a plant is not stable, try <planning.randomization.parameters=0.2>, by which training varies the plant by "
+    "up "
+    "to that share; where only the steady error is too large, give the controller integral action, as the page on "
+    "checks "
+    "shows"
+)
+REMEDIES = {
+    "check.stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
+    **dict.fromkeys(
+        [f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")]
+        + ["check.gain_reduction", "check.large_movements"],
+        _CAREFUL,
+    ),
+    "check.noise": f"{_GENTLE}, or mend the sensor",
+    "check.steady_error": "See steps.png. If outputs still move at its end, give a longer time by seconds=; if they "
+    "rest "
+    "beside their targets, narrow the targets",
+    "check.slew": _GENTLE,
+    "check.saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
+    "check.one_coefficient": f"The size of these changes is fixed, so longer data do not help. {_VARIED}",
+    "check.all_coefficients": _VARIED,
+    "check.settling": "For a plant that is not as the model says, try <planning.randomization.parameters=0.2>, or give "
+    "the controller integral action, as the page on checks shows",
+    "check.recovery": "Switch the controller on near the middle of the targets, or give <plant.start> the range from "
+    "which it is to come back, and train anew",
+}
+"""What may mend a finding that is weak."""
+
+
+def check_lines(findings: Sequence[Finding]) -> list[str]:
+    """Return a line for each finding of a check, and one that sums them up; a remedy stands behind the first it mends.
+
+    Args:
+        findings: What `dynasindy.checking.check_verdict` returned.
+    """
+    texts, said = [], set[str]()
+    for each in findings:
+        unknown, remedy = each.values.get("known") is False, REMEDIES.get(each.code, "")
+        mark = "?" if unknown else "ok" if each.severity == "note" else "WEAK"
+        mend = "" if each.severity == "note" or remedy in said else SETTING.sub(_named, f". {remedy}")
+        said |= {remedy} if mend else set()
+        texts.append(f"{mark:<4}  {_title(each)}: {each}{mend}")
+    return [*texts, _in_short(findings)]
+
+
+def _title(finding: Finding) -> str:
+    return finding.code.partition(".")[2].replace("_", " ")
+
+
+def _in_short(findings: Sequence[Finding]) -> str:
+    """Sum a check up in a line."""
+    stability = findings[0]
+    count, bad = stability.values["targets"], stability.values["unstable"]
+    if stability.severity == "wrong":
+        return f"In short: NOT stable at {bad} of {count} targets. Do not fly it as it is."
+    weak = [_title(each) for each in findings if each.severity != "note"]
+    unknown = [_title(each) for each in findings if each.values.get("known") is False]
+    rest = f"weak in {len(weak)} of {len(findings)} findings: {', '.join(weak)}" if weak else "no finding is weak"
+    rest += f"; not known: {', '.join(unknown)}" if unknown else ""
+    if bad:
+        swing = f"at {bad} it goes on swinging, by {_swing(stability.values['swing'])}"
+        return f"In short: stable at {count - bad} of {count} targets; {swing}; {rest}."
+    return f"In short: stable at {f'all {count} targets' if count > 1 else 'the one target'}, and {rest}."
+
+
+SENTENCES: dict[str, str | Callable[..., str]] = {
+    # reading
+    "log.repeated_headings": "line {lines:list} repeats the headings",
+    "log.no_headings": "the file has no headings; its columns are called {names:list}",
+    "log.title_lines": lambda count: (
+        f"{'1 line' if count == 1 else f'{count} lines'} above the headings {'was' if count == 1 else 'were'} skipped"
+    ),
+    "log.other_lengths": "left out, as the others have {length} values: {names:list}",
+    "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
+    "log.no_time": "the file has no column of time, and its rows are taken as even",
+    "log.words": _words_in_column,
+    "log.still": lambda columns: (
+        "left out, as what never changes tells nothing of the plant: " + _pairs(columns, "{:g} in all rows")
+    ),
+    "log.counters": lambda columns: (
+        f"left out, as {'it grows' if len(columns) == 1 else 'they grow'} by exactly one in "
+        f"each row, as a counter of rows does: {', '.join(columns)}; <data.states> or <data.inputs> may name it all "
+        f"the same"
+    ),
+    "log.text_columns": lambda columns: (
+        "left out, as they hold words and no numbers: "
+        + _pairs(columns, "{!r}")
+        + "; write ON and OFF as 1 and 0 to have them read"
+    ),
+    "log.empty_columns": "left out, as cells that are empty or NaN are all that they hold: {columns:list}",
+    "log.date_columns": "left out, as they hold dates, and the time is another column: {columns:list}",
+    "log.time": _time,
+    "log.coarse_clock": "{column} moves in ticks of {tick:.4g} s, and rows are taken as even, {dt:.6g} s apart",
+    "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
+    "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
+    "log.whole_seconds": lambda column: (
+        f"{column} holds whole numbers without a unit, as a counter of rows does: if it is "
+        f"one, give the true time between two rows in seconds, such as {setting('data.dt', 0.01)}; if it is a time in "
+        f"ms, "
+        f"give {_named_unit(column, 'ms')}, or [s] for seconds"
+    ),
+    "log.row_counter": "time is the column {column}, taken as a counter of rows: {dt:g} s between rows, as given by "
+    "<data.dt>",
+    "log.held": "{column} stands in {rows} of {total} rows, and is held from each to the next",
+    "log.missing": _missing,
+    "log.unwrapped": _unwrapped,
+    "log.hole": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
+    "log.gaps": lambda count: (
+        f"{count} gap{'s' * (count != 1)} longer than 1.5 sampling times split{'s' * (count == 1)} the recording"
+    ),
+    "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines between the "
+    "jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each step. If the "
+    "samples were even and only their times were written late, give a counter as the time and {dt:data.dt}",
+    "log.stop": "{count} samples with {state} at {value:g}, a stop or saturation, were masked",
+    "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
+    "log.differentiated": "{state} was reconstructed from {of}",
+    "log.short_stretches": "{count} samples in stretches under {least} samples have no rate; they were skipped",
+    "log.converted": lambda units, kept: (
+        "converted: "
+        + ", ".join(f"{name} from {old} to {new}" for name, (old, new) in units.items())
+        + ". Targets and limits are to be given in these units, and a controller reads them so; "
+        + f"{setting('data.states', kept)} would keep the units of the file"
+    ),
+    "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, so nothing is known of "
+    "the "
+    "values between them, which a controller uses. Log some of these, too; where the actuator can only switch, pulse "
+    "it "
+    "and log the share of the time that it is on",
+    "log.hardly_moved": "input {input} was given low {low:g} and high {high:g}, and its column goes from {least:.6g} "
+    "to "
+    "{most:.6g} only, {percent:.1g} % of that; check that both are in one unit. What a model says so far beyond a log "
+    "is "
+    "a guess: log more of the range, or give narrower ends",
+    "log.beyond_ends": "input {input} goes from {least:g} to {most:g}, beyond the [-1, 1] of a plant's inputs; the "
+    "model "
+    "holds for these numbers, or give its ends, low and high, in <data.inputs>",
+    "log.one_sided": "input {input} goes from {least:g} to {most:g}; its actuator is taken to reach from -1 to 1. If "
+    "it "
+    "does not, as a valve from 0 to 1, say so: {inputs:data.inputs}",
+    "log.scaled": "{input} is taken into [-1, 1], where planning needs it: 0 is {rest:.6g}{unit:unit}, 1 is "
+    "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
+    "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: "
+    "1 "
+    "keeps the numbers as they are: {inputs:data.inputs}",
+    "log.few_rows": "the fit has {rows} rows only, so few that wrong units or missing rates would not be noticed; "
+    "record "
+    "longer, or mend what was left out: {least} rows are the least, some hundreds are usual",
+    "log.resolution": lambda state, step, unit, coarse: (
+        f"{state} is read in steps of {step:.3g} {unit}"
+        + "; standard errors take it that the sensor rounds: one that cuts off reads half a step too low, which no "
+        "log tells "
+        "and none of them holds" * coarse
+    ),
+    "log.saturated": "{input} is at an end of its range, {low:.6g} to {high:.6g}{unit:unit}, in {percent:.0f} % of the "
+    "samples",
+    "log.closed_loop": "a controller made {inputs:and} out of the measured states (closed loop)",
+    "log.quiet": _quiet,
+    "log.unit_of_rate": _mismatch,
+    "log.touched_stop": "{count} samples that touched a stop were left out",
+    "log.rate_contradicted": "{rate} was given as the rate of {state}, and the log contradicts it: {state} does not "
+    "move "
+    "by the integral of {rate} (correlation {correlation:.2f}); correct <plant.known> or the columns, for this "
+    "equation "
+    "is taken as exact",
+    "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round: {state} "
+    "is "
+    "the rate of {rate}; give {known:plant.known}, or correct the columns",
+    "log.degrees": lambda angle, unit, states: (
+        f"{angle} is in {unit}, so sin({angle}) and cos({angle}) are not among the "
+        f"candidate functions; angles in rad and rates in rad/s have them: give {setting('data.states', states)}"
+    ),
+    # logs that cannot be read
+    "log.no_roles": _no_roles,
+    "log.nothing_moves": _nothing_moves,
+    "log.too_few": _too_few,
+    "log.column_without_numbers": "the column {column} holds no number, only cells that are empty or NaN; allowed are "
+    "columns of numbers: log what it should hold, or leave it out",
+    "log.worded_input": "the input {column} holds words, such as {text!r}; allowed are numbers: write them as numbers, "
+    "ON and OFF as 1 and 0",
+    "log.absent_column": lambda key, column, path, columns: (
+        f"<{key}> names '{column}'; {path} has "
+        f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"
+    ),
+    "log.name": "a state or input is called {name!r}; allowed are names that begin with a letter, hold no signs of "
+    "arithmetic and differ: name it in <data.states> or <data.inputs>, as {{angle: HEADING}}",
+    "log.time_order": "line {line}, column {column}: time does not increase, {after:g} s follows {before:g} s; "
+    "allowed is "
+    "increasing time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
+    "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s: "
+    "rename it",
+    "log.coarse_time": "time moves in ticks of {tick:.6g} s, {low:g} or {high:g} of them from row to row, and does not "
+    "tell the sampling time; allowed are times that do: write them with more digits, or give the time between two rows "
+    "in seconds as <data.dt>",
+    "log.whole_time": lambda column, step: (
+        f"whole numbers without a unit stand in the time column {column}, {step:g} from "
+        f"row to row, hardly seconds; allowed is a time whose unit is known: give it, as in "
+        f"{_named_unit(column, 'us')}, or "
+        "[s] for seconds, or [ms]"
+    ),
+    "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check "
+    "the sampling time",
+    "log.still_input": "input {input} is constant at {value:g}; allowed is an input that moves: excite it, or leave it "
+    "out of <data.inputs>",
+    "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
+    "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
+    "log.rate_units": "{rate} was given as the rate of {state}, whose slope over time is {factor:.3g} times {rate} "
+    "({cause}?); allowed is a rate in {unit}, for its equation is taken as exact: give {states:data.states}, or "
+    "correct "
+    "the column",
+    "log.quiet_targets": _beyond_quiet,
+    "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
+    "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "
+    "degrees "
+    "by unit: deg of its column in <data.states>",
+    # the fit
+    "fit.standard_errors": _standard_errors,
+    "fit.unscaled": _unscaled,
+    "fit.trajectories": lambda unmeasured: (
+        "the fit compares whole simulations with the log and not single steps, as "
+        + (
+            f"not all of {', '.join(unmeasured)} was measured"
+            if unmeasured
+            else "the errors of single steps look like noise of the sensors"
+        )
+    ),
+    "fit.single_steps": "the fit predicts each sample from the one before, as errors of such predictions do not look "
+    "like noise of the sensors",
+    "fit.dropped": "the refinement dropped every function, so the fit before it stays; log longer or cleaner data",
+    "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches spread evenly over "
+    "them; "
+    "the coefficients were fitted on all rows",
+    "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which the "
+    "log "
+    "lacks",
+    "fit.longest_delay": _longest_delay,
+    "fit.pieces": _in_pieces,
+    "fit.simulation": _one_simulation,
+    "fit.shorter_pieces": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
+    "pieces "
+    "of {short}",
+    "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
+    "determine it",
+    "fit.straight": "products and squares of states and inputs were left out: without them the model predicts the part "
+    "of the log that no fit has seen no worse",
+    "fit.whole": lambda ratio, taken: (
+        f"the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the "
+        f"part "
+        f"of the log that no fit has seen, its errors are {ratio:.2f} times those of the other"
+        if taken
+        else "a fit of one simulation through all samples was not taken: on the part of the log that no fit has seen, "
+        f"its errors are {ratio:.2f} times those of the fit in pieces"
+    ),
+    "fit.rates_added": _rates_added,
+    "fit.rates_missing": _rates_missing,
+    "fit.no_torque": lambda angle, known: (
+        f"of {angle} only sin({angle}) and cos({angle}) are tried, and no forces that "
+        f"{angle} turns, as no state is in rad/s. If a torque moves {angle}, give its rate in rad/s, or "
+        f"{setting('plant.known', known)} if none was logged"
+    ),
+    "fit.many_functions": _many_functions,
+    "fit.no_lag_state": "the equations miss the log by more than its sensors explain, so {what} that no sensor sees "
+    "was "
+    "looked for, one that follows an input or a measured state; none was found that predicts the kept part of the log "
+    "far better. A hidden state that swings by itself, as the far end of a soft shaft does, is not looked for: if "
+    "there "
+    "is one, measure it",
+    # the model
+    "model.delay": lambda seconds: (
+        f"the inputs act {f'{1e3 * seconds:.3g} ms' if seconds < 1 else format_duration(seconds)} late"
+    ),
+    "model.dry_friction": "{state}' has dry friction",
+    "model.spring": "{state}' has a spring in {of}",
+    "model.bend": _bend,
+    "model.missing_bend": _missing_bend,
+    "model.lag_state": lambda signal, seconds, is_input, state: (
+        f"{signal} acts through a lag of {seconds:.3g} s, a state that no sensor sees"
+        if is_input
+        else f"a part of the plant that no sensor sees follows {signal} with a time constant of {seconds:.3g} s: it is "
+        f"the state {state}"
+    ),
+    "model.idle_state": _idle,
+    "model.predicts": _predicts,
+    "model.better": "this model is better than the last value held for {seconds:time}, but it lacks something",
+    "model.runs_away": _runs_away,
+    "model.misses": _misses,
+    "model.falls": _falls,
+    "model.linear_better": _linear_better,
+    "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
+    "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned: "
+    "the "
+    "log hardly shows what the inputs do; record longer, and let every input change often and by much",
+    # the check of a controller
+    "check.stability": _stability,
+    "check.gain_margin": _margin("{}"),
+    "check.gain_reduction": _margin("1/{}"),
+    "check.phase_margin": _margin("{} deg"),
+    "check.delay_margin": _margin("{} control periods"),
+    "check.disk_margin": _margin("{}"),
+    "check.large_movements": _large_movements,
+    "check.noise": _noise,
+    "check.steady_error": lambda begin, **error: (
+        f"in steps from {begin} at most {_error(**error)}; threshold: {_error_limit(**error)}"
+    ),
+    "check.slew": lambda begin, input, value, limit: (
+        f"in steps from {begin} {input} changes by up to "
+        f"{_beside(value, limit)} in a control period; threshold: {limit:g}"
+    ),
+    "check.saturation": lambda begin, input, value, limit, seconds: (
+        f"in steps from {begin} {input} is at its limit for up "
+        f"to {_beside(100 * value, 100 * limit)} % of {format_duration(seconds)}; threshold: {100 * limit:g} %"
+    ),
+    "check.one_coefficient": _coefficients,
+    "check.all_coefficients": _coefficients,
+    "check.settling": _settling,
+    "check.recovery": _recovery,
+    # a run
+    "plant.coarse_steps": _coarse_steps,
+    "excitation.restarts": _restarts,
+    "excitation.stops": _stops,
+    "excitation.left": _left,
+    "run.better": _better,
+    "run.no_better": _no_better,
+    "run.controlled": _controlled,
+    "run.distrusted": _distrusted,
+    # what a controller will do
+    "forecast.errors": _forecast_errors,
+    "forecast.runs_away": lambda models, of: (
+        f"{'it runs' if of == 1 else 'all of them run'} away" if models == of else f"{models} of {of} models run away"
+    ),
+    "forecast.untracked": lambda state, runs_away: (
+        f"{state}, which is not tracked, {'runs away' if runs_away else 'does not come to rest'}"
+    ),
+    "forecast.idle": "{state} runs on, which nothing depends on",
+    "forecast.unheld": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
+    "forecast.models_differ": "some models are held and others are not, by what the log leaves open: log longer, let "
+    "the "
+    "inputs change more often and more widely, or name functions and states that the model lacks",
+    "forecast.longer_plan": "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of "
+    "targets",
+    "control.other_period": _other_period,
+    "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g} {unit}, the log from {least:.3g} to "
+    "{most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log",
+    "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "
+    "{most:.2g}, and the equations are not linear in it: what it does beyond is a guess; plan with the log, or log all "
+    "of the range",
+    "control.period": _period,
+    "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, as the log is sampled every "
+    "{step:g} s",
+    "control.restless": "in the steady state {input} still changes by {percent:.2g} % of its range from one control "
+    "period to the next, on average, which may be its answer to the noise and the steps of sensors; see that the "
+    "actuator stands it",
+    "control.beyond_targets": "the references of {output} in scenario '{scenario}' go from {least:.3g} to {most:.3g} "
+    "{unit}, and its targets, <plant.low> and <plant.high>, from {low:.3g} to {high:.3g} {unit}; the first follow "
+    "<plant.signals>, and a run that is trained with <plant.signals=null> keeps within the targets",
+}
+"""What is said of each finding: a template, or a function of its values."""
