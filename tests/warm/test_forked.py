@@ -1,5 +1,6 @@
 """A command in a fork says and leaves what the same command does as a process of its own."""
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -98,3 +99,19 @@ def test_what_fails_or_is_no_python_is_told():
         forked.run([sys.executable, "-c", "import sys; sys.exit(3)"], check=True)
     with pytest.raises(ValueError, match=r"use subprocess\.run"):
         forked.run(["ls"])
+
+
+@pytest.mark.skipif(not os.environ.get("CC_KEPT"), reason="no compiler, or one that is not asked through tests/warm/cc")
+def test_the_same_text_is_compiled_once_and_another_header_makes_it_another_text(tmp_path):
+    def compiled(name, value):
+        (tmp_path / "value.h").write_text(f"#define VALUE {value}\n")
+        (tmp_path / "value.c").write_text('#include "value.h"\nint value(void) { return VALUE; }\n')
+        words = [os.environ["CC"], "-shared", "-fPIC", "value.c", "-o", f"{name}.so"]
+        subprocess.run(words, cwd=tmp_path, check=True, env={**os.environ, "CC_KEPT": str(kept)})
+        return ctypes.CDLL(str(tmp_path / f"{name}.so")).value()
+
+    (kept := tmp_path / "kept").mkdir()
+    assert [compiled("a", 1), compiled("b", 1), len(list(kept.iterdir()))] == [1, 1, 1]
+    assert [compiled("c", 2), len(list(kept.iterdir()))] == [2, 2]
+    refused = subprocess.run([os.environ["CC"], "nothing.c", "-o", "d.so"], cwd=tmp_path, capture_output=True)
+    assert refused.returncode != 0 and refused.stderr and len(list(kept.iterdir())) == 2
