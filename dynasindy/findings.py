@@ -30,13 +30,13 @@ class Finding:
         return sentence(self.code, self.values)
 
     def record(self) -> dict[str, Any]:
-        """Return it as JSON can hold it; null stands for a number that is not finite."""
+        """Return it as JSON can hold it, numbers that are not finite as `inf`, `-inf` and `nan`."""
         return {"code": self.code, "severity": self.severity, "values": _plain(self.values)}
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Finding:
         """Return the finding that `record` returned."""
-        return cls(record["code"], record["severity"], record["values"])
+        return cls(record["code"], record["severity"], _restored(record["values"]))
 
 
 class FindingError(ValueError):
@@ -91,5 +91,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(each) for each in value]
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return value if math.isfinite(value) else str(value)
     return value if value is None or isinstance(value, str | int | bool) else str(value)
+
+
+def _restored(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _restored(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_restored(each) for each in value]
+    return float(value) if isinstance(value, str) and value in ("inf", "-inf", "nan") else value

@@ -145,8 +145,8 @@ def identify(
 
     Returns:
         The model; `equations()` shows it, `save` keeps it, and `findings` holds what was found before the fit, by it,
-        and of delay, dry friction, springs, dead zones and saturations in the equations. What is weak or wrong before
-        the fit is a warning, too.
+        and of delay, dry friction, springs, dead zones and saturations in the equations. What is found before the
+        fit is a warning, too.
 
     Raises:
         ValueError: The data or the library do not allow a fit, or a rate that is known is in other units than its
@@ -162,8 +162,7 @@ def identify(
     model = build(signature=source.signature, known=rates)
     before = (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source)))
     for each in before:
-        if each.severity != "note":
-            warnings.warn(str(each), stacklevel=2)
+        warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source)
     content = (*equation_findings(found.model, found.report), *found.hidden)
     found.model.findings = (*before, *found.report.findings, *content)

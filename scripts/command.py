@@ -17,7 +17,7 @@ from cli import COMPLETION, CONF, end_with_parent, leave, listen, require_writab
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
-from errors import in_words, mendable, of_user
+from errors import in_words, mendable
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -220,13 +220,9 @@ def _mistakes_in_words(config_name: str, cfg: DictConfig | None = None) -> Itera
     settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
     try:
         yield
-    except (Exception, SystemExit) as error:
-        if isinstance(error, SystemExit) and not of_user(error):
-            raise
+    except Exception as error:
         diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
         if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
-            if isinstance(error, SystemExit):  # of which Python prints nothing
-                traceback.print_exception(error)
             raise
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {in_words(error, config_name, settings)}"

@@ -3,26 +3,21 @@
 import argparse
 import re
 import sys
-import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
 import hydra
 import yaml
-from cli import CONF, SCRIPTS
+from cli import CONF
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-import dynasindy
 from dynasindy.limits import is_memory_error, memory_wanted
 
-PACKAGE = Path(dynasindy.__file__).parent
-OTHERS = re.compile(r"[/\\](site-packages|dist-packages|lib[/\\]python3[^/\\]*)[/\\]")
-"""Where the code of libraries lies."""
 MENDABLE = (
     *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
     *(HydraException, OmegaConfBaseException),
@@ -44,37 +39,7 @@ LOWERED = {
 
 def mendable(error: BaseException) -> bool:
     """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
-    return isinstance(error, MENDABLE) or is_memory_error(error) or bool(_changed_dtype() or of_user(error))
-
-
-def _changed_dtype() -> str:
-    """Return the number type that a part of the user's made torch's default; '' if it is as it was."""
-    torch = sys.modules.get("torch")
-    kind = torch.get_default_dtype() if torch and hasattr(torch, "get_default_dtype") else None
-    return "" if torch is None or kind in (None, torch.float32) else str(kind)
-
-
-def of_user(error: BaseException) -> str:
-    """Return where an error was raised in code of the user's, as a plant, that the package called; '' if in none."""
-    cause: BaseException | None = error
-    while cause is not None:
-        frames = [frame for frame, _ in traceback.walk_tb(cause.__traceback__)]
-        files = [Path(frame.f_code.co_filename) for frame in frames]
-        inside = next((place for place, file in enumerate(files) if file.is_relative_to(PACKAGE)), len(files))
-        for frame, file in reversed(list(zip(frames, files))[inside:]):
-            if not (
-                file.is_relative_to(PACKAGE)
-                or OTHERS.search(str(file))
-                or file.is_relative_to(SCRIPTS)
-                or str(file).startswith("<")
-            ):
-                said = f"{type(cause).__name__}: {' '.join(str(cause).split())}".rstrip(": ")
-                return (
-                    f"{frame.f_code.co_qualname} failed in {file.name}, line {frame.f_lineno} ({said}); mend it there"
-                )
-        # What has a sentence of its own is told by that.
-        cause = cause.__cause__ if isinstance(cause, RuntimeError | MemoryError | InstantiationException) else None
-    return ""
+    return isinstance(error, MENDABLE) or is_memory_error(error)
 
 
 def in_words(error: BaseException, config_name: str, settings: object = None) -> str:
@@ -97,12 +62,6 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     text = " ".join(words.split()).partition(" Config search path:")[0]
     if isinstance(error, BrokenPipeError):
         raise error
-    if kind := _changed_dtype():
-        return (
-            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
-        )
-    if place := of_user(error):
-        return f"{place}; DYNASINDY_TRACEBACK=1 shows the way there"
     if is_memory_error(error):
         wanted = memory_wanted(error)
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""

@@ -72,7 +72,7 @@ TOP: dict[str, Any] = {
     **{"plugins": list[str], "formats": list[FIGURES]},
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard", "any_commit"), bool),
     **{"refinement": str, "error_shape": str, "source": Literal["simulated", "logged"]},
-    **{"longest_delay": float | None, "horizons": list[float] | None},
+    **{"longest_delay": Annotated[float, range(1001)] | None, "horizons": list[float] | None},
     **{"evaluation.every": int, "evaluation.must_improve": bool, "evaluation.must_control": bool},
     **{"evaluation.within": float, "checkpoint.every": int, "device": str},
     **{"scenario": Scenario, "data": LoggedData | Simulated, "level": Level},

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
 from dynasindy.data.headings import named_by, parts_of, split_unit
-from dynasindy.data.table import MAP, ColumnSummary, grows, read_columns, summarise_columns
+from dynasindy.data.table import ColumnSummary, correct_map, grows, read_columns, summarise_columns
 from dynasindy.data.units import with_units
 from dynasindy.findings import Finding, LogError, note
 
@@ -198,7 +198,7 @@ def columns_of(
             states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
             raise ValueError(
                 f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
-                f"column name{states}: {MAP}"
+                f"column name{states}: {correct_map()}"
             )
     return made
 
@@ -212,7 +212,7 @@ def _column(given: object) -> Column:
     if column is None or not _is_sound(column):
         raise ValueError(
             f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
-            f"derivative_of, and of inputs low and high (both, low < high), with these rest, a number: {MAP}"
+            f"derivative_of, and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
         )
     return column
 

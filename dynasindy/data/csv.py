@@ -20,7 +20,7 @@ from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, require_names
 from dynasindy.data.rates import turning
 from dynasindy.data.resampling import EVEN, evened, stretches
-from dynasindy.data.table import MAP, Table, read_columns, select_columns
+from dynasindy.data.table import Table, correct_map, read_columns, select_columns
 from dynasindy.data.units import conversions, undecided, with_units
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import lines as lines_of
@@ -30,8 +30,6 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
-TINY = 1e-19
-"""Size below which the squares of all values of a column are no float32."""
 ALONE = 0.8
 """Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
 PASSING = 0.05
@@ -217,15 +215,8 @@ class CsvLog:
         """
         states, inputs = columns_of(self.states), columns_of(self.inputs, may_be_rates=False)
         if bounded := [name for name, column in states.items() if column.low is not None]:
-            raise ValueError(f"{self}: state {bounded[0]} was given low and high, which inputs alone have: {MAP}")
-        columns, names = {**states, **inputs}, [c.name for c in (*states.values(), *inputs.values()) if c.name]
-        if own := [name for name, column in columns.items() if column.derivative_of == name]:
-            raise ValueError(f"{self}: {own[0]} has derivative_of: {own[0]}; name the state that it is the rate of")
-        if double := [heading for heading in names if names.count(heading) > 1]:
-            taken = [name for name, column in columns.items() if column.name == double[0]] or [double[0]]
             raise ValueError(
-                f"{self}: the column '{double[0]}' is taken as {' and as '.join(taken)}; data.states and data.inputs "
-                "name each column once: leave one out"
+                f"{self}: state {bounded[0]} was given low and high, which inputs alone have: {correct_map()}"
             )
         require_names([*states, *inputs], str(self))
         return self._joined([self._part(path, states, inputs) for path in self.paths])
@@ -250,12 +241,6 @@ class CsvLog:
         data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
         self._require_enough(data, [name for name, c in states.items() if c.name], list(states), findings)
         units = tuple(c.unit for c in states.values())
-        most = dict(zip(states, np.abs(np.nan_to_num(full)).max(0, initial=0.0).tolist()))
-        if tiny := [name for name, size in most.items() if 0 < size < TINY]:
-            raise ValueError(
-                f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
-                "scale in data.states, or leave it out"
-            )
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
         reach = actuator_units(found, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)

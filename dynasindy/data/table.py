@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dynasindy.data.files import read_file
 from dynasindy.data.headings import is_clock, named_by, plain_headings, split_unit
 from dynasindy.findings import Finding, note
+from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
 
 Array = NDArray[np.float64]
@@ -23,7 +24,13 @@ DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:\d{2}.*
 """A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
 ALLOWED = "2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05"
 """Dates that are read, for messages."""
-MAP = "correct the column map (data.time, data.states, data.inputs)"
+
+
+def correct_map() -> str:
+    """Ask for a correct column map."""
+    return f"correct the column map ({', '.join(map(setting, ('data.time', 'data.states', 'data.inputs')))})"
+
+
 THOUSANDS = r"[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?"
 """A number whose commas part thousands, where all commas of a column do."""
 COUNTED = 5
@@ -234,7 +241,7 @@ def _find(path: Path, name: str, headings: Sequence[str]) -> int:
     places = [k for k, heading in enumerate(headings) if heading in named]
     if not places:
         hint = did_you_mean(name, [*headings, *(split_unit(heading)[0] for heading in headings)])
-        raise ValueError(f"{path} has no column {name!r}; allowed are {', '.join(headings)}: {MAP}{hint}")
+        raise ValueError(f"{path} has no column {name!r}; allowed are {', '.join(headings)}: {correct_map()}{hint}")
     if len(places) > 1:
         raise ValueError(f"{path} has {len(places)} columns {name!r}; allowed is one: rename the others")
     return places[0]

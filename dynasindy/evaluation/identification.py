@@ -31,6 +31,7 @@ from dynasindy.evaluation.source import VALIDATION_SHARE, Source
 from dynasindy.excitation import Excitation
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.progress import report_progress
+from dynasindy.sentences import setting
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.delay import delay_and_trim, delay_inputs
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity, find_missing_nonlinearity
@@ -73,9 +74,9 @@ class LoggedData:
 
     def __post_init__(self) -> None:
         if not self.path:
-            raise ValueError("data=csv got no path; allowed is a CSV file: give data.path=log.csv")
+            raise ValueError(f"data=csv got no path; allowed is a CSV file: give {setting('data.path')}=log.csv")
         if not isinstance(self.path, str) and len(set(self.path)) < len(self.path):
-            raise ValueError(f"data.path names a file twice: {', '.join(self.path)}; give each file once")
+            raise ValueError(f"{setting('data.path')} names a file twice: {', '.join(self.path)}; give each file once")
         if not 0 < self.validation_share < 1:
             raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
         if self.dt is not None and not self.dt > 0:

@@ -29,6 +29,7 @@ from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choo
 from dynasindy.planning.randomization import GainMargin, ModelEnsemble, Randomization, RandomizedSystem
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
+from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.tasks import Task, Tracking
 
@@ -363,14 +364,15 @@ class GradientPlanning(Planner):
     def _diverged(self, done: int, made: int, lost: int, finite: bool, lr: float) -> Diverged:
         windows = done * self.rollouts
         if not finite:
-            mend = f"the actor's weights left all bounds: lower planning.lr, now {lr}"
+            mend = f"the actor's weights left all bounds: lower {setting('planning.lr')}, now {lr}"
         elif lost == windows:
             mend = (
                 "the model explodes: identification.txt says what each equation leaves over; name the functions that "
-                "it lacks in plant.library, excite longer or with less noise, or shorten planning.window"
+                f"it lacks in {setting('plant.library')}, excite longer or with less noise, or shorten "
+                f"{setting('planning.window')}"
             )
         else:
-            mend = "gradient or reward is not finite: check the task's reward and shorten planning.window"
+            mend = f"gradient or reward is not finite: check the task's reward and shorten {setting('planning.window')}"
         return Diverged(
             f"planning by gradient: {made} of {done} updates had a finite gradient, {lost} of {windows} imagined "
             f"windows diverged, and no policy has a finite imagined return, so the actor is left as it was; {mend}"
@@ -385,7 +387,7 @@ class GradientPlanning(Planner):
 
 def _require_memory(signature: Signature, rollouts: int, window: int) -> None:
     size = 8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4)
-    check_memory(size, f"planning.rollouts={rollouts} of planning.window={window} periods")
+    check_memory(size, f"{setting('planning.rollouts')}={rollouts} of {setting('planning.window')}={window} periods")
 
 
 def _require_share(gain_range: float | None) -> None:
@@ -424,7 +426,8 @@ def _imagined_task(task: Task, width: float | None, warm_start: bool | None) -> 
     """
     if warm_start and not isinstance(task, Tracking):
         raise ValueError(
-            f"task {type(task).__name__} has no targets to hold the plant at; leave out planning.warm_start"
+            f"task {type(task).__name__} has no targets to hold the plant at; leave out "
+            f"{setting('planning.warm_start')}"
         )
     if width is None or not isinstance(task, Tracking):
         return task

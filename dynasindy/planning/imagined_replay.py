@@ -23,6 +23,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.limits import check_memory
 from dynasindy.planning.gate import Bound
 from dynasindy.progress import report_progress
+from dynasindy.sentences import setting
 from dynasindy.systems import Diverged
 
 
@@ -54,7 +55,9 @@ class Planner(ABC):
 
     def __init__(self, every: int = 1) -> None:
         if every < 1:
-            raise ValueError(f"planning.every must be at least 1 episode, got {every}; use planning=none for none")
+            raise ValueError(
+                f"{setting('planning.every')} must be at least 1 episode, got {every}; use planning=none for none"
+            )
         self.every = every
 
     def due(self, episode: int) -> bool:
@@ -114,7 +117,9 @@ class Imagination(Transform):
     ) -> None:
         super().__init__(in_keys=[], out_keys=[])
         if horizon < 1:
-            raise ValueError(f"horizon must be at least 1 control period, got {horizon}; mend planning.horizon")
+            raise ValueError(
+                f"horizon must be at least 1 control period, got {horizon}; mend {setting('planning.horizon')}"
+            )
         # Held outside nn.Module's registry: the buffer must not own, save or move the environment and policy.
         self.__dict__.update(env=env, policy=policy)
         self.horizon = horizon
@@ -234,14 +239,14 @@ class ImaginedReplay(Planner):
                 "planning"
             )
         if not state_bound > 0:
-            raise ValueError(f"planning.state_bound must be positive, got {state_bound}")
+            raise ValueError(f"{setting('planning.state_bound')} must be positive, got {state_bound}")
         self.agent, self.env, self.replay, self.rollouts, self.generations = agent, env, replay, rollouts, generations
         self.state_bound = state_bound
         self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
         check_memory(
             4.0 * rollouts * horizon * (2 * env.task.n_o + (2 + env.substeps) * env.system.signature.n_x),
-            f"planning.rollouts={rollouts} of planning.horizon={horizon} periods",
+            f"{setting('planning.rollouts')}={rollouts} of {setting('planning.horizon')}={horizon} periods",
         )
         self.imagination = Imagination(env, agent.explore_imagined, horizon)
         replay.model.append_transform(self.imagination)

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from dynasindy.sentences import setting
 from dynasindy.sindy.functions import function, of_two
 from dynasindy.systems.base import Signature
 
@@ -227,7 +228,8 @@ def parse(text: str) -> Feature:
         token = _TOKEN.match(text, place)
         if token is None:
             raise ValueError(
-                f"function {text!r} of plant.library cannot be read at {text[place:]!r}; allowed are products such as "
+                f"function {text!r} of {setting('plant.library')} cannot be read at {text[place:]!r}; allowed are "
+                f"products such as "
                 "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
             )
         place = token.end()
@@ -274,7 +276,8 @@ def _written(name: str, arguments: str, power: int) -> Factor:
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
     if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
         raise ValueError(
-            f"function {name}({arguments}) of plant.library cannot be read; allowed are 'name', 'name - other', "
+            f"function {name}({arguments}) of {setting('plant.library')} cannot be read; allowed are 'name', 'name - "
+            f"other', "
             "'name, other' for a function of two arguments, '2 name', or '~2 name' for a first guess that is not 0, "
             "the same number before each name of a state or an input: correct it"
         )
@@ -357,12 +360,13 @@ class Library:
         wrong = sorted(set().union(*(f.variables for f in self.features)) - set(self._index))
         if wrong:
             raise ValueError(
-                f"plant.library names {', '.join(wrong)}, which is no state and no input; allowed are "
+                f"{setting('plant.library')} names {', '.join(wrong)}, which is no state and no input; allowed are "
                 f"{', '.join(self._index)}: correct the name"
             )
         if not self.features:
             raise ValueError(
-                "plant.library is empty; allowed is one function or more, or the name of a list: add some there, or in "
+                f"{setting('plant.library')} is empty; allowed is one function or more, or the name of a list: add "
+                f"some there, or in "
                 "the file of the plant"
             )
         self.names = tuple(f.name() for f in self.features)
@@ -391,7 +395,7 @@ class Library:
             near = get_close_matches(name, self.names, 3, 0.0)
             raise ValueError(
                 f"function {name!r} is not among the {len(self)} candidate functions, such as {', '.join(near)}: "
-                "correct it, or add it to plant.library"
+                f"correct it, or add it to {setting('plant.library')}"
             )
         return self.names.index(name)
 
@@ -521,11 +525,6 @@ class Constraints:
             ValueError: a state or a function does not exist.
         """
         signature = library.signature
-        if own := [state for state, function in known.items() if state == function]:
-            raise ValueError(
-                f"plant.known says that the rate of '{own[0]}' is '{own[0]}' itself; name the state that is its rate, "
-                "or leave it out"
-            )
 
         def _place(find: Callable[[str], int], name: str, key: str) -> int:
             try:

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from dynasindy.findings import Finding, note, wrong
 from dynasindy.safe_io import read_json, reading, write_json
+from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import Field, generate, machine
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
@@ -56,8 +57,6 @@ from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 FORMAT = "dynasindy sparse model 1"
-LONGEST = 1e9
-"""Longest step and delay that a file may have [s]."""
 LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
 LARGEST_FACTOR = 1000
@@ -506,14 +505,14 @@ def _step_rows(library: Library, data: Transitions) -> tuple[Library, Transition
     data, step = _by_period(data), library.step
     if step is not None and step != UNTOLD and abs(step - data.dt) > ALIKE * step:
         raise ValueError(
-            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every {data.dt:g} "
-            "s; give data of the same sampling time, or fit the model anew"
+            f"the model is a difference equation with a step of {step:g} s, and the data are sampled every "
+            f"{data.dt:g} s; give data of the same sampling time, or fit the model anew"
         )
     if never := data.x.isnan().all(0).nonzero().flatten().tolist():
         names = ", ".join(library.signature.state_names[i] for i in never)
         raise ValueError(
             f"a difference equation needs all of its states measured, and {names} never was; leave it out of the "
-            "states and of plant.known, or give world_model.time=continuous"
+            f"states and of {setting('plant.known')}, or give {setting('world_model.time')}=continuous"
         )
     seen = (data.x.isfinite() & data.x_next.isfinite()).all(-1)
     rows = data if bool(seen.all()) else data.select(seen)
@@ -536,7 +535,7 @@ def _by_period(data: Transitions) -> Transitions:
 def _with_time(library: Library, time: str | None) -> Library:
     """Return the library as one of differential (`continuous`) or difference (`discrete`) equations; None as it is."""
     if time not in (None, "continuous", "discrete"):
-        raise ValueError(f"world_model.time is {time!r}; allowed are continuous and discrete: choose one")
+        raise ValueError(f"{setting('world_model.time')} is {time!r}; allowed are continuous and discrete: choose one")
     if time is None or (time == "discrete") == (library.step is not None):
         return library
     return library.with_step(UNTOLD if time == "discrete" else None)
@@ -631,8 +630,8 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | N
 def _read(data: dict[str, Any]) -> SindyModel:
     signature = _signature(data["signature"])
     step = data.get("step")
-    if step is not None and not 0 < (step := _number(step)) <= LONGEST:
-        raise TypeError(f"step, that of its difference equation, is {step} s; allowed is a time up to {LONGEST:g} s")
+    if step is not None and (step := _number(step)) < 0:
+        raise TypeError(f"the step of its difference equation is {step} s, which is negative")
     library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     place = {name: k for k, name in enumerate(library.names)}
@@ -641,8 +640,8 @@ def _read(data: dict[str, Any]) -> SindyModel:
             coefficients[place[name] if name in place else library.index(name), i] = _number(value)
     with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
         library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
-    if not 0 <= (delay := _number(data.get("delay", 0.0))) <= LONGEST:
-        raise TypeError(f"delay is {delay} s; allowed is 0 to {LONGEST:g} s")
+    if (delay := _number(data.get("delay", 0.0))) < 0:
+        raise TypeError(f"its delay is {delay} s, which is negative")
     model = SindyModel(signature, library)
     model.constraints, model.delay = _constraints(library, data.get("constraints")), delay
     model.set_coefficients(coefficients)

@@ -8,6 +8,7 @@ from functools import partial
 from itertools import combinations, combinations_with_replacement
 from typing import Annotated
 
+from dynasindy.sentences import setting
 from dynasindy.sindy.library import CONSTANT, Feature, Library, of, parse, variable
 from dynasindy.systems.base import Signature
 
@@ -303,7 +304,7 @@ def build_library(library: str | Sequence[str] | Library | LibraryBuilder, signa
         if library not in NAMED:
             raise ValueError(
                 f"library {library!r} does not exist; allowed are {', '.join(NAMED)}: choose one of them in "
-                "plant.library, or in plant.libraries for a source of data"
+                f"{setting('plant.library')}, or in {setting('plant.libraries')} for a source of data"
             )
         return NAMED[library](signature)
     if callable(library):

@@ -10,6 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
@@ -522,9 +523,10 @@ def require_bounded(flow: Flow) -> None:
     """
     if bool((lost := flow.lost()).any()):
         raise RunsAway(
-            f"refinement.method=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+            f"{setting('refinement.method')}=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} "
+            f"windows of "
             f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
-            "there, lower refinement.window, or choose another refinement.method"
+            f"there, lower {setting('refinement.window')}, or choose another {setting('refinement.method')}"
         )
 
 
@@ -574,8 +576,9 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         target = torch.cat([target, damping**0.5 * old[kept]])
     if not bool(square.isfinite().all() & target.isfinite().all()):
         raise RunsAway(
-            "refinement.method=trajectory: the trajectories leave all finite numbers; give a better first guess, "
-            "lower refinement.window, or choose another refinement.method"
+            f"{setting('refinement.method')}=trajectory: the trajectories leave all finite numbers; give a better "
+            f"first guess, "
+            f"lower {setting('refinement.window')}, or choose another {setting('refinement.method')}"
         )
     solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
     values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale

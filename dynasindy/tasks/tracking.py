@@ -111,15 +111,6 @@ class Tracking(Task):
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.start_ranges(signature, start or {}, "task.start")
         self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
-        outside = _beyond(self.start, self.bounds).any(0)
-        if away := [
-            name for name, out in zip(signature.state_names, outside.tolist()) if out and name in (start or {})
-        ]:
-            place = signature.state_index(away[0])
-            raise ValueError(
-                f"task.start has '{away[0]}' at {self.start[:, place].tolist()}, and task.bounds are "
-                f"{self.bounds[:, place].tolist()}; allowed is a start within the bounds: correct one of them"
-            )
         self.fence = 0.0
         self.followers: Mapping[int, int] = {}
         self._given = set(start or {})

@@ -181,7 +181,7 @@ def test_a_rig_of_which_names_and_units_are_known_is_identified_and_held_though_
     controller = session.learn(UNKNOWN)
     model = SindyModel.load(tmp_path / "model.json")
     assert model.delay == pytest.approx(0.08, abs=0.004)
-    (late,) = [line for line in told if "late" in line]
+    (late,) = [line for line in told if line.endswith("control periods")]
     assert f"{model.delay / 0.05:.2g} control periods" in late
     theta, omega, u = (torch.linspace(-1, 1, 9).double() * k for k in (0.4, 1.0, 0.3))
     found = model(torch.stack([theta, omega], -1), u.unsqueeze(-1))[:, 1]
