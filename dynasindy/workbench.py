@@ -41,20 +41,21 @@ from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.evaluation.equations import equation_findings
 from dynasindy.evaluation.forecast import Forecast, predict
-from dynasindy.evaluation.forecast_errors import forecast_errors
-from dynasindy.evaluation.identification import LoggedData
-from dynasindy.evaluation.log_fit import fit_log
-from dynasindy.evaluation.period import as_planned, other_period, suited_period
-from dynasindy.evaluation.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.evaluation.scenarios import Scenario, step_references
-from dynasindy.evaluation.signal_resolution import low_signal_states, resolved_errors
-from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.evaluation.targets import require_radians
 from dynasindy.evaluation.tracking_criteria import WITHIN
-from dynasindy.evaluation.verdict import (
+from dynasindy.findings import Finding
+from dynasindy.identification.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
+from dynasindy.identification.equations import equation_findings
+from dynasindy.identification.forecast_errors import forecast_errors
+from dynasindy.identification.identify import LoggedData
+from dynasindy.identification.log_fit import fit_log
+from dynasindy.identification.period import as_planned, other_period, suited_period
+from dynasindy.identification.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
+from dynasindy.identification.signal_resolution import low_signal_states, resolved_errors
+from dynasindy.identification.source import VALIDATION_SHARE, Source
+from dynasindy.identification.targets import require_radians
+from dynasindy.identification.verdict import (
     inputs_beyond_log,
     linear_better,
     require_controlled,
@@ -62,7 +63,6 @@ from dynasindy.evaluation.verdict import (
     shortcoming,
     targets_beyond_log,
 )
-from dynasindy.findings import Finding
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unheld
 from dynasindy.progress import reporting_as

@@ -11,8 +11,8 @@ from cli import command
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from dynasindy.evaluation.identification import Identified
-    from dynasindy.evaluation.source import Source
+    from dynasindy.identification.identify import Identified
+    from dynasindy.identification.source import Source
 
 
 @command("identify")
@@ -24,9 +24,9 @@ def main(cfg: DictConfig) -> None:
     from logged import loaded
     from next_steps import listed, with_ends
 
-    from dynasindy.evaluation.before_fit import before_fit, plants_with
-    from dynasindy.evaluation.identification import identify_source
-    from dynasindy.evaluation.identification_report import to_words, write_identification
+    from dynasindy.identification.before_fit import before_fit, plants_with
+    from dynasindy.identification.identify import identify_source
+    from dynasindy.identification.report import to_words, write_identification
     from dynasindy.progress import report_progress, say, width
     from dynasindy.sentences import lines
 
@@ -70,8 +70,8 @@ def following(cfg: DictConfig, found: Identified, known: Sequence[str], rates: M
     from next_steps import planning, with_plant, with_rates
     from omegaconf import OmegaConf
 
-    from dynasindy.evaluation.period import closest_period
-    from dynasindy.evaluation.targets import targets_like
+    from dynasindy.identification.period import closest_period
+    from dynasindy.identification.targets import targets_like
 
     job, logged, told = HydraConfig.get(), found.source.logged, cfg.plant.get("known") or {}
     words, system = job.overrides.task, job.runtime.choices.system
@@ -98,7 +98,7 @@ def draw(found: Identified, source: Source, folder: Path, formats: list[str]) ->
     """Draw the training data and the open-loop prediction against the real states."""
     import torch
 
-    from dynasindy.evaluation.identification_report import describe_restarts
+    from dynasindy.identification.report import describe_restarts
     from dynasindy.viz.identification import prediction, training_data
     from dynasindy.viz.style import save_figures
 

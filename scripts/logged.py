@@ -18,13 +18,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
-from dynasindy.evaluation.before_fit import with_missing_rates
-from dynasindy.evaluation.period import PERIOD, closest_period, sampled, suited_period
-from dynasindy.evaluation.signal_resolution import low_signal_targets
-from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding
+from dynasindy.identification.before_fit import with_missing_rates
+from dynasindy.identification.period import PERIOD, closest_period, sampled, suited_period
+from dynasindy.identification.signal_resolution import low_signal_targets
+from dynasindy.identification.source import Source
+from dynasindy.identification.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text

@@ -39,8 +39,8 @@ from typing_extensions import TypedDict
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.identification.identify import LoggedData
 from dynasindy.rig import Guard
 from dynasindy.sindy.functions import register_formula
 from dynasindy.systems import System

@@ -17,9 +17,9 @@ from dynasindy.data.csv import Recording
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.findings import FindingError, LogError, note, weak, wrong
+from dynasindy.identification.source import Source
 from dynasindy.progress import listening
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature

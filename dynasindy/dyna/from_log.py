@@ -9,14 +9,14 @@ from typing import Any
 
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
-from dynasindy.evaluation.before_fit import before_fit
-from dynasindy.evaluation.equations import equation_findings
 from dynasindy.evaluation.forecast import Forecast
-from dynasindy.evaluation.log_fit import fit_log
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.evaluation.source import Source
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
+from dynasindy.identification.before_fit import before_fit
+from dynasindy.identification.equations import equation_findings
+from dynasindy.identification.log_fit import fit_log
+from dynasindy.identification.source import Source
 from dynasindy.progress import say, width
 from dynasindy.safe_io import write_json
 from dynasindy.sensing import Sensors

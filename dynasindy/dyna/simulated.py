@@ -14,10 +14,10 @@ from dynasindy.data.rollout_data import before_leaving, disturb, observed, recor
 from dynasindy.dyna.components import PlantComponents
 from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restarts
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.identification import ExcitationBuilder
-from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
+from dynasindy.identification.identify import ExcitationBuilder
+from dynasindy.identification.source import Source
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant

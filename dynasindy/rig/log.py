@@ -11,7 +11,7 @@ from types import TracebackType
 
 import numpy as np
 
-from dynasindy.evaluation.recording_diagnostics import sensor_resolution
+from dynasindy.identification.recording_diagnostics import sensor_resolution
 from dynasindy.rig.base import Array, Wiring
 from dynasindy.systems import Signature
 

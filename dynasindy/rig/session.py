@@ -18,10 +18,10 @@ from dynasindy import workbench
 from dynasindy.control import Controller, save
 from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.evaluation.source import Source, same_input_ranges
 from dynasindy.excitation import Excitation
+from dynasindy.identification.identify import LoggedData
+from dynasindy.identification.source import Source, same_input_ranges
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from dynasindy.data.csv import CsvLog
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.findings import LogError, note, weak, wrong
+from dynasindy.identification.identify import LoggedData
 from dynasindy.systems import BlackBox
 from dynasindy.tasks import base
 

@@ -8,8 +8,8 @@ from scipy.signal import cont2discrete
 
 import dynasindy
 from dynasindy.data.clock import clock_of, period_of
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.findings import note, weak
+from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import Refinement, Regression, SindyModel
 
 

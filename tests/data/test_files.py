@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.findings import note
+from dynasindy.identification.identify import LoggedData
 
 ROWS = 300
 T = 0.01 * np.arange(ROWS)

@@ -8,8 +8,8 @@ import pytest
 
 from dynasindy.data.columns import guess_columns, infer, row_counter
 from dynasindy.data.table import summarise_columns
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.findings import LogError, note, wrong
+from dynasindy.identification.identify import LoggedData
 
 
 def written(path, headings, order=(0, 1, 2, 3)):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dynasindy.data.csv import unwrap_angle
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.findings import LogError, note, wrong
+from dynasindy.identification.identify import LoggedData
 
 ROWS = 400
 T = 0.01 * np.arange(ROWS)

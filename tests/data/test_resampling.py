@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 import dynasindy
 from dynasindy.data.csv import Recording
 from dynasindy.data.resampling import evened
-from dynasindy.evaluation.source import Source
+from dynasindy.identification.source import Source
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 

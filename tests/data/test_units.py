@@ -7,8 +7,8 @@ import pytest
 
 from dynasindy.data.columns import Column
 from dynasindy.data.units import in_radians, with_units
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.findings import LogError
+from dynasindy.identification.identify import LoggedData
 from dynasindy.systems import Pendulum
 
 TURN = 2 * math.pi

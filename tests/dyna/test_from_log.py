@@ -10,9 +10,9 @@ import dynasindy
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
 from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note
+from dynasindy.identification.source import Source
 from dynasindy.sindy import Oracle, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step

@@ -14,8 +14,8 @@ from tensordict.nn import TensorDictModule
 from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.excitation import Multisine
+from dynasindy.identification.identify import LoggedData
 from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, _forecast_flight, targets_within
 from dynasindy.rig.simulated import SimulatedRig

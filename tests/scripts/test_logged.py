@@ -132,7 +132,7 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     assert "sinh" not in again.stderr and (tmp_path / "again" / "model.json").exists()
 
 
-LOGGED = {"data": {"_target_": "dynasindy.evaluation.identification.LoggedData", "path": "log.csv"}, "system": None}
+LOGGED = {"data": {"_target_": "dynasindy.identification.identify.LoggedData", "path": "log.csv"}, "system": None}
 
 
 @pytest.mark.parametrize(

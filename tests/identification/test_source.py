@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from dynasindy.data.csv import Recording
-from dynasindy.evaluation.source import Source
 from dynasindy.findings import note
+from dynasindy.identification.source import Source
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions

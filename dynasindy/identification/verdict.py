@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors
-from dynasindy.evaluation.recording_diagnostics import closed_loop, samples_of, saturated, sensor_resolution
 from dynasindy.findings import Finding, FindingError, note, weak, wrong
+from dynasindy.identification.forecast_errors import LOST, ForecastErrors
+from dynasindy.identification.recording_diagnostics import closed_loop, samples_of, saturated, sensor_resolution
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Factor, Feature
 from dynasindy.systems.base import Signature

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.equations import hidden_states
-from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors, forecast_errors
-from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import unresolved
 from dynasindy.findings import Finding, note, weak
+from dynasindy.identification.equations import hidden_states
+from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forecast_errors
+from dynasindy.identification.source import Source
+from dynasindy.identification.verdict import unresolved
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim

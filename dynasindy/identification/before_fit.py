@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from dynasindy.data.rates import contradicted, mismatched
-from dynasindy.evaluation.source import Source
 from dynasindy.findings import Finding, note, weak
+from dynasindy.identification.source import Source
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import auto, auto_rig
 from dynasindy.sindy.reconstruction import find_missing_rates, rate_states

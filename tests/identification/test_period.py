@@ -11,11 +11,11 @@ import dynasindy
 from dynasindy.control import save
 from dynasindy.data.csv import Recording
 from dynasindy.data.rollout_data import record_plant
-from dynasindy.evaluation.period import _typical, as_planned, closest_period, other_period, suited_period
 from dynasindy.evaluation.scenarios import Scenario, step_references
-from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Multisine
 from dynasindy.findings import Finding, note, weak
+from dynasindy.identification.period import _typical, as_planned, closest_period, other_period, suited_period
+from dynasindy.identification.source import Source
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, System
 from dynasindy.workbench import tracking_task

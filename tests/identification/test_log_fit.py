@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from dynasindy.data.rollout_data import record_plant
-from dynasindy.evaluation import log_fit as module
-from dynasindy.evaluation.forecast_errors import ForecastErrors, forecast_errors
-from dynasindy.evaluation.log_fit import LogFit, fit_log
-from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import unresolved
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note, weak
+from dynasindy.identification import log_fit as module
+from dynasindy.identification.forecast_errors import ForecastErrors, forecast_errors
+from dynasindy.identification.log_fit import LogFit, fit_log
+from dynasindy.identification.source import Source
+from dynasindy.identification.verdict import unresolved
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.lag_states import LagStateCandidate

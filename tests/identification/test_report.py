@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.evaluation.identification import identify_source
-from dynasindy.evaluation.identification_report import describe_restarts, to_words, write_identification
 from dynasindy.excitation import Chirp
 from dynasindy.findings import Finding, note
+from dynasindy.identification.identify import identify_source
+from dynasindy.identification.report import describe_restarts, to_words, write_identification
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
 from dynasindy.systems.transitions import Transitions

@@ -9,9 +9,9 @@ from itertools import combinations
 import torch
 from torch.quasirandom import SobolEngine
 
-from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import logged_input_ranges
 from dynasindy.findings import LogError
+from dynasindy.identification.source import Source
+from dynasindy.identification.verdict import logged_input_ranges
 from dynasindy.planning.equilibria import PERIOD, find_equilibria
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature, turn_of

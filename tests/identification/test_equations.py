@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.evaluation.equations import equation_findings, hidden_states, idle_states, missing_nonlinearity
 from dynasindy.findings import note, weak
+from dynasindy.identification.equations import equation_findings, hidden_states, idle_states, missing_nonlinearity
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity
 from dynasindy.sindy.regression import RunningSums

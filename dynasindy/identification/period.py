@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.verdict import logged_input_ranges
 from dynasindy.findings import Finding, note, weak
+from dynasindy.identification.source import Source
+from dynasindy.identification.verdict import logged_input_ranges
 from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from dynasindy.data.csv import Recording
-from dynasindy.evaluation.source import Source
-from dynasindy.evaluation.targets import in_words, logged_range, require_radians, targets_like
 from dynasindy.findings import LogError
+from dynasindy.identification.source import Source
+from dynasindy.identification.targets import in_words, logged_range, require_radians, targets_like
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions

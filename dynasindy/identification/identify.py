@@ -17,19 +17,19 @@ from dynasindy.data.headings import named_by, split_unit
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.data.table import read_columns
 from dynasindy.data.units import as_map, with_units
-from dynasindy.evaluation import verdict
-from dynasindy.evaluation.equations import equation_findings, idle_states, missing_nonlinearity
-from dynasindy.evaluation.forecast_errors import (
+from dynasindy.excitation import Excitation
+from dynasindy.findings import Finding, LogError, weak
+from dynasindy.identification import verdict
+from dynasindy.identification.equations import equation_findings, idle_states, missing_nonlinearity
+from dynasindy.identification.forecast_errors import (
     ForecastErrors,
     forecast_errors,
     relevant_horizons,
     with_start_states,
 )
-from dynasindy.evaluation.log_fit import fit_log
-from dynasindy.evaluation.signal_resolution import low_signal_findings, low_signal_states, resolved_errors
-from dynasindy.evaluation.source import VALIDATION_SHARE, Source
-from dynasindy.excitation import Excitation
-from dynasindy.findings import Finding, LogError, weak
+from dynasindy.identification.log_fit import fit_log
+from dynasindy.identification.signal_resolution import low_signal_findings, low_signal_states, resolved_errors
+from dynasindy.identification.source import VALIDATION_SHARE, Source
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
 from dynasindy.sindy import FitReport, SindyModel

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import torch
 
-from dynasindy.evaluation.forecast_errors import LOST, ForecastErrors
-from dynasindy.evaluation.identification import Identified
-from dynasindy.evaluation.source import Source
 from dynasindy.findings import Finding, records
+from dynasindy.identification.forecast_errors import LOST, ForecastErrors
+from dynasindy.identification.identify import Identified
+from dynasindy.identification.source import Source
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sentences import error_of, line, lines, verdict_lines
 from dynasindy.sindy import SindyModel

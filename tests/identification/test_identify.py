@@ -9,11 +9,11 @@ import torch
 
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.evaluation.identification import LoggedData, identify_source
-from dynasindy.evaluation.identification_report import to_words
-from dynasindy.evaluation.source import Source
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import LogError, note, weak
+from dynasindy.identification.identify import LoggedData, identify_source
+from dynasindy.identification.report import to_words
+from dynasindy.identification.source import Source
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.forecast_errors import LinearModel, _length, characteristic, estimate, forecast_errors
+from dynasindy.identification.forecast_errors import LinearModel, _length, characteristic, estimate, forecast_errors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions

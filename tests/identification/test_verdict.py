@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation.forecast_errors import ForecastErrors
-from dynasindy.evaluation.identification_report import table
-from dynasindy.evaluation.verdict import (
+from dynasindy.findings import FindingError, note, weak, wrong
+from dynasindy.identification.forecast_errors import ForecastErrors
+from dynasindy.identification.report import table
+from dynasindy.identification.verdict import (
     errors,
     inputs_beyond_log,
     linear_better,
@@ -20,7 +21,6 @@ from dynasindy.evaluation.verdict import (
     targets_beyond_log,
     unresolved,
 )
-from dynasindy.findings import FindingError, note, weak, wrong
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
 from dynasindy.systems import Pendulum

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.evaluation.recording_diagnostics import resolutions, resolutions_by
+from dynasindy.identification.recording_diagnostics import resolutions, resolutions_by
 from dynasindy.planning.equilibria import fastest_time_constant
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs

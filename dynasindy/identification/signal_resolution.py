@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from dynasindy.evaluation.forecast_errors import ForecastErrors
-from dynasindy.evaluation.recording_diagnostics import all_samples_of, coarse_resolution
 from dynasindy.findings import Finding, LogError, wrong
+from dynasindy.identification.forecast_errors import ForecastErrors
+from dynasindy.identification.recording_diagnostics import all_samples_of, coarse_resolution
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 

@@ -5,15 +5,15 @@ import math
 import pytest
 import torch
 
-from dynasindy.evaluation.forecast_errors import ForecastErrors
-from dynasindy.evaluation.signal_resolution import (
+from dynasindy.findings import LogError
+from dynasindy.identification.forecast_errors import ForecastErrors
+from dynasindy.identification.signal_resolution import (
     FEW,
     low_signal_findings,
     low_signal_states,
     low_signal_targets,
     resolved_errors,
 )
-from dynasindy.findings import LogError
 from dynasindy.systems import Pendulum, Signature, rk4
 from dynasindy.systems.transitions import Transitions
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.evaluation import recording_diagnostics as module
-from dynasindy.evaluation.recording_diagnostics import (
+from dynasindy.identification import recording_diagnostics as module
+from dynasindy.identification.recording_diagnostics import (
     closed_loop,
     resolution,
     resolutions,

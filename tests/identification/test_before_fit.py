@@ -9,10 +9,10 @@ import torch
 
 from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.evaluation.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.evaluation.identification import LoggedData
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
+from dynasindy.identification.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
+from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
 
