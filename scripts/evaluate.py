@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,11 @@ def main(cfg: DictConfig) -> None:
     from settings import check
 
     from dynasindy.control.integral import IntegralAction
+    from dynasindy.dyna.verdict import judge_control
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
+    from dynasindy.evaluation.tracking_criteria import WITHIN, judge_tracking
+    from dynasindy.planning.equilibria import states_that_matter
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.sentences import lines
@@ -40,6 +44,7 @@ def main(cfg: DictConfig) -> None:
     if cfg.integral:
         policy, name = IntegralAction(policy, env), f"{name}, integral action"
     out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
+    within, verdicts = config.evaluation.get("within", WITHIN), []
     scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario, sensing)
@@ -49,6 +54,11 @@ def main(cfg: DictConfig) -> None:
             animate(result, out / f"{scenario.name}.gif")
         table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
         say(table, *lines(beyond_targets(result)), "")
+        start = result.trajectory["state"][0, 0]
+        matter = states_that_matter(env.system, result.columns, start) if env.system.known else start.isfinite()
+        _, verdict = judge_control(asdict(judge_tracking(result, matter)), within)
+        verdicts.append(f"  {scenario.name}: {lines([verdict])[0]}")
+    say("Verdict, against the error that was asked for:", *verdicts)
     say(f"Figures, tables and trajectories: {out}")
 
 

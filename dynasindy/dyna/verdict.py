@@ -40,7 +40,7 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
         within: Mean absolute error at the end that is asked for, in ranges of targets.
     """
     usable, compared = _compared(metrics)
-    controlled, tracked = _tracked(metrics["held"], within, usable)
+    controlled, tracked = judge_control(metrics["held"], within, usable)
     return RunVerdict(usable, controlled, (compared, tracked))
 
 
@@ -76,9 +76,16 @@ def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: flo
     return weak("run.distrusted", **counts, cause=cause, error=error, limit=limit)
 
 
-def _tracked(
-    held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool
+def judge_control(
+    held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool = True
 ) -> tuple[bool | None, Finding]:
+    """Return whether a policy holds the plant, and the finding that says so.
+
+    Args:
+        held: What was tracked, as a `TrackingCriteria` in figures.
+        within: Mean absolute error at the end that is asked for, in ranges of targets.
+        usable: Whether the policy is better than the untrained one.
+    """
     outputs, missed = {}, False
     for name, given in held["share"].items():
         share, worst = _number(given), _number(held["worst"][name])
