@@ -950,6 +950,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{most:.6g} only, {percent:.1g} % of that; check that both are in one unit. What a model says so far beyond a log "
     "is "
     "a guess: log more of the range, or give narrower ends",
+    "log.small_input": "input {input} goes from {least:.3g} to {most:.3g} only, and its actuator is taken to reach "
+    "from -1 "
+    "to 1: what a model says so far beyond a log is a guess. Log more of the range, or give its ends: "
+    "{inputs:data.inputs}",
     "log.beyond_ends": "input {input} goes from {least:g} to {most:g}, beyond the [-1, 1] of a plant's inputs; the "
     "model "
     "holds for these numbers, or give its ends, low and high, in <data.inputs>",

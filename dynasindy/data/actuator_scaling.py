@@ -60,6 +60,8 @@ def reaches(
             findings += _too_wide(column, found[name], ends)
         if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
             findings.append(weak("log.beyond_ends", **ends))
+        elif found[name] == PLAIN and given.low is None and WIDE * np.ptp(column) < PLAIN.high - PLAIN.low:
+            findings.append(weak("log.small_input", inputs=_words({name: given}, {name: _tried(column)}), **ends))
         elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
             sided[name] = ActuatorScaling.of(0.0, 1.0) if column.max() > 0 else ActuatorScaling.of(-1.0, 0.0)
     words = _words(inputs, found | sided)
@@ -168,6 +170,11 @@ def _range_of(values: Array) -> ActuatorScaling:
     if min(-low, high) >= EVEN * max(-low, high):
         low, high = -max(-low, high), max(-low, high)
     return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
+
+
+def _tried(values: Array) -> ActuatorScaling:
+    """Return the range that an input has in a log, whatever it is."""
+    return ActuatorScaling.of(float(values.min()), float(values.max()))
 
 
 def _require_within(path: str, name: str, values: Array, reach: ActuatorScaling) -> None:

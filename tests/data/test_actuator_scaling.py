@@ -139,6 +139,18 @@ def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):
     assert codes == ["log.time", "log.scaled"]
 
 
+@pytest.mark.parametrize(("most", "small"), [(0.04, True), (0.06, False)])
+def test_an_input_that_hardly_moved_asks_for_its_ends(tmp_path, most, small):
+    """A plan would use all of -1 to 1, of which 0.08 is less than a twentieth."""
+    path = written(tmp_path / "log.csv", levels(-most, most))
+    found = LoggedData(path, inputs=["valve"]).recording(None)
+    assert [each.severity for each in found.findings if each.code == "log.small_input"] == ["weak"] * small
+    if small:
+        again = LoggedData(path, inputs=found.findings[1].values["inputs"]).recording(None)
+        assert np.abs(again.transitions.u.numpy()).max() == pytest.approx(1.0)
+        assert "log.small_input" not in [each.code for each in again.findings]
+
+
 @pytest.mark.parametrize("most", [0.4, 1.0, 1.0004])
 def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
     values = levels(-most, most)
