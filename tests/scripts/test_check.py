@@ -49,7 +49,7 @@ def test_the_exit_code_is_1_where_the_loop_is_not_stable(tmp_path, spring, code)
     assert ("NOT stable" in done.stdout) == bool(code)
     found = json.loads((tmp_path / "run" / "check" / "check.json").read_text())
     assert found["targets"][0]["stable"] == (code == 0) and found["settings"]["low"] == [-0.1]
-    assert [line["words"] in done.stdout for line in found["verdict"]].count(False) == 0
+    assert any(each["severity"] == "wrong" for each in found["findings"]) == bool(code)
     names = {path.name for path in (tmp_path / "run" / "check").iterdir()}
     assert {"check.json", "recovery.png", "steps.png"} <= names and ("nyquist.png" in names) == (code == 0)
 
@@ -66,12 +66,11 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     after = json.loads(kept.read_text())
     told = after.pop("check")
     assert after == before and kept.stat().st_mtime == 1e9  # evaluations made since are none of an older run
-    assert told["verdict"] in done.stdout and told["stable"] is True
+    assert told["stable"] is True
     whole = json.loads((tmp_path / "run" / "check" / "check.json").read_text())
     assert told["margins"] == {"force": whole["targets"][0]["margins"]["force"]}
     assert told["recovered"] == {" and ".join(each["states"]): each["share"] for each in whole["recovery"]}
-    assert told["weak"] == [line["finding"] for line in whole["verdict"] if line["good"] is False]
-    assert "noise" in told["unknown"] and "\n?     noise: not known" in done.stdout
+    assert told["findings"] == whole["findings"]
     called(tmp_path, *SMALL, f"folder={tmp_path}/elsewhere", "low=[-0.2]")
     assert json.loads(kept.read_text())["check"] == told
 
@@ -124,7 +123,7 @@ def test_a_check_that_is_stopped_keeps_what_it_found(tmp_path):
     last = err.splitlines()[-1]
     assert last.startswith("stopped; 7 ") and str(file) in last
     found = json.loads((tmp_path / file).read_text())
-    assert found["verdict"][0]["finding"] == "stability" and len(found["verdict"]) == 7
+    assert found["findings"][0]["code"].startswith("check.") and len(found["findings"]) == 7
     assert found["left"][0] == "steps" and not (tmp_path / "run" / "check" / "check.json").exists()
     assert called(tmp_path, *SMALL).returncode == 0
     assert not (tmp_path / file).exists() and (tmp_path / "run" / "check" / "check.json").is_file()
