@@ -143,6 +143,8 @@ def _regressors(data: Transitions, rows: Tensor, order: int, seen: Tensor) -> Te
 
 STARTS = 200
 """Start times, at most; as many tell, on the data of the fit, on how many samples start states are best estimated."""
+FARTHEST = 10_000
+"""Samples ahead up to which predictions are judged; of what wanders for longer nothing more is told."""
 SHORTEST_FIT, LONGEST_FIT = 10, 200
 """Samples before a start on which its states are estimated, at least and at most."""
 LONGEST_STEP, MOST_STEPS = 0.01, 20
@@ -247,7 +249,7 @@ def _forecast(
         fit //= 2
     reach = _reach(back, ahead, fit)
     steps = [round(h / validation.dt) for h in horizons or _series(time / 10, 3 * time)]
-    steps = sorted({k for k in steps if 1 <= k <= reach})
+    steps = sorted({k for k in steps if 1 <= k <= min(reach, FARTHEST)})
     if not steps:
         return None
     starts = _starts(back, ahead, fit, steps[0])

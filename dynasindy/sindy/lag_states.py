@@ -25,8 +25,9 @@ from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states, reconstruct
+from dynasindy.sindy.reconstruction import BRIEF, RegressionData, has_gaps, rate_states, reconstruct
 from dynasindy.sindy.regression import Rows, RunningSums, least_squares
+from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.systems.transitions import Transitions
 
 TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -79,7 +80,8 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
     others = [i for i in range(model.signature.n_x) if i not in known]
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return []
-    data, keep = data.to(torch.float64), rows_after_delay(data, model.delay)
+    data = data.to(torch.float64).select(choose_stretches(len(data), BRIEF))
+    keep = rows_after_delay(data, model.delay)
     longest, dt = model.delay, data.dt  # shorter delays in whole samples
     delays = sorted({*(round(part * longest / dt) * dt for part in PARTS if part * longest < longest), longest})
     late = {delay: delay_inputs(data, delay).select(keep) for delay in delays}
