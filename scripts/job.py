@@ -121,6 +121,6 @@ def command_and_commit(job: DictConfig) -> dict[str, str]:
     except (OSError, subprocess.CalledProcessError):
         commit = ""
     return {
-        "command": " ".join([called(job.job.name), *job.overrides.task]),
+        "command": " ".join([called(job.job.config_name), *job.overrides.task]),
         "commit": commit if IN_CLONE and commit else "unknown",
     }
