@@ -90,9 +90,15 @@ def _plain(value: Any) -> Any:
         return {str(name): _plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(each) for each in value]
+    if isinstance(value, Finding):
+        return value.record()
+    if hasattr(value, "item"):  # of NumPy or torch
+        value = value.item()
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
-    return value if value is None or isinstance(value, str | int | bool) else str(value)
+    if value is None or isinstance(value, str | int | bool):
+        return value
+    raise TypeError(f"a finding holds {value!r}; allowed are numbers, text, lists and mappings")
 
 
 def _restored(value: Any) -> Any:

@@ -42,8 +42,13 @@ def setting(key: str, value: Any = None) -> str:
     if value is None:
         return key if _words_of_commands else name
     if _words_of_commands:
-        return f"'{key}={_flow(value)}'" if isinstance(value, Mapping) else f"{key}={_flow(value)}"
+        return f"'{command_word(key, value)}'" if isinstance(value, Mapping) else command_word(key, value)
     return f"{CALLS[key]}({name}={value!r})" if key in CALLS else f"{name}={value!r}"
+
+
+def command_word(key: str, value: Any) -> str:
+    """Return a setting as a word of the command line, not quoted for a shell."""
+    return f"{key}={_flow(value)}"
 
 
 def sentence(code: str, values: Mapping[str, Any]) -> str:
@@ -53,7 +58,9 @@ def sentence(code: str, values: Mapping[str, Any]) -> str:
         code: What was found.
         values: Numbers and names of it.
     """
-    template = SENTENCES[code]
+    template = SENTENCES.get(code)
+    if template is None:  # of a file that another version wrote
+        return f"{code}: {', '.join(f'{name} {value}' for name, value in values.items())}"
     rest = {name: value for name, value in values.items() if name != "file"}
     text = template(**rest) if callable(template) else _FORMATTER.vformat(template, (), rest)
     text = SETTING.sub(_named, text)
@@ -86,8 +93,6 @@ class _Formatter(string.Formatter):
             return format_duration(value)
         if format_spec == "unit":
             return "" if value in ("", "-") else f" {value}"
-        if format_spec == "s":
-            return "" if value == 1 else "s"
         return (
             setting(format_spec, value)
             if "." in format_spec[1:-1] and format_spec[0].isalpha()
@@ -134,7 +139,7 @@ def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skippe
     where = ", ".join(f"{name}: {count}" for name, count in counts.items())
     text = f"{rows} of {total} rows have {what} that are missing or not finite ({where}), the first in line {line}; "
     if refused:
-        return f"{text}mend them or set missing=skip"
+        return f"{text}mend them or set {setting('data.missing')}=skip"
     return text + (
         "they were skipped" if skipped else "the fit goes on without them, and with what else these rows hold"
     )
@@ -457,7 +462,7 @@ def _one_simulation(samples: int, state: str, ratio: float, limit: float, gaps: 
 
 
 def _longest_delay(seconds: float) -> str:
-    longer = setting("refinement.longest_delay", float(f"{2 * seconds:g}"))
+    longer = setting("longest_delay", float(f"{2 * seconds:g}"))
     return (
         f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give {longer}, "
         f"or "
@@ -530,8 +535,8 @@ def _better(trained: float, untrained: float, scenario: str, percent: float, har
     return f"the trained policy is {word} than the untrained one: {_returns(trained, untrained, scenario)}"
 
 
-def _no_better(trained: float | None, untrained: float | None, scenario: str, episodes: bool) -> str:
-    if trained is None or untrained is None:
+def _no_better(trained: float, untrained: float, scenario: str, episodes: bool) -> str:
+    if not (math.isfinite(trained) and math.isfinite(untrained)):
         return (
             f"there is no usable result: the return in scenario '{scenario}' is not finite (trained {trained}, "
             f"untrained "
@@ -551,7 +556,7 @@ def _controlled(
     within: float,
     away: Mapping[str, Any],
     idle: Mapping[str, Any],
-    grew: bool,
+    grew: bool | None,
 ) -> str:
     """Say whether a plant is held, and how near."""
     word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
@@ -562,10 +567,10 @@ def _controlled(
     ]
     parts = [f"errors at the end: {'; '.join(texts)} ({percent(within)} is asked for)"]
     if not outputs:
-        parts = [
-            "the task names no targets, so nothing is said of control; all that was compared is the mean return of the "
-            f"trained policy with that of the untrained one, and it {'grew' if grew else 'did not grow'}"
-        ]
+        parts = ["the task names no targets, so nothing is said of control"]
+        if grew is not None:
+            change = "grew" if grew else "did not grow"
+            parts[0] += f"; what was compared is the mean return with that of the untrained policy, and it {change}"
     for name, each in away.items():
         fate = "does not come to rest" if each["swings"] else "runs away or does not come to rest"
         parts.append(f"{name}, which is not tracked, {fate} in {percent(each['share'])} of the runs")
@@ -859,14 +864,14 @@ def check_lines(findings: Sequence[Finding]) -> list[str]:
         mend = "" if each.severity == "note" or remedy in said else SETTING.sub(_named, f". {remedy}")
         said |= {remedy} if mend else set()
         texts.append(f"{mark:<4}  {_title(each)}: {each}{mend}")
-    return [*texts, _in_short(findings)]
+    return [*texts, check_summary(findings)]
 
 
 def _title(finding: Finding) -> str:
     return finding.code.partition(".")[2].replace("_", " ")
 
 
-def _in_short(findings: Sequence[Finding]) -> str:
+def check_summary(findings: Sequence[Finding]) -> str:
     """Sum a check up in a line."""
     stability = findings[0]
     count, bad = stability.values["targets"], stability.values["unstable"]

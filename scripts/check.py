@@ -81,7 +81,7 @@ def _keep(found: Check, file: Path) -> str:
 
     findings = check_verdict(found)
     write_json(file, check_record(found, findings))
-    weak = [each.code for each in findings if each.severity != "note"]
+    weak = [each.code.partition(".")[2].replace("_", " ") for each in findings if each.severity != "note"]
     of_them = f"weak in {', '.join(weak)}" if weak else "none of them weak"
     count = f"{len(findings)} finding{'s' * (len(findings) > 1)}"
     return (

@@ -88,6 +88,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         filter(None, [os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker:UserWarning"])
     )
     Sweep.here = True
+    use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `guarded`
     warnings.formatwarning = _in_one_line
     listen(stop)
     completes = any(word in COMPLETION for word in sys.argv) and any(word.startswith("query=") for word in sys.argv)

@@ -28,6 +28,7 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.sentences import lines
+    from dynasindy.sindy import SindyModel
     from dynasindy.viz.animation import animate
     from dynasindy.viz.controllers import name_by_planning
     from dynasindy.viz.response import draw_evaluation
@@ -45,6 +46,7 @@ def main(cfg: DictConfig) -> None:
         policy, name = IntegralAction(policy, env), f"{name}, integral action"
     out = output_folder(folder, "evaluation_integral" if cfg.integral else "evaluation")
     within, verdicts = config.evaluation.get("within", WITHIN), []
+    system = env.system if env.system.known else SindyModel.load(folder / "model.json")
     scenarios = [load_scenario(name, config, env) for name in cfg.scenarios]
     for scenario in scenarios:
         result = evaluate(env, policy, scenario, sensing)
@@ -54,10 +56,9 @@ def main(cfg: DictConfig) -> None:
             animate(result, out / f"{scenario.name}.gif")
         table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
         say(table, *lines(beyond_targets(result)), "")
-        start = result.trajectory["state"][0, 0]
-        matter = states_that_matter(env.system, result.columns, start) if env.system.known else start.isfinite()
-        _, verdict = judge_control(asdict(judge_tracking(result, matter)), within)
-        verdicts.append(f"  {scenario.name}: {lines([verdict])[0]}")
+        matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
+        _, verdict = judge_control(asdict(judge_tracking(result, matter)), within, usable=None)
+        verdicts.append(f"  {scenario.name}: {verdict}")
     say("Verdict, against the error that was asked for:", *verdicts)
     say(f"Figures, tables and trajectories: {out}")
 

@@ -19,9 +19,9 @@ from omegaconf import DictConfig, OmegaConf
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
 from dynasindy.evaluation.tracking_criteria import WITHIN
-from dynasindy.findings import Finding
+from dynasindy.findings import Finding, note
 from dynasindy.identification.before_fit import with_missing_rates
-from dynasindy.identification.period import PERIOD, closest_period, sampled, suited_period
+from dynasindy.identification.period import PERIOD, closest_period, suited_period
 from dynasindy.identification.signal_resolution import low_signal_targets
 from dynasindy.identification.source import Source
 from dynasindy.identification.targets import OUTER, in_words, logged_range, require_radians
@@ -150,7 +150,7 @@ def _asked(cfg: DictConfig, source: Source | None) -> tuple[float | None, list[F
     dt = closest_period(source, cfg.env.dt)
     if source is None or dt == cfg.env.dt:
         return dt, []
-    return dt, [sampled(dt, cfg.env.dt, source.training.dt)]
+    return dt, [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
 
 
 @contextmanager

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from cli import called
 
+from dynasindy.sentences import command_word
+
 NEXT = {
     "evaluate": "flies it to steps, along sines and along squares, and draws that",
     "check": "tells its margins and worst cases, on the model",
@@ -122,7 +124,9 @@ def with_rates(words: Sequence[str], known: Mapping[str, str]) -> str:
         words: What the user gave.
         known: The rate of each state, those that were given too.
     """
-    return _command("identify", [*_without(words, ("folder", "hydra", "plant.known")), *_words("plant.known", known)])
+    return _command(
+        "identify", [*_without(words, ("folder", "hydra", "plant.known")), command_word("plant.known", known)]
+    )
 
 
 def with_ends(words: Sequence[str], ends: Mapping[str, object]) -> str:
@@ -134,14 +138,7 @@ def with_ends(words: Sequence[str], ends: Mapping[str, object]) -> str:
     """
     kept = _without(words, ("folder", "hydra", "data.inputs"))
     asked = "are these the ends of the actuators? They are guessed from the log; put in the true ones"
-    return f"{_command('identify', kept + _words('data.inputs', ends))}  # {asked}"
-
-
-def _words(key: str, value: Mapping[str, object]) -> list[str]:
-    """Return a setting as a word of the command line."""
-    from dynasindy.sentences import setting
-
-    return shlex.split(setting(key, value))
+    return f"{_command('identify', [*kept, command_word('data.inputs', ends)])}  # {asked}"
 
 
 def _without(words: Sequence[str], keys: Sequence[str]) -> list[str]:

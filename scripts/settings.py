@@ -66,7 +66,11 @@ FIGURES = Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "web
 THREADS = range(1, 8 * (os.cpu_count() or 1) + 1)
 TOP: dict[str, Any] = {
     **get_type_hints(Recipe),
-    **{"seed": Annotated[int, range(2**63)], "system": System | None, "threads": Annotated[int, THREADS]},
+    **{
+        "seed": Annotated[int, range(2**63)],
+        "system": System | None,
+        "threads": Annotated[int, THREADS, "eight for each core"],
+    },
     **{"folder": str, "run": str | None, "resume": str | None, "results": str, "output": str, "controller": str | None},
     **{"save": str | None, "name": str | None, "settings": list[str], "slim": list[str], "scenarios": list[str]},
     **{"plugins": list[str], "formats": list[FIGURES]},

@@ -33,7 +33,7 @@ def loaded(name):
 @pytest.fixture(scope="module")
 def settings():
     """The module that writes the pages on settings."""
-    return loaded("settings")
+    return loaded("config_pages")
 
 
 def notebook(folder, *sources):

@@ -13,15 +13,15 @@ from inspect import isclass, isfunction, ismodule
 from pathlib import Path
 from typing import Any
 
+import config_pages
 import notebooks
-import settings
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import dynasindy
 
-REPOSITORY = settings.REPOSITORY
+REPOSITORY = config_pages.REPOSITORY
 DOCS = REPOSITORY / "docs"
 ROOT_PAGES = {"README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
 """Files at the top of the repository that are pages of the site."""
@@ -35,7 +35,7 @@ NAME = re.compile(r"(?<![\[`])`(dynasindy(?:\.\w+)+)`(?![\]`])")
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Put the generated pages where the navigation names their folders."""
     places = {
-        f"{SETTINGS}/": [{title: f"{SETTINGS}/{name}.md"} for name, title in settings.titles().items()],
+        f"{SETTINGS}/": [{title: f"{SETTINGS}/{name}.md"} for name, title in config_pages.titles().items()],
         f"{REFERENCE}/": [{room: f"{REFERENCE}/{room}.md"} for room in rooms()],
     }
     config.nav = _filled(config.nav, places)
@@ -58,8 +58,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 def generated() -> Iterator[tuple[str, str]]:
     """Yield path and text of each generated page."""
-    for name in settings.titles():
-        yield f"{SETTINGS}/{name}.md", settings.page(name)
+    for name in config_pages.titles():
+        yield f"{SETTINGS}/{name}.md", config_pages.page(name)
     for room, modules in rooms().items():
         yield f"{REFERENCE}/{room}.md", _reference(room, modules)
     for notebook in sorted((DOCS / NOTEBOOKS).glob("*.ipynb")):
@@ -140,7 +140,7 @@ def _place(path: str) -> str | None:
         page = "commands" if group == "." and not (whole and rest) else rest if whole else group
         return f"{SETTINGS}/{page}.md" + ("" if whole else f"#{stem}")
     if first == "scripts":
-        known = (settings.CONF / Path(rest).name).with_suffix(".yaml").is_file()
+        known = (config_pages.CONF / Path(rest).name).with_suffix(".yaml").is_file()
         return f"{SETTINGS}/commands.md" + (f"#{Path(rest).stem}" if known else "")
     if first == "docs" and not rest.startswith("site"):
         if (REPOSITORY / path).is_dir():

@@ -22,7 +22,7 @@ from dynasindy.findings import Finding, note
 from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
 from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
-from dynasindy.sentences import line
+from dynasindy.sentences import check_summary, line
 from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
 
@@ -232,7 +232,7 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
     if (file := folder / IDENTIFICATION).is_file():
         which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
         lines[-1:] = [f"{which}: {file}", ""]
-    findings = [Finding.of(record) for record in metrics["findings"]]
+    findings = [Finding.of(record) for record in metrics.get("findings", ())]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     steady = metrics.get("steady_seconds", 5.0)
@@ -249,8 +249,8 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
         *_of_observer(metrics.get("observer") or {}),
         *(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in findings if each.code.startswith("run.")),
         *(
-            [f"Check on the model, {folder / 'check'}: {checked['verdict']}"]
-            if (checked := metrics.get("check"))
+            [f"Check on the model, {folder / 'check'}: {check_summary([Finding.of(each) for each in checked])}"]
+            if (checked := (metrics.get("check") or {}).get("findings"))
             else []
         ),
         f"Run folder: {folder}",

@@ -52,8 +52,7 @@ def _compared(metrics: Mapping[str, Any]) -> tuple[bool, Finding]:
         share = (trained - untrained) / max(abs(untrained), 1e-300)
         hardly = share < HARDLY
         return True, (weak if hardly else note)("run.better", **facts, percent=100 * share, hardly=hardly)
-    returns = facts if finite else {**facts, "trained": None, "untrained": None}
-    return False, wrong("run.no_better", **returns, episodes=bool(metrics.get("episodes", 1)))
+    return False, wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
 
 
 def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: float = math.inf) -> Finding | None:
@@ -77,14 +76,14 @@ def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: flo
 
 
 def judge_control(
-    held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool = True
+    held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool | None
 ) -> tuple[bool | None, Finding]:
     """Return whether a policy holds the plant, and the finding that says so.
 
     Args:
         held: What was tracked, as a `TrackingCriteria` in figures.
         within: Mean absolute error at the end that is asked for, in ranges of targets.
-        usable: Whether the policy is better than the untrained one.
+        usable: Whether the policy is better than the untrained one; None where that was not compared.
     """
     outputs, missed = {}, False
     for name, given in held["share"].items():

@@ -61,8 +61,8 @@ class Forecast:
     @property
     def controlled(self) -> bool:
         """Whether the controller holds every model as near as is asked for, and nothing speaks against the models."""
-        judge_tracking = all(flight is not None and not flight.away for flight in self.flights)
-        return not self._missed and judge_tracking and not self.doubts
+        steady = all(flight is not None and not flight.away for flight in self.flights)
+        return not self._missed and steady and not self.doubts
 
     @property
     def promised(self) -> bool:
@@ -108,7 +108,8 @@ class Forecast:
             findings += advice
         if not (self.controlled or diverged or self.doubts or (advice and self._missed)):
             findings.append(self._advice(flown))
-        return (*findings, *self.doubts)
+        order = ("wrong", "weak", "note")
+        return tuple(sorted((*findings, *self.doubts), key=lambda each: order.index(each.severity)))
 
     def _errors(self, flown: Sequence[TrackingCriteria]) -> dict[str, Any]:
         """Return the errors of each output over the models [%]."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import torch
@@ -74,16 +73,6 @@ def judge_tracking(evaluation: Evaluation, matter: Tensor) -> TrackingCriteria:
             if box >= turn_of(unit)
         ],
     )
-
-
-def error_reference(name: str, turned: Collection[str]) -> str:
-    """Say of what the error of an output is a share.
-
-    Args:
-        name: The output.
-        turned: Outputs whose errors are shares of a turn.
-    """
-    return "of a turn" if name in turned else "of the target range"
 
 
 def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:

@@ -74,13 +74,18 @@ class LoggedData:
 
     def __post_init__(self) -> None:
         if not self.path:
-            raise ValueError(f"data=csv got no path; allowed is a CSV file: give {setting('data.path')}=log.csv")
+            raise ValueError(
+                f"there is no {setting('data.path')}; allowed is a file, or a list of some: give "
+                f"{setting('data.path')}=log.csv"
+            )
         if not isinstance(self.path, str) and len(set(self.path)) < len(self.path):
             raise ValueError(f"{setting('data.path')} names a file twice: {', '.join(self.path)}; give each file once")
         if not 0 < self.validation_share < 1:
-            raise ValueError(f"data=csv got validation_share {self.validation_share}; allowed is between 0 and 1")
+            raise ValueError(
+                f"{setting('data.validation_share')} is {self.validation_share}; allowed is between 0 and 1"
+            )
         if self.dt is not None and not self.dt > 0:
-            raise ValueError(f"data=csv got dt {self.dt} s; allowed is a positive time, or null for the file's own")
+            raise ValueError(f"{setting('data.dt')} is {self.dt} s; allowed is a time > 0, or none for the file's own")
 
     def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
         """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.
@@ -231,7 +236,7 @@ class Identified:
     @property
     def predicts(self) -> bool:
         """Whether the model was seen to predict; not where the validation data are too short, or too quiet, to tell."""
-        return (errors := self.resolved()) is not None and not verdict.shortcoming(errors, self.model.signature)
+        return self.resolved() is not None and not any(each.severity == "wrong" for each in self.verdict)
 
     @cached_property
     def content(self) -> list[Finding]:

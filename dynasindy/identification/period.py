@@ -80,7 +80,12 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         return _chosen(slow, "settles", seconds)
     if usual < PERIOD - step:
         return _chosen(usual, "samples")
-    return Period(usual, None if math.isclose(usual, PERIOD, rel_tol=1e-6) else sampled(usual, PERIOD, step))
+    return Period(
+        usual,
+        None
+        if math.isclose(usual, PERIOD, rel_tol=1e-6)
+        else note("control.sampled", seconds=usual, wanted=PERIOD, step=step),
+    )
 
 
 def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: float) -> Finding | None:
@@ -200,17 +205,6 @@ def _two_digits(seconds: float) -> float:
 
 def _chosen(seconds: float, cause: str, value: float = 0.0) -> Period:
     return Period(seconds, note("control.period", seconds=seconds, cause=cause, value=value, ahead=LONGEST))
-
-
-def sampled(seconds: float, wanted: float, step: float) -> Finding:
-    """Return why a control period is not the one that was wanted.
-
-    Args:
-        seconds: The control period [s].
-        wanted: The one that was wanted [s].
-        step: Sampling time of the log [s].
-    """
-    return note("control.sampled", seconds=seconds, wanted=wanted, step=step)
 
 
 def closest_period(log: Source | None, wanted: float | None = None) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dynasindy.findings import Finding, LogError, wrong
+from dynasindy.findings import Finding, LogError, weak
 from dynasindy.identification.forecast_errors import ForecastErrors
 from dynasindy.identification.recording_diagnostics import all_samples_of, coarse_resolution
 from dynasindy.systems.base import WHOLE, Signature
@@ -69,7 +69,7 @@ def low_signal_findings(data: Transitions, signature: Signature, but: Collection
         return []
     steps = {signature.state_names[i]: round(count) for i, count in moved.items()}
     inputs = _louder(data, signature, max(WANTED / count for count in moved.values()))
-    return [wrong("log.quiet", steps=steps, wanted=round(WANTED), inputs=inputs)]
+    return [weak("log.quiet", steps=steps, wanted=round(WANTED), inputs=inputs)]
 
 
 def low_signal_targets(

@@ -13,6 +13,7 @@ import torch
 from dynasindy.data.csv import Recording
 from dynasindy.data.rates import with_rates
 from dynasindy.findings import Finding, note
+from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import completed, widened
 from dynasindy.sindy.reconstruction import rate_states, with_rate_ranges
@@ -115,7 +116,8 @@ class Source:
             mine, theirs = (_reached(signature) for signature in (self.signature, model.signature))
             raise ValueError(
                 f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
-                "both, low and high in data.inputs, or identify the log again, as earlier versions took the middle of "
+                f"both, low and high in {setting('data.inputs')}, or identify the log again, as earlier versions took "
+                f"the middle of "
                 "a range for zero"
             )
         names = model.signature.state_names

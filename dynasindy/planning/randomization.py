@@ -24,6 +24,7 @@ from torch import Tensor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
+from dynasindy.sentences import setting
 from dynasindy.systems import Altered, Stops, System
 from dynasindy.systems.machine import Machine
 from dynasindy.tasks import Tracking
@@ -137,7 +138,7 @@ class Randomization:
         if not (0 <= self.parameters < 1 and 0 <= self.input_delay <= 1):
             raise ValueError(
                 f"a randomization needs 0 <= parameters < 1 and 0 <= input_delay <= 1, got {self}; mend "
-                "planning.randomization"
+                f"{setting('planning.randomization')}"
             )
 
     def delays(self, rows: int, rng: torch.Generator) -> Tensor | None:

@@ -314,7 +314,7 @@ def _bounded(features: Iterable[Feature]) -> list[Feature]:
     if len(first) > LARGEST:
         raise ValueError(
             f"the library has more than {LARGEST} functions; lower its degree or order, or choose another list in "
-            "plant.library"
+            f"{setting('plant.library')}"
         )
     return first
 

@@ -26,7 +26,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from dynasindy.findings import Finding, note, wrong
+from dynasindy.findings import Finding, note, weak
 from dynasindy.safe_io import read_json, reading, write_json
 from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import Field, generate, machine
@@ -473,7 +473,7 @@ class SindyModel(WorldModel):
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            return [wrong("fit.dropped")], {}
+            return [weak("fit.dropped")], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
         fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end", "aside")}

@@ -523,10 +523,12 @@ def require_bounded(flow: Flow) -> None:
     """
     if bool((lost := flow.lost()).any()):
         raise RunsAway(
-            f"{setting('refinement.method')}=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} "
+            f"{setting('world_model.refinement.method')}=trajectory: the model runs away in {int(lost.sum())} of "
+            f"{len(lost)} "
             f"windows of "
             f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
-            f"there, lower {setting('refinement.window')}, or choose another {setting('refinement.method')}"
+            f"there, lower {setting('world_model.refinement.window')}, or choose another "
+            f"{setting('world_model.refinement.method')}"
         )
 
 
@@ -576,9 +578,11 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         target = torch.cat([target, damping**0.5 * old[kept]])
     if not bool(square.isfinite().all() & target.isfinite().all()):
         raise RunsAway(
-            f"{setting('refinement.method')}=trajectory: the trajectories leave all finite numbers; give a better "
+            f"{setting('world_model.refinement.method')}=trajectory: the trajectories leave all finite numbers; give "
+            f"a better "
             f"first guess, "
-            f"lower {setting('refinement.window')}, or choose another {setting('refinement.method')}"
+            f"lower {setting('world_model.refinement.window')}, or choose another "
+            f"{setting('world_model.refinement.method')}"
         )
     solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
     values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale

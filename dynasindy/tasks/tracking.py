@@ -10,6 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from dynasindy.sentences import setting
 from dynasindy.systems import Signature, ranges
 from dynasindy.systems.ranges import Ends
 from dynasindy.tasks import references
@@ -75,8 +76,8 @@ class Tracking(Task):
         if not outputs:
             raise ValueError(
                 f"the task tracks nothing; the states are {', '.join(signature.state_names)}: name some in "
-                "plant.outputs, with the ends of their targets in plant.low and plant.high, or take task=own, which "
-                "earns what an environment itself pays"
+                f"{setting('plant.outputs')}, with the ends of their targets in {setting('plant.low')} and "
+                f"{setting('plant.high')}, or take task=own, which earns what an environment itself pays"
             )
         reward = TrackingReward() if reward is None else reward
         counts = {len(outputs), len(rates) or len(outputs), reference.n_r}

@@ -17,6 +17,7 @@ from dynasindy.dyna.run import Evaluating, Provenance, Saving, run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
+from dynasindy.findings import note
 from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning, Randomization
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
@@ -199,6 +200,12 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     assert metrics["verdict"]["controlled"] is None  # nothing is said of control
     told = run_report(metrics, tmp_path / "run")
     assert "scenario 'task'" in told and "steady-state" not in told
+    stable = note(
+        "check.stability", targets=2, unstable=0, outputs=["x"], target=[0.0], radius=0.9, slowest=1.0, dt=0.1
+    )
+    checked = run_report(metrics | {"check": {"findings": [stable.record()]}}, tmp_path / "run")
+    assert "stable at all 2" in checked and "stable at all 2" not in told
+    assert run_report({**metrics, "findings": []}, tmp_path / "run")  # as of an earlier version
     rows = list(csv.DictReader((tmp_path / "run" / "progress.csv").open()))
     assert float(rows[0]["evaluated_return"]) == pytest.approx(metrics["evaluation"]["return"], rel=1e-6)
     names = next(csv.reader((tmp_path / "run" / "data" / "step_response.csv").open()))

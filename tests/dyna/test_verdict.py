@@ -1,9 +1,11 @@
 """Which runs leave a usable result."""
 
+import math
+
 import pytest
 
 from dynasindy.dyna.verdict import distrusted, judge_run
-from dynasindy.findings import note, weak, wrong
+from dynasindy.findings import note, weak
 
 HELD = {"share": {"x": 0.004}, "worst": {"x": 0.02}, "away": {}, "idle": {}}
 
@@ -28,10 +30,10 @@ def test_the_trained_policy_has_to_be_better_than_the_untrained_one(untrained, t
 @pytest.mark.parametrize(("untrained", "trained"), [(-10.0, -250.0), (-10.0, -10.0), (-10.0, None), (None, -10.0)])
 def test_a_policy_that_is_no_better_or_of_no_finite_return_is_no_result(untrained, trained):
     verdict = judge_run(metrics(untrained, trained))
-    finite = {"trained": trained, "untrained": untrained}
-    told = finite if None not in finite.values() else dict.fromkeys(finite)
-    assert not verdict.usable
-    assert verdict.findings[0] == wrong("run.no_better", scenario="step", **told, episodes=True)
+    worse = verdict.findings[0]
+    assert not verdict.usable and (worse.code, worse.severity) == ("run.no_better", "wrong")
+    for name, value in (("trained", trained), ("untrained", untrained)):
+        assert worse.values[name] == value if value is not None else math.isnan(worse.values[name])
     assert "\n" not in str(verdict.findings[0])
 
 

@@ -42,8 +42,9 @@ def seen(share, away=None, worst=None, idle=None):
 def test_one_model_that_is_not_held_breaks_it(flights, errors, more):
     found = Forecast(flights)
     assert not found.promised and "NOT promised" in found.summary()
-    *first, last = found.findings
-    assert last == more and [each.code for each in first] == ["forecast.errors"] * bool(errors)
+    assert more in found.findings and found.findings[0].severity == "wrong"  # the gravest comes first
+    first = [each for each in found.findings if each != more]
+    assert [each.code for each in first] == ["forecast.errors"] * bool(errors)
     for each in first:
         told = each.values["outputs"]["theta"]
         assert (each.severity, each.values["within"], each.values["lost"]) == (errors[0], 1, 10)
@@ -211,8 +212,8 @@ def test_a_doubt_breaks_a_promise():
     doubt = wrong("model.better", seconds=2.0)
     doubted = Forecast((seen(0.001),), doubts=(doubt,))
     assert not doubted.controlled and not doubted.record()["controlled"]
-    assert doubted.findings[-1] == doubt and doubted.record()["findings"][-1] == doubt.record()
-    assert "NOT promised" in doubted.summary() and doubted.summary().endswith(str(doubt))
+    assert doubted.findings[0] == doubt and doubted.record()["findings"][0] == doubt.record()
+    assert "NOT promised" in doubted.summary() and str(doubt) in doubted.summary()
 
 
 def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():

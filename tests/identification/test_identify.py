@@ -87,9 +87,9 @@ def test_columns_of_a_log_of_no_plant_are_named_by_a_list_or_a_map(tmp_path):
 def test_settings_that_make_no_sense_are_refused():
     with pytest.raises(ValueError, match="noise -1"):
         Simulated(noise=-1.0)
-    with pytest.raises(ValueError, match=r"data.path=log.csv"):
+    with pytest.raises(ValueError, match="path"):
         LoggedData(None, {"a": "a"}, {"u": "u"})
-    with pytest.raises(ValueError, match="validation_share 2"):
+    with pytest.raises(ValueError, match="validation_share"):
         LoggedData("x.csv", {"a": "a"}, {"u": "u"}, validation_share=2.0)
 
 

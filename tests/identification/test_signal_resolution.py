@@ -93,7 +93,7 @@ def test_it_is_told_which_input_to_move_and_how_much_further():
     count = low_signal_states(log)[0]
     times = 100 / count
     (told,) = low_signal_findings(log, SIGNATURE)
-    assert (told.code, told.severity) == ("log.quiet", "wrong") and told.values["steps"] == {"angle": round(count)}
+    assert (told.code, told.severity) == ("log.quiet", "weak") and told.values["steps"] == {"angle": round(count)}
     (move,) = told.values["inputs"]
     ends = {"input": "u", "low": pytest.approx(-0.001, rel=1e-3), "high": pytest.approx(0.001, rel=1e-3), "unit": "-"}
     assert move == {**ends, "times": pytest.approx(times), "limited": False}

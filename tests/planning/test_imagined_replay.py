@@ -136,7 +136,7 @@ def test_an_actor_without_finite_weights_is_not_laid_on_the_model():
 
 
 def test_rollouts_that_memory_cannot_hold_are_refused():
-    with pytest.raises(ValueError, match=r"planning\.rollouts"):
+    with pytest.raises(ValueError, match=r"rollouts"):
         make(rollouts=10**9, horizon=100)
 
 
@@ -296,7 +296,7 @@ def test_imagined_rollouts_are_those_of_a_loop_over_rows_and_periods():
 
 
 def test_a_rollout_needs_a_period():
-    with pytest.raises(ValueError, match=r"planning\.horizon"):
+    with pytest.raises(ValueError, match=r"horizon"):
         Imagination(make_env(), POLICY, horizon=0)
     assert len(Imagination(make_env(), POLICY, horizon=1).imagine(torch.zeros(2, 6))) == 2
 

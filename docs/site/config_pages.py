@@ -6,22 +6,23 @@ by which `scripts/settings.py` checks it before a command begins.
 """
 
 import inspect
+import math
 import pkgutil
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args, get_type_hints, is_typeddict
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 import yaml
 
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
-import schema  # noqa: E402
-from annotations import words  # noqa: E402
-from manual import entries, heading  # noqa: E402
+from cli import _heading as heading  # noqa: E402
+from settings import CHECKING, EXPORTING, LARGEST, TOP  # noqa: E402
 
 CONF = REPOSITORY / "conf"
 GROUPS = {
@@ -162,10 +163,62 @@ def _allowed(key: Key, file: Path) -> str:
     return re.sub(r"\d+ to \d+, (?=eight for)", "up to ", allowed.replace(f" up to {1e19:g}", ""))
 
 
+def words(hint: Any) -> str:
+    """Say what an annotation allows."""
+    kind, options = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return " or ".join(words(option) for option in options)
+    if kind is Annotated:
+        notes = [f"{limit.start} to {limit.stop - 1}" for limit in options if isinstance(limit, range)]
+        notes += [".inf too" for limit in options if limit == math.inf] + [o for o in options if isinstance(o, str)]
+        return f"{words(options[0])} ({', '.join(notes)})"
+    if kind is Literal:
+        return ", ".join(map(str, options))
+    if kind in (dict, Mapping) or is_typeddict(kind):
+        return "a group of keys"
+    if kind in (list, tuple, Sequence, Collection, Iterable):
+        inner = [words(option) for option in options if option is not Ellipsis]
+        return f"a list, each {inner[0]}" if len(inner) < 2 else f"a list of {len(inner)}: {', '.join(inner)}"
+    names = {int: "a whole number", float: f"a finite number up to {LARGEST:g}", bool: "true or false", str: "text"}
+    return names.get(kind) or (
+        "null" if kind is NoneType else f"a group with _target_, a {getattr(kind, '__name__', kind)}"
+    )
+
+
+def entries(file: Path) -> Iterator[tuple[str, str | None, str]]:
+    """Yield the keys of a file as a command line has them, each with its value as it is written and what is said above.
+
+    The value of a group, whose keys follow, is None, that of a list whose parts stand below it empty.
+    """
+    text = file.read_text()
+    lines = text.splitlines()
+
+    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str | None, str]]:
+        if isinstance(node, yaml.SequenceNode):
+            for part in node.value:
+                yield from () if getattr(part, "flow_style", True) else walk(part, prefix)
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            below = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
+            written = "" if below else text[value.start_mark.index : value.end_mark.index].rstrip()
+            group = below and isinstance(value, yaml.MappingNode)
+            yield f"{prefix}{key.value}", None if group else written, _comment(lines, key.start_mark.line)
+            if below:
+                yield from walk(value, f"{prefix}{key.value}.")
+
+    yield from walk(yaml.compose(text, Loader=yaml.SafeLoader), "")
+
+
+def _comment(lines: list[str], end: int) -> str:
+    """Return the comment that ends above a line; one that begins at the top of the file is the file's own."""
+    start = end
+    while start and lines[start - 1].lstrip().startswith("#"):
+        start -= 1
+    return " ".join(" ".join(line.strip().lstrip("#") for line in lines[start:end]).split()) if start else ""
+
+
 def _top(command: str) -> Mapping[str, Any]:
     """Return the annotations of the keys at the top of a command's config."""
-    own = {"export": schema.Exporting, "check": schema.Checking}
-    return schema.TOP | _typed(own.get(command))
+    return TOP | {"export": EXPORTING, "check": CHECKING}.get(command, {})
 
 
 def _typed(kind: Any) -> Mapping[str, Any]:
@@ -193,9 +246,8 @@ def _built(target: str) -> Any:
 
 
 def _described(name: str, target: str) -> str:
-    """Return what a docstring says of a key: that of what its group builds, or that of the keys of `plant`."""
-    group, _, last = name.rpartition(".")
-    return _argument(target, last) if target else _sentence(schema.Plant, last) if group == "plant" else ""
+    """Return what the docstring of what its group builds says of a key."""
+    return _argument(target, name.rpartition(".")[2]) if target else ""
 
 
 @cache
