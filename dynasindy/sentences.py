@@ -151,8 +151,7 @@ def _unwrapped(state: str, turn: float, times: int, counts: bool) -> str:
     more = f"; if these are a turn, {setting('data.states', scaled)} gives rad" if counts else ""
     return (
         f"{state} jumps by {size} {times} times and was unwrapped, as a controller has to do{more}; a unit that is "
-        f"none "
-        "of an angle keeps it as it is"
+        "none of an angle keeps it as it is"
     )
 
 
@@ -189,9 +188,8 @@ def _no_roles(
     }
     return (
         f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; "
-        f"{lacking[lacks]}. "
-        "Allowed are a column of time, one state or more, and one input or more: say which is which, by <data.time>, "
-        f"<data.inputs> and <data.states>.{_taken(left_out)}{_guess(**guess) if guess else ''}"
+        f"{lacking[lacks]}. Allowed are a column of time, one state or more, and one input or more: say which is "
+        f"which, by <data.time>, <data.inputs> and <data.states>.{_taken(left_out)}{_guess(**guess) if guess else ''}"
     )
 
 
@@ -241,10 +239,8 @@ def _nothing_moves(
     lack = "what the plant does" if driven else "the command that moves the plant"
     return (
         f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; besides "
-        f"{clock}, "
-        f"the time, {f'only {moving}' if moving else 'nothing'} changes. Allowed are one state or more and one input "
-        f"or "
-        f"more: log {lack}, too, for without one nothing can be identified.{_taken(left_out)}"
+        f"{clock}, the time, {f'only {moving}' if moving else 'nothing'} changes. Allowed are one state or more and "
+        f"one input or more: log {lack}, too, for without one nothing can be identified.{_taken(left_out)}"
     )
 
 
@@ -257,8 +253,7 @@ def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], sta
 def _mismatch(state: str, rate: str, factor: float, cause: str, guessed: bool) -> str:
     text = (
         f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}; {cause}? Correct the "
-        f"column, "
-        "or give it a scale in <data.states>"
+        "column, or give it a scale in <data.states>"
     )
     if not guessed:
         return text
@@ -352,8 +347,7 @@ def _many_functions(count: int, rows: int, plants: Sequence[str]) -> str:
     )
     return (
         f"{text}, which takes long and lets functions in that do not belong; if you know what moves your plant, name "
-        f"it, "
-        f"as in {example}"
+        f"it, as in {example}"
     )
 
 
@@ -392,8 +386,7 @@ def _linear_better(state: str, seconds: float, error: float, linear: float, unit
     why = "a function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
     return (
         f"a linear model on past samples predicts {state} {format_duration(seconds)} ahead to {error_of(linear)} "
-        f"{unit}, "
-        f"{ours}: {why if far else 'it is the better one over that time, and something may be missing here'}"
+        f"{unit}, {ours}: {why if far else 'it is the better one over that time, and something may be missing here'}"
     )
 
 
@@ -416,9 +409,8 @@ def _standard_errors(
         f"{', '.join(places)} {how}" for places, how in ((larger, "larger"), (smaller, "smaller")) if places
     )
     return (
-        f"{text}; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. Were "
-        f"it "
-        f"known, the others would be within {rest:.2g} % in the median"
+        f"{text}; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. "
+        f"Were it known, the others would be within {rest:.2g} % in the median"
     )
 
 
@@ -426,9 +418,8 @@ def _unscaled(states: Sequence[str]) -> str:
     its = "its" if len(states) == 1 else "their"
     return (
         f"no sensor sees {' and '.join(states)}, and nothing else tells {its} unit: in any other unit, with "
-        f"coefficients "
-        "to match, the model predicts the same. The fit keeps about the unit of the first guess, and coefficients and "
-        "standard errors are in that unit"
+        "coefficients to match, the model predicts the same. The fit keeps about the unit of the first guess, and "
+        "coefficients and standard errors are in that unit"
     )
 
 
@@ -437,8 +428,7 @@ def _in_pieces(samples: int, why: str, state: str = "", ratio: float = math.nan)
         "runs_away": "one simulation through all samples runs away",
         "empty": "a fit of one simulation through all samples leaves no function",
         "strays": f"in one simulation through all samples the error of {state} is {ratio:.2f} times as large: "
-        f"something "
-        "pushes the plant, or functions are missing",
+        "something pushes the plant, or functions are missing",
     }
     return (
         f"the fit simulates the log in pieces that begin anew every {samples} samples: {causes[why]} (error=prediction)"
@@ -450,25 +440,21 @@ def _one_simulation(samples: int, state: str, ratio: float, limit: float, gaps: 
     if ratio <= limit:
         return (
             f"the model follows the log in one simulation {over}from its first sample to its last: the error of "
-            f"{state} "
-            f"is {ratio:.2f} times that of simulations that begin anew every {samples} samples, which noise of the "
-            "sensors explains (error=simulation)"
+            f"{state} is {ratio:.2f} times that of simulations that begin anew every {samples} samples, which noise "
+            "of the sensors explains (error=simulation)"
         )
     return (
         f"in one simulation through all samples the error of {state} is {ratio:.2f} times that of pieces that begin "
-        f"anew "
-        f"every {samples} samples: something pushes the plant, or functions are missing"
+        f"anew every {samples} samples: something pushes the plant, or functions are missing"
     )
 
 
 def _longest_delay(seconds: float) -> str:
     longer = setting("longest_delay", float(f"{2 * seconds:g}"))
     return (
-        f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give {longer}, "
-        f"or "
-        "0 where it stands for what the equations lack. Coefficients may be further off than their standard errors "
-        "say, "
-        "which take the delay as right"
+        f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give "
+        f"{longer}, or 0 where it stands for what the equations lack. Coefficients may be further off than their "
+        "standard errors say, which take the delay as right"
     )
 
 
@@ -539,8 +525,7 @@ def _no_better(trained: float, untrained: float, scenario: str, episodes: bool) 
     if not (math.isfinite(trained) and math.isfinite(untrained)):
         return (
             f"there is no usable result: the return in scenario '{scenario}' is not finite (trained {trained}, "
-            f"untrained "
-            f"{untrained}); check the plant and the task's reward"
+            f"untrained {untrained}); check the plant and the task's reward"
         )
     how = "worse than" if trained < untrained else "no better than"
     look = ", or look in gate.csv whether the model was trusted" if episodes else ""
@@ -590,12 +575,10 @@ def percent(share: float | None) -> str:
 def _distrusted(closed: int, episodes: int, episode: int, error: float | None, cause: str, limit: float | None) -> str:
     what = (
         {
-            "reward_closes": f"the model's reward error on real periods that it was not fitted to was {error:.2g} per "
-            f"control "
-            f"period, above {setting('gate.close_above', limit)}",
+            "reward_closes": f"the model's reward error on real periods that it was not fitted to was {error:.2g} "
+            f"per control period, above {setting('gate.close_above', limit)}",
             "reward_opens": f"the model's reward error on real periods that it was not fitted to was {error:.2g} per "
-            f"control "
-            f"period, above {setting('gate.open_below', limit)}, at which a closed gate opens",
+            f"control period, above {setting('gate.open_below', limit)}, at which a closed gate opens",
             "state": f"its state error was {error:.2g} ranges, above {setting('gate.state_error', limit)}",
         }
         if error is not None and limit is not None
@@ -693,9 +676,8 @@ def _stability(targets: int, unstable: int, outputs: Sequence[str], target: Sequ
         return (
             f"stable at {'all ' * (targets > 1)}{grid}; largest spectral radius {_beside(radius, 1.0, 4)} at "
             f"{_places(target)}: there the slowest part of plant and controller together dies out with a time "
-            f"constant of "
-            f"{format_duration(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt = "
-            f"{format_duration(dt, digits=2)}; threshold: < 1"
+            f"constant of {format_duration(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt "
+            f"= {format_duration(dt, digits=2)}; threshold: < 1"
         )
     rest = f"; at {more['restless']} of these targets there is no rest" if more["restless"] else ""
     swing, limit = more["swing"], more["swing_limit"]
@@ -708,10 +690,8 @@ def _stability(targets: int, unstable: int, outputs: Sequence[str], target: Sequ
         moves = f"{swing['output']} runs away, or its swings still grow"
     return (
         f"NOT stable at {unstable} of {grid}, {'such as ' * (unstable > 1)}{_places(target)}{rest}; simulated there "
-        f"for "
-        f"{format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
-        f"{moves}; "
-        f"thresholds: spectral radius < 1 at all, swings of {100 * limit:g} %"
+        f"for {format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
+        f"{moves}; thresholds: spectral radius < 1 at all, swings of {100 * limit:g} %"
     )
 
 
@@ -759,8 +739,7 @@ def _noise(value: float = 0.0, limit: float = 0.0, input: str = "", known: bool 
     if not known:
         return (
             "not known, as the controller's file states no noise of sensors; check.json has what a unit of it would "
-            "do, "
-            "and a run with sensors=bench, or on a log, states it"
+            "do, and a run with sensors=bench, or on a log, states it"
         )
     return f"noise of the sensors moves {input} by {_beside(value, limit)} (standard deviation); threshold: {limit:g}"
 
@@ -808,8 +787,7 @@ def _recovery(shares: Mapping[str, float], reach: float, tried: int, limit: floa
     found = ", ".join(f"{_beside(100 * share, 100 * limit)} % in {both}" for both, share in shares.items())
     return (
         f"comes back from errors of up to {reach:g} times the typical size of each state: {found}, of {tried} errors "
-        f"in "
-        f"each such plane; the error that stays where it rests is {_error(**error, limit=math.inf)}; threshold: "
+        f"in each such plane; the error that stays where it rests is {_error(**error, limit=math.inf)}; threshold: "
         f"{100 * limit:g} %"
     )
 
@@ -823,10 +801,8 @@ _CAREFUL = (
 )
 _VARIED = (
     "Where a plant is not stable, try <planning.randomization.parameters=0.2>, by which training varies the plant by "
-    "up "
-    "to that share; where only the steady error is too large, give the controller integral action, as the page on "
-    "checks "
-    "shows"
+    "up to that share; where only the steady error is too large, give the controller integral action, as the page on "
+    "checks shows"
 )
 REMEDIES = {
     "check.stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
@@ -837,8 +813,7 @@ REMEDIES = {
     ),
     "check.noise": f"{_GENTLE}, or mend the sensor",
     "check.steady_error": "See steps.png. If outputs still move at its end, give a longer time by seconds=; if they "
-    "rest "
-    "beside their targets, narrow the targets",
+    "rest beside their targets, narrow the targets",
     "check.slew": _GENTLE,
     "check.saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
     "check.one_coefficient": f"The size of these changes is fixed, so longer data do not help. {_VARIED}",
@@ -902,9 +877,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         "left out, as what never changes tells nothing of the plant: " + _pairs(columns, "{:g} in all rows")
     ),
     "log.counters": lambda columns: (
-        f"left out, as {'it grows' if len(columns) == 1 else 'they grow'} by exactly one in "
-        f"each row, as a counter of rows does: {', '.join(columns)}; <data.states> or <data.inputs> may name it all "
-        f"the same"
+        f"left out, as {'it grows' if len(columns) == 1 else 'they grow'} by exactly one in each row, as a counter "
+        f"of rows does: {', '.join(columns)}; <data.states> or <data.inputs> may name it all the same"
     ),
     "log.text_columns": lambda columns: (
         "left out, as they hold words and no numbers: "
@@ -918,10 +892,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
     "log.whole_seconds": lambda column: (
-        f"{column} holds whole numbers without a unit, as a counter of rows does: if it is "
-        f"one, give the true time between two rows in seconds, such as {setting('data.dt', 0.01)}; if it is a time in "
-        f"ms, "
-        f"give {_named_unit(column, 'ms')}, or [s] for seconds"
+        f"{column} holds whole numbers without a unit, as a counter of rows does: if it is one, give the true time "
+        f"between two rows in seconds, such as {setting('data.dt', 0.01)}; if it is a time in ms, give "
+        f"{_named_unit(column, 'ms')}, or [s] for seconds"
     ),
     "log.row_counter": "time is the column {column}, taken as a counter of rows: {dt:g} s between rows, as given by "
     "<data.dt>",
@@ -946,38 +919,28 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         + f"{setting('data.states', kept)} would keep the units of the file"
     ),
     "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, so nothing is known of "
-    "the "
-    "values between them, which a controller uses. Log some of these, too; where the actuator can only switch, pulse "
-    "it "
-    "and log the share of the time that it is on",
+    "the values between them, which a controller uses. Log some of these, too; where the actuator can only switch, "
+    "pulse it and log the share of the time that it is on",
     "log.hardly_moved": "input {input} was given low {low:g} and high {high:g}, and its column goes from {least:.6g} "
-    "to "
-    "{most:.6g} only, {percent:.1g} % of that; check that both are in one unit. What a model says so far beyond a log "
-    "is "
-    "a guess: log more of the range, or give narrower ends",
+    "to {most:.6g} only, {percent:.1g} % of that; check that both are in one unit. What a model says so far beyond a "
+    "log is a guess: log more of the range, or give narrower ends",
     "log.small_input": "input {input} goes from {least:.3g} to {most:.3g} only, and its actuator is taken to reach "
-    "from -1 "
-    "to 1: what a model says so far beyond a log is a guess. Log more of the range, or give its ends: "
+    "from -1 to 1: what a model says so far beyond a log is a guess. Log more of the range, or give its ends: "
     "{inputs:data.inputs}",
     "log.beyond_ends": "input {input} goes from {least:g} to {most:g}, beyond the [-1, 1] of a plant's inputs; the "
-    "model "
-    "holds for these numbers, or give its ends, low and high, in <data.inputs>",
+    "model holds for these numbers, or give its ends, low and high, in <data.inputs>",
     "log.one_sided": "input {input} goes from {least:g} to {most:g}; its actuator is taken to reach from -1 to 1. If "
-    "it "
-    "does not, as a valve from 0 to 1, say so: {inputs:data.inputs}",
+    "it does not, as a valve from 0 to 1, say so: {inputs:data.inputs}",
     "log.scaled": "{input} is taken into [-1, 1], where planning needs it: 0 is {rest:.6g}{unit:unit}, 1 is "
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
-    "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: "
-    "1 "
-    "keeps the numbers as they are: {inputs:data.inputs}",
+    "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, "
+    "high: 1 keeps the numbers as they are: {inputs:data.inputs}",
     "log.few_rows": "the fit has {rows} rows only, so few that wrong units or missing rates would not be noticed; "
-    "record "
-    "longer, or mend what was left out: {least} rows are the least, some hundreds are usual",
+    "record longer, or mend what was left out: {least} rows are the least, some hundreds are usual",
     "log.resolution": lambda state, step, unit, coarse: (
         f"{state} is read in steps of {step:.3g} {unit}"
         + "; standard errors take it that the sensor rounds: one that cuts off reads half a step too low, which no "
-        "log tells "
-        "and none of them holds" * coarse
+        "log tells and none of them holds" * coarse
     ),
     "log.saturated": "{input} is at an end of its range, {low:.6g} to {high:.6g}{unit:unit}, in {percent:.0f} % of the "
     "samples",
@@ -986,13 +949,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.unit_of_rate": _mismatch,
     "log.touched_stop": "{count} samples that touched a stop were left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, and the log contradicts it: {state} does not "
-    "move "
-    "by the integral of {rate} (correlation {correlation:.2f}); correct <plant.known> or the columns, for this "
-    "equation "
-    "is taken as exact",
-    "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round: {state} "
-    "is "
-    "the rate of {rate}; give {known:plant.known}, or correct the columns",
+    "move by the integral of {rate} (correlation {correlation:.2f}); correct <plant.known> or the columns, for this "
+    "equation is taken as exact",
+    "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round: "
+    "{state} is the rate of {rate}; give {known:plant.known}, or correct the columns",
     "log.degrees": lambda angle, unit, states: (
         f"{angle} is in {unit}, so sin({angle}) and cos({angle}) are not among the "
         f"candidate functions; angles in rad and rates in rad/s have them: give {setting('data.states', states)}"
@@ -1020,10 +980,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "tell the sampling time; allowed are times that do: write them with more digits, or give the time between two rows "
     "in seconds as <data.dt>",
     "log.whole_time": lambda column, step: (
-        f"whole numbers without a unit stand in the time column {column}, {step:g} from "
-        f"row to row, hardly seconds; allowed is a time whose unit is known: give it, as in "
-        f"{_named_unit(column, 'us')}, or "
-        "[s] for seconds, or [ms]"
+        f"whole numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds; "
+        f"allowed is a time whose unit is known: give it, as in {_named_unit(column, 'us')}, or [s] for seconds, or "
+        "[ms]"
     ),
     "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check "
     "the sampling time",
@@ -1033,13 +992,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": "{rate} was given as the rate of {state}, whose slope over time is {factor:.3g} times {rate} "
     "({cause}?); allowed is a rate in {unit}, for its equation is taken as exact: give {states:data.states}, or "
-    "correct "
-    "the column",
+    "correct the column",
     "log.quiet_targets": _beyond_quiet,
     "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
     "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "
-    "degrees "
-    "by unit: deg of its column in <data.states>",
+    "degrees by unit: deg of its column in <data.states>",
     # the fit
     "fit.standard_errors": _standard_errors,
     "fit.unscaled": _unscaled,
@@ -1055,25 +1012,21 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "like noise of the sensors",
     "fit.dropped": "the refinement dropped every function, so the fit before it stays; log longer or cleaner data",
     "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches spread evenly over "
-    "them; "
-    "the coefficients were fitted on all rows",
-    "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which the "
-    "log "
-    "lacks",
+    "them; the coefficients were fitted on all rows",
+    "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
+    "the log lacks",
     "fit.longest_delay": _longest_delay,
     "fit.pieces": _in_pieces,
     "fit.simulation": _one_simulation,
     "fit.shorter_pieces": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
-    "pieces "
-    "of {short}",
+    "pieces of {short}",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
     "fit.straight": "products and squares of states and inputs were left out: without them the model predicts the part "
     "of the log that no fit has seen no worse",
     "fit.whole": lambda ratio, taken: (
-        f"the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the "
-        f"part "
-        f"of the log that no fit has seen, its errors are {ratio:.2f} times those of the other"
+        "the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the "
+        f"part of the log that no fit has seen, its errors are {ratio:.2f} times those of the other"
         if taken
         else "a fit of one simulation through all samples was not taken: on the part of the log that no fit has seen, "
         f"its errors are {ratio:.2f} times those of the fit in pieces"
@@ -1087,11 +1040,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "fit.many_functions": _many_functions,
     "fit.no_lag_state": "the equations miss the log by more than its sensors explain, so {what} that no sensor sees "
-    "was "
-    "looked for, one that follows an input or a measured state; none was found that predicts the kept part of the log "
-    "far better. A hidden state that swings by itself, as the far end of a soft shaft does, is not looked for: if "
-    "there "
-    "is one, measure it",
+    "was looked for, one that follows an input or a measured state; none was found that predicts the kept part of "
+    "the log far better. A hidden state that swings by itself, as the far end of a soft shaft does, is not looked "
+    "for: if there is one, measure it",
     # the model
     "model.delay": lambda seconds: (
         f"the inputs act {f'{1e3 * seconds:.3g} ms' if seconds < 1 else format_duration(seconds)} late"
@@ -1114,9 +1065,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.falls": _falls,
     "model.linear_better": _linear_better,
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
-    "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned: "
-    "the "
-    "log hardly shows what the inputs do; record longer, and let every input change often and by much",
+    "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be "
+    "planned: the log hardly shows what the inputs do; record longer, and let every input change often and by much",
     # the check of a controller
     "check.stability": _stability,
     "check.gain_margin": _margin("{}"),
@@ -1161,8 +1111,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.idle": "{state} runs on, which nothing depends on",
     "forecast.unheld": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
     "forecast.models_differ": "some models are held and others are not, by what the log leaves open: log longer, let "
-    "the "
-    "inputs change more often and more widely, or name functions and states that the model lacks",
+    "the inputs change more often and more widely, or name functions and states that the model lacks",
     "forecast.longer_plan": "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of "
     "targets",
     "control.other_period": _other_period,
