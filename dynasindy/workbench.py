@@ -46,7 +46,6 @@ from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding
 from dynasindy.identification.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
-from dynasindy.identification.equations import equation_findings
 from dynasindy.identification.forecast_errors import forecast_errors
 from dynasindy.identification.identify import LoggedData
 from dynasindy.identification.log_fit import fit_log
@@ -164,8 +163,7 @@ def identify(
     for each in before:
         warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source)
-    content = (*equation_findings(found.model, found.report), *found.hidden)
-    found.model.findings = (*before, *found.report.findings, *content)
+    found.model.findings = (*before, *found.report.findings, *found.content)
     return found.model
 
 

@@ -14,7 +14,6 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.identification.before_fit import before_fit
-from dynasindy.identification.equations import equation_findings
 from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.source import Source
 from dynasindy.progress import say, width
@@ -74,8 +73,9 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     if before := before_fit(built, source).findings:
         say(*lines(before))
     found = fit_log(built, source)
-    content = [*equation_findings(found.model, found.report), *found.hidden]
-    say(found.report.to_text(), *(f"found: {each}" if each.severity == "note" else line(each) for each in content))
+    say(
+        found.report.to_text(), *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content)
+    )
     return found.model
 
 

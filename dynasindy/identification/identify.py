@@ -20,14 +20,14 @@ from dynasindy.data.units import as_map, with_units
 from dynasindy.excitation import Excitation
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.identification import verdict
-from dynasindy.identification.equations import equation_findings, idle_states, missing_nonlinearity
+from dynasindy.identification.equations import missing_nonlinearity
 from dynasindy.identification.forecast_errors import (
     ForecastErrors,
     forecast_errors,
     relevant_horizons,
     with_start_states,
 )
-from dynasindy.identification.log_fit import fit_log
+from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.signal_resolution import low_signal_findings, low_signal_states, resolved_errors
 from dynasindy.identification.source import VALIDATION_SHARE, Source
 from dynasindy.progress import report_progress
@@ -205,24 +205,33 @@ class Identified:
     """Hold a fitted model and its figures.
 
     Attributes:
-        model: the model.
-        report: of the fit.
+        fit: the model, its report, and the data as the model has them, with one state more where one follows a signal.
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
         metrics: error of each measured state, open loop and over each horizon.
-        source: the data as the model has them, with one state more where one follows a signal.
         forecasts: errors from many start times; None where the validation data are too short for them.
-        hidden: what came of the search for a state that no sensor sees.
         bend: a dead zone or a saturation of an input that the equations seem to lack; None where there is none.
     """
 
-    model: SindyModel
-    report: FitReport
+    fit: LogFit
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
-    source: Source
     forecasts: ForecastErrors | None = None
-    hidden: Sequence[Finding] = ()
     bend: InputNonlinearity | None = None
+
+    @property
+    def model(self) -> SindyModel:
+        """The model."""
+        return self.fit.model
+
+    @property
+    def report(self) -> FitReport:
+        """The report of the fit."""
+        return self.fit.report
+
+    @property
+    def source(self) -> Source:
+        """The data as the model has them."""
+        return self.fit.source
 
     @property
     def quiet(self) -> list[Finding]:
@@ -241,10 +250,7 @@ class Identified:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations and the data hold."""
-        data = self.source.training
-        findings = equation_findings(self.model, self.report)
-        findings += verdict.recording_findings(data, self.source.signature)
-        findings += [*self.hidden, *idle_states(self.model, data)]
+        findings = self.fit.content + verdict.recording_findings(self.source.training, self.source.signature)
         return findings + ([missing_nonlinearity(self.bend, self.model)] if self.bend else [])
 
     @cached_property
@@ -300,7 +306,7 @@ def identify_source(model: SindyModel, source: Source, horizons: Sequence[float]
     # A bend would stand for a rate that is missing.
     lacking = lacking and not find_missing_rates(model.library, delay_and_trim(source.training, model.delay))
     bend = find_missing_nonlinearity(model, source.training) if lacking else None
-    return Identified(model, fit.report, predicted, metrics, source, forecasts, fit.hidden, bend)
+    return Identified(fit, predicted, metrics, forecasts, bend)
 
 
 def _heading(name: str, given: object) -> str:

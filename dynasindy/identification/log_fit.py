@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.equations import hidden_states
+from dynasindy.identification.equations import equation_findings, hidden_states, idle_states
 from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forecast_errors
 from dynasindy.identification.source import Source
 from dynasindy.identification.verdict import unresolved
@@ -103,6 +103,12 @@ class LogFit:
     report: FitReport
     follower: Finding | None = None
     sought: Finding | None = None
+
+    @property
+    def content(self) -> list[Finding]:
+        """What the equations hold, and which of their states no sensor sees."""
+        found = equation_findings(self.model, self.report)
+        return [*found, *self.hidden, *idle_states(self.model, self.source.training)]
 
     @property
     def hidden(self) -> list[Finding]:
