@@ -34,7 +34,7 @@ class Finding:
         return {"code": self.code, "severity": self.severity, "values": _plain(self.values)}
 
     @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Finding:
+    def from_record(cls, record: Mapping[str, Any]) -> Finding:
         """Return the finding that `record` returned."""
         return cls(record["code"], record["severity"], _restored(record["values"]))
 

@@ -458,7 +458,7 @@ def _longest_delay(seconds: float) -> str:
     )
 
 
-PROMISES = ("model.predicts", "model.better")
+PROMISES = ("model.predicts", "model.incomplete")
 """What is promised of a model or a controller, unless something is wrong."""
 
 
@@ -873,7 +873,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
     "log.words": _words_in_column,
-    "log.still": lambda columns: (
+    "log.constant_columns": lambda columns: (
         "left out, as what never changes tells nothing of the plant: " + _pairs(columns, "{:g} in all rows")
     ),
     "log.counters": lambda columns: (
@@ -898,10 +898,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.row_counter": "time is the column {column}, taken as a counter of rows: {dt:g} s between rows, as given by "
     "<data.dt>",
-    "log.held": "{column} stands in {rows} of {total} rows, and is held from each to the next",
+    "log.zero_order_hold": "{column} stands in {rows} of {total} rows, and is held from each to the next",
     "log.missing": _missing,
     "log.unwrapped": _unwrapped,
-    "log.hole": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
+    "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": lambda count: (
         f"{count} gap{'s' * (count != 1)} longer than 1.5 sampling times split{'s' * (count == 1)} the recording"
     ),
@@ -945,7 +945,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.saturated": "{input} is at an end of its range, {low:.6g} to {high:.6g}{unit:unit}, in {percent:.0f} % of the "
     "samples",
     "log.closed_loop": "a controller made {inputs:and} out of the measured states (closed loop)",
-    "log.quiet": _quiet,
+    "log.low_signal": _quiet,
     "log.unit_of_rate": _mismatch,
     "log.touched_stop": "{count} samples that touched a stop were left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, and the log contradicts it: {state} does not "
@@ -986,14 +986,15 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check "
     "the sampling time",
-    "log.still_input": "input {input} is constant at {value:g}; allowed is an input that moves: excite it, or leave it "
+    "log.constant_input": "input {input} is constant at {value:g}; allowed is an input that moves: excite it, or "
+    "leave it "
     "out of <data.inputs>",
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": "{rate} was given as the rate of {state}, whose slope over time is {factor:.3g} times {rate} "
     "({cause}?); allowed is a rate in {unit}, for its equation is taken as exact: give {states:data.states}, or "
     "correct the column",
-    "log.quiet_targets": _beyond_quiet,
+    "log.low_signal_targets": _beyond_quiet,
     "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
     "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "
     "degrees by unit: deg of its column in <data.states>",
@@ -1016,15 +1017,16 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
     "the log lacks",
     "fit.longest_delay": _longest_delay,
-    "fit.pieces": _in_pieces,
+    "fit.multiple_shooting": _in_pieces,
     "fit.simulation": _one_simulation,
-    "fit.shorter_pieces": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
+    "fit.shorter_shooting": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
     "pieces of {short}",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
-    "fit.straight": "products and squares of states and inputs were left out: without them the model predicts the part "
+    "fit.linear_preferred": "products and squares of states and inputs were left out: without them the model predicts "
+    "the part "
     "of the log that no fit has seen no worse",
-    "fit.whole": lambda ratio, taken: (
+    "fit.single_simulation": lambda ratio, taken: (
         "the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the "
         f"part of the log that no fit has seen, its errors are {ratio:.2f} times those of the other"
         if taken
@@ -1049,8 +1051,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "model.dry_friction": "{state}' has dry friction",
     "model.spring": "{state}' has a spring in {of}",
-    "model.bend": _bend,
-    "model.missing_bend": _missing_bend,
+    "model.input_nonlinearity": _bend,
+    "model.missing_nonlinearity": _missing_bend,
     "model.lag_state": lambda signal, seconds, is_input, state: (
         f"{signal} acts through a lag of {seconds:.3g} s, a state that no sensor sees"
         if is_input
@@ -1059,10 +1061,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "model.idle_state": _idle,
     "model.predicts": _predicts,
-    "model.better": "this model is better than the last value held for {seconds:time}, but it lacks something",
+    "model.incomplete": "this model is better than the last value held for {seconds:time}, but it lacks something",
     "model.runs_away": _runs_away,
     "model.misses": _misses,
-    "model.falls": _falls,
+    "model.unstable_plant": _falls,
     "model.linear_better": _linear_better,
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be "
@@ -1099,7 +1101,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "run.better": _better,
     "run.no_better": _no_better,
     "run.controlled": _controlled,
-    "run.distrusted": _distrusted,
+    "run.gate_closed": _distrusted,
     # what a controller will do
     "forecast.errors": _forecast_errors,
     "forecast.runs_away": lambda models, of: (
@@ -1109,7 +1111,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{state}, which is not tracked, {'runs away' if runs_away else 'does not come to rest'}"
     ),
     "forecast.idle": "{state} runs on, which nothing depends on",
-    "forecast.unheld": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
+    "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
     "forecast.models_differ": "some models are held and others are not, by what the log leaves open: log longer, let "
     "the inputs change more often and more widely, or name functions and states that the model lacks",
     "forecast.longer_plan": "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of "

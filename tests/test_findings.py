@@ -29,13 +29,13 @@ def test_a_finding_is_plain_data():
     found = wrong("model.misses", seconds=0.5, errors={"q": math.inf}, units={"q": "m"}, held={"q": 0.1})
     record = json.loads(json.dumps(found.record(), allow_nan=False))
     assert (record["code"], record["severity"]) == ("model.misses", "wrong")
-    assert Finding.of(record) == found and str(Finding.of(record)) == str(found)
+    assert Finding.from_record(record) == found and str(Finding.from_record(record)) == str(found)
     small = note("log.gaps", count=3)
-    assert Finding.of(small.record()) == small and records([small]) == [small.record()]
+    assert Finding.from_record(small.record()) == small and records([small]) == [small.record()]
 
 
 def test_an_error_is_a_finding_and_can_be_pickled():
-    error = pickle.loads(pickle.dumps(LogError("log.still_input", file="log.csv", input="u", value=2.0)))
+    error = pickle.loads(pickle.dumps(LogError("log.constant_input", file="log.csv", input="u", value=2.0)))
     assert isinstance(error, ValueError) and error.finding.values["value"] == 2.0
     assert str(error).startswith("log.csv: ") and error.finding.severity == "wrong"
 

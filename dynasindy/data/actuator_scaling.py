@@ -49,7 +49,7 @@ def reaches(
     sided: dict[str, ActuatorScaling] = {}
     for (name, given), column in zip(inputs.items(), u.T, strict=True):
         if np.ptp(column) == 0:
-            raise LogError("log.still_input", file=path, input=name, value=float(column[0]))
+            raise LogError("log.constant_input", file=path, input=name, value=float(column[0]))
         ends = {"input": name, "least": float(column.min()), "most": float(column.max())}
         if not ((column != ends["least"]) & (column != ends["most"])).any():
             findings.append(weak("log.two_levels", input=name, low=ends["least"], high=ends["most"]))

@@ -132,7 +132,12 @@ def _left_out(
     still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str], empty: Sequence[str]
 ) -> list[Finding]:
     """Return which columns were left out, and why."""
-    columns = {"still": dict(still), "counters": [*counts], "text_columns": dict(words), "empty_columns": [*empty]}
+    columns = {
+        "constant_columns": dict(still),
+        "counters": [*counts],
+        "text_columns": dict(words),
+        "empty_columns": [*empty],
+    }
     return [note(f"log.{why}", columns=which) for why, which in columns.items() if which]
 
 

@@ -67,7 +67,7 @@ def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Fi
             out[first + 1 : last] = True
         if len(long):
             rows = int((ends[long + 1] - ends[long] - 1).sum())
-            findings.append(note("log.hole", rows=rows, longest=float(longest), state=name))
+            findings.append(note("log.long_gap", rows=rows, longest=float(longest), state=name))
     measured = np.zeros(len(segment), dtype=bool)
     for column in x.values():
         measured |= np.isfinite(column)
@@ -335,7 +335,7 @@ def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Tabl
         last = np.maximum.accumulate(np.where(np.isfinite(values[:, k]), np.arange(len(values)), -1))
         held = np.isnan(values[:, k]) & (last >= 0)
         values[held, k] = values[last[held], k]
-        findings.append(note("log.held", column=table.headings[k], rows=len(rows), total=len(values)))
+        findings.append(note("log.zero_order_hold", column=table.headings[k], rows=len(rows), total=len(values)))
     return replace(table, values=values)
 
 

@@ -72,7 +72,7 @@ def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: flo
     found = [each for each in limits if each[1] > each[2]]
     cause, error, limit = found[0] if found else ("no_number", None, None)
     counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(_number(last["episode"]))}
-    return weak("run.distrusted", **counts, cause=cause, error=error, limit=limit)
+    return weak("run.gate_closed", **counts, cause=cause, error=error, limit=limit)
 
 
 def judge_control(

@@ -145,7 +145,7 @@ class Forecast:
     def _advice(self, flown: Sequence[TrackingCriteria]) -> Finding:
         """Return what may help where nothing runs away."""
         if self.unheld:
-            return wrong("forecast.unheld", targets=self.unheld)
+            return wrong("forecast.no_equilibrium", targets=self.unheld)
         shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
         if not self.own and min(shares) <= self.within < max(shares):
             return weak("forecast.models_differ")

@@ -45,7 +45,7 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
             findings.append(note("model.dry_friction", state=names[i]))
         for name in [*model.signature.input_names, *model.followed]:
             bend = read_nonlinearity(model, i, name)
-            if bend is not None and (found := note("model.bend", **_bend(bend, model))) not in findings:
+            if bend is not None and (found := note("model.input_nonlinearity", **_bend(bend, model))) not in findings:
                 findings.append(found)
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             findings.append(note("model.spring", state=names[i], of=names[of_rate[i]]))
@@ -71,7 +71,7 @@ def missing_nonlinearity(bend: InputNonlinearity, model: SindyModel) -> Finding:
     """
     names = model.signature.state_names
     known = {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
-    return weak("model.missing_bend", known=known, **_bend(bend, model))
+    return weak("model.missing_nonlinearity", known=known, **_bend(bend, model))
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:

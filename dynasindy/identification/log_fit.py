@@ -182,8 +182,8 @@ def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastError
         if after is not None:
             ratio = float(_ratios(before, after, signature).nanmean().exp())
             if ratio < 1 / ROUGHLY and _as_good(before, after, signature):
-                return _noted(whole, note("fit.whole", ratio=ratio, taken=True)), after
-            return _noted(found, note("fit.whole", ratio=ratio, taken=False)), before
+                return _noted(whole, note("fit.single_simulation", ratio=ratio, taken=True)), after
+            return _noted(found, note("fit.single_simulation", ratio=ratio, taken=False)), before
     return found, before
 
 
@@ -215,7 +215,7 @@ def _straighter(found: LogFit, before: ForecastErrors) -> tuple[LogFit, Forecast
         if after is not None:
             straight, after = _whole(straight, after)
             if _as_good(before, after, model.signature):
-                return _noted(straight, note("fit.straight")), after
+                return _noted(straight, note("fit.linear_preferred")), after
     return found, before
 
 
@@ -255,7 +255,7 @@ def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> It
                 yield found
             bare = _straight(trial.model)
             if bare is not None and (found := _with(replace(trial, model=bare), source)) is not None:
-                yield _noted(found, note("fit.straight"))
+                yield _noted(found, note("fit.linear_preferred"))
 
 
 def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:

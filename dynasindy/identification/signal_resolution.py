@@ -69,7 +69,7 @@ def low_signal_findings(data: Transitions, signature: Signature, but: Collection
         return []
     steps = {signature.state_names[i]: round(count) for i, count in moved.items()}
     inputs = _louder(data, signature, max(WANTED / count for count in moved.values()))
-    return [weak("log.quiet", steps=steps, wanted=round(WANTED), inputs=inputs)]
+    return [weak("log.low_signal", steps=steps, wanted=round(WANTED), inputs=inputs)]
 
 
 def low_signal_targets(
@@ -92,7 +92,7 @@ def low_signal_targets(
         reach, ends = float(data.x[:, place].abs().nan_to_num(nan=0.0).max()), targets.get(name, (0.0,))
         if max(map(abs, ends)) > FAR * reach:
             facts = {"state": name, "unit": unit, "low": ends[0], "high": ends[1], "reach": reach}
-            raise LogError("log.quiet_targets", **facts, quiet=findings[0])
+            raise LogError("log.low_signal_targets", **facts, quiet=findings[0])
     return findings
 
 

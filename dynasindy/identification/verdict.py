@@ -51,7 +51,7 @@ def model_findings(forecasts: ForecastErrors, signature: Signature) -> list[Find
     if short := shortcoming(forecasts, signature):
         return [short, *runs_away(forecasts, signature), *better]
     if any(each.severity == "wrong" for each in better):
-        return [*better, weak("model.better", seconds=forecasts.horizons[forecasts.middle])]
+        return [*better, weak("model.incomplete", seconds=forecasts.horizons[forecasts.middle])]
     reach = _reach(forecasts)
     exact = [signature.state_names[i] for i in _fine(forecasts, _seen(forecasts, signature), reach)]
     return [*better, note("model.predicts", seconds=forecasts.horizons[reach], exact=exact)]
@@ -84,7 +84,7 @@ def runs_away(forecasts: ForecastErrors, signature: Signature) -> list[Finding]:
         return []
     enough = _enough(forecasts)
     reached = enough.index(False) if False in enough else len(enough)
-    return [weak("model.falls", states=falls, seconds=forecasts.horizons[reached - 1] if reached else 0.0)]
+    return [weak("model.unstable_plant", states=falls, seconds=forecasts.horizons[reached - 1] if reached else 0.0)]
 
 
 def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Finding]:

@@ -283,7 +283,7 @@ class _Fit:
                 why = {"why": "strays", **strain}
                 strays = weak("fit.simulation", samples=descent.window, limit=WORSE, gaps=False, **strain)
                 whole = found._replace(findings=(strays, *found.findings), in_pieces=True)
-        pieces = weak("fit.pieces", samples=descent.window, **why)
+        pieces = weak("fit.multiple_shooting", samples=descent.window, **why)
         found = self._fit_with_delay(first, rough, kinds["prediction"])
         return found._replace(findings=(pieces, *found.findings), in_pieces=True, aside=whole)
 
@@ -312,7 +312,7 @@ class _Fit:
             flow = _fitted(_model(flow), delay)
         findings: tuple[Finding, ...] = ()
         if flow.windows.length != descent.window:
-            findings = (weak("fit.shorter_pieces", long=descent.window, short=flow.windows.length),)
+            findings = (weak("fit.shorter_shooting", long=descent.window, short=flow.windows.length),)
         return Refined(*_model(flow), delay, findings, covariance=shooting_covariance(flow))
 
     def _fine(self, delay: float, found: Model, descent: Descent) -> float:

@@ -170,7 +170,7 @@ def test_a_constant_input_is_refused_by_its_name(tmp_path):
     table = log()
     table[:, 3] = 0.5
     told = refused(write(tmp_path / "log.csv", table))
-    assert told.code == "log.still_input" and (told.values["input"], told.values["value"]) == ("u", 0.5)
+    assert told.code == "log.constant_input" and (told.values["input"], told.values["value"]) == ("u", 0.5)
 
 
 def test_too_few_samples_are_refused_with_what_was_left_out(tmp_path):
@@ -508,7 +508,7 @@ def test_several_files_are_one_recording_with_the_ends_of_all(tmp_path):
     assert data.u.min() == -1.0 and found.signature.input_ends == ((-20.0, 20.0),)
     (lost,) = (each.values for each in found.findings if each.code == "log.missing")
     assert (lost["file"], lost["rows"], lost["total"]) == (paths[1], 1, 50)
-    assert refused(paths[:1]).code == "log.still_input"
+    assert refused(paths[:1]).code == "log.constant_input"
 
 
 def test_files_that_do_not_fit_together_are_refused(tmp_path):
@@ -543,7 +543,7 @@ def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none():
     segment, told = np.zeros(100, dtype=np.int64), []
     out = _holes({"a": lacking(100, slice(20, 29), slice(60, 70)), "b": lacking(100)}, segment, told)
     assert np.flatnonzero(out).tolist() == list(range(60, 70))
-    assert told == [note("log.hole", rows=10, longest=10, state="a")]
+    assert told == [note("log.long_gap", rows=10, longest=10, state="a")]
 
 
 def test_what_is_long_depends_on_how_often_a_sensor_is_read():

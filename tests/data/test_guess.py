@@ -76,7 +76,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
-    told, still = refused(lambda: infer(str(path))).values, note("log.still", columns={"supply": 24.5})
+    told, still = refused(lambda: infer(str(path))).values, note("log.constant_columns", columns={"supply": 24.5})
     assert roles(told["guess"]) == {"time": "time", "inputs": ["motor"], "states": ["angle"]}
     assert told["left_out"] == [still]
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
@@ -84,7 +84,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
     found = LoggedData(str(path)).recording(None)
     assert found.signature.input_names == ("u_motor",)
-    assert note("log.still", columns={"u_supply": 24.5}) in found.findings
+    assert note("log.constant_columns", columns={"u_supply": 24.5}) in found.findings
     assert LoggedData(str(path), states=["angle"]).recording(None).signature.input_names == ("u_motor",)
 
 

@@ -99,7 +99,7 @@ def decision(episode, reward, state=0.1, is_open=0.0):
 def test_a_model_that_was_not_trusted_is_told_with_the_reason(rows, limit, counts, why):
     both = zip(("closed", "episodes", "episode", "cause", "error", "limit"), (*counts, *why), strict=True)
     told = distrusted(rows, limit)
-    assert told == weak("run.distrusted", **dict(both)) and "\n" not in str(told)
+    assert told == weak("run.gate_closed", **dict(both)) and "\n" not in str(told)
 
 
 def test_of_a_model_that_was_always_trusted_nothing_is_told():

@@ -209,7 +209,7 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
 
 
 def test_a_doubt_breaks_a_promise():
-    doubt = wrong("model.better", seconds=2.0)
+    doubt = wrong("model.incomplete", seconds=2.0)
     doubted = Forecast((seen(0.001),), doubts=(doubt,))
     assert not doubted.controlled and not doubted.record()["controlled"]
     assert doubted.findings[0] == doubt and doubted.record()["findings"][0] == doubt.record()

@@ -77,12 +77,12 @@ def test_dead_zones_and_saturations_are_found_in_the_unit_of_the_actuator():
     def bend(kind, low, high):
         return {"input": "u", "kind": kind, "low": low, "high": high, "unit": "V"}
 
-    assert bends(20.0, 20.0, -20.0) == [note("model.bend", **bend("dead zone", -3, 6))]
-    assert bends(0.0, -20.0, 20.0) == [note("model.bend", **bend("saturation", -3, 6))]
-    assert bends(20.0, -20.0, 0.0) == [note("model.bend", **bend("saturation", -math.inf, 6))]
+    assert bends(20.0, 20.0, -20.0) == [note("model.input_nonlinearity", **bend("dead zone", -3, 6))]
+    assert bends(0.0, -20.0, 20.0) == [note("model.input_nonlinearity", **bend("saturation", -3, 6))]
+    assert bends(20.0, -20.0, 0.0) == [note("model.input_nonlinearity", **bend("saturation", -math.inf, 6))]
     assert bends(20.0, 5.0, -5.0) == []
     missing = missing_nonlinearity(InputNonlinearity("u", "dead zone", -0.25, 0.5), model)
-    assert missing == weak("model.missing_bend", known={"q": "v"}, **bend("dead zone", -3, 6))
+    assert missing == weak("model.missing_nonlinearity", known={"q": "v"}, **bend("dead zone", -3, 6))
 
 
 def report_of(model: SindyModel, apart: float) -> FitReport:

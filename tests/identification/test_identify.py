@@ -250,7 +250,7 @@ def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():
         )
 
     quiet, loud = found(2 * step), found(500 * step)
-    assert codes(quiet.verdict) == ["log.quiet"] and not quiet.predicts
+    assert codes(quiet.verdict) == ["log.low_signal"] and not quiet.predicts
     assert all(code.startswith("model.") for code in codes(loud.verdict)) and loud.verdict and not loud.quiet
     assert "quiet" in to_words(quiet, quiet.source).splitlines()[-1]
 

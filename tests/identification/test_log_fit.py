@@ -202,7 +202,10 @@ def test_a_state_that_follows_is_fitted_without_products_and_squares_too():
     assert found == pytest.approx(wanted, rel=0.01, abs=0.01)
     told = {"signal": "u", "seconds": pytest.approx(1.5, rel=3e-3), "is_input": True, "state": "u_lagging"}
     assert straight.follower == note("model.lag_state", **told)
-    assert note("fit.straight") in straight.report.findings and note("fit.straight") not in bent.report.findings
+    assert (
+        note("fit.linear_preferred") in straight.report.findings
+        and note("fit.linear_preferred") not in bent.report.findings
+    )
     free = bent.model.constraints.free & ~straight.model.constraints.free
     bends = {name for name, lost in zip(bent.model.library.names, free.any(-1).tolist(), strict=True) if lost}
     assert bends == {"y^2", "y u_lagging", "u_lagging^2"}
@@ -280,7 +283,7 @@ def test_what_was_set_aside_is_taken_where_it_predicts_better_by_a_tenth(part, t
     assert torch.equal(after.model.coefficients, (0.5 if taken else 1.0) * xi)
     assert float(errors.model[0, 0]) == pytest.approx(0.1 * (part if taken else 1.0))
     assert after.model.refinement.error == ("simulation" if taken else None)
-    assert after.report.findings[-1] == note("fit.whole", ratio=pytest.approx(part), taken=taken)
+    assert after.report.findings[-1] == note("fit.single_simulation", ratio=pytest.approx(part), taken=taken)
 
 
 def two_tanks(seed, samples=400, dt=4.0):
@@ -308,7 +311,7 @@ def test_the_better_one_of_two_fits_is_the_better_one_on_other_logs_too():
     assert report.in_pieces
     taken = module._whole(LogFit(model, source, report), forecast_errors(model, source.training, source.validation))[0]
     last = taken.report.findings[-1]
-    assert taken.model is not model and last.code == "fit.whole" and last.values["taken"]
+    assert taken.model is not model and last.code == "fit.single_simulation" and last.values["taken"]
     others = [two_tanks(seed) for seed in (11, 12, 13)]
     ours, theirs = (
         sum(float(forecast_errors(each, source.training, other).model[:, 1].log().mean()) for other in others)

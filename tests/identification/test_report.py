@@ -42,7 +42,7 @@ def test_everything_is_written(tmp_path):
     tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
     assert names == {"model.json", "metrics.json", "report.txt", *tables}
     written = json.loads((tmp_path / "run/metrics.json").read_text())
-    assert [Finding.of(each) for each in written.pop("findings")] == [*before, *found.findings]
+    assert [Finding.from_record(each) for each in written.pop("findings")] == [*before, *found.findings]
     assert written == found.metrics
     assert torch.equal(SindyModel.load(tmp_path / "run/model.json").coefficients, found.model.coefficients)
 

@@ -93,7 +93,7 @@ def test_it_is_told_which_input_to_move_and_how_much_further():
     count = low_signal_states(log)[0]
     times = 100 / count
     (told,) = low_signal_findings(log, SIGNATURE)
-    assert (told.code, told.severity) == ("log.quiet", "weak") and told.values["steps"] == {"angle": round(count)}
+    assert (told.code, told.severity) == ("log.low_signal", "weak") and told.values["steps"] == {"angle": round(count)}
     (move,) = told.values["inputs"]
     ends = {"input": "u", "low": pytest.approx(-0.001, rel=1e-3), "high": pytest.approx(0.001, rel=1e-3), "unit": "-"}
     assert move == {**ends, "times": pytest.approx(times), "limited": False}
@@ -118,7 +118,7 @@ def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
     with pytest.raises(LogError) as error:
         low_signal_targets(log, SIGNATURE, {"angle": (-0.03, 0.03)})
     told = error.value.finding
-    assert told.code == "log.quiet_targets" and [told.values["quiet"]] == quiet
+    assert told.code == "log.low_signal_targets" and [told.values["quiet"]] == quiet
     assert (told.values["state"], told.values["low"], told.values["high"]) == ("angle", -0.03, 0.03)
     assert low_signal_targets(log, SIGNATURE, {"angle": (-0.002, 0.002)}) == quiet
     assert low_signal_targets(log, SIGNATURE, {"way": (-50.0, 50.0)}) == []

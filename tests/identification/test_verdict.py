@@ -85,7 +85,7 @@ def test_a_linear_model_that_is_better_is_said_to_be():
     assert model_findings(forecasts(0.04, linear=0.039), SIGNATURE) == [promise]
     assert model_findings(forecasts(0.04, linear=0.01), SIGNATURE) == [
         wrong("model.linear_better", **better(0.04, 0.01), far=True),
-        weak("model.better", seconds=2.0),
+        weak("model.incomplete", seconds=2.0),
     ]
 
 
@@ -104,7 +104,7 @@ def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_s
     one = Signature(("q",), ("rad",), ("u",), (1.0,))
     lost = wrong("model.runs_away", seconds=2.0, states=["q"])
     falling = model_findings(replace(found, linear=torch.tensor([[0.1], [1.0], [11.0]])), one)
-    assert falling == [lost, weak("model.falls", states=["q"], seconds=seconds)]
+    assert falling == [lost, weak("model.unstable_plant", states=["q"], seconds=seconds)]
     staying = model_findings(replace(found, linear=torch.tensor([[0.1], [1.0], [9.0]])), one)
     assert staying == [lost]
 

@@ -117,7 +117,7 @@ def oscillator(push: float, noise: float, hidden: bool, seed: int) -> Transition
     return Transitions.from_trajectory(torch.from_numpy(seen), torch.from_numpy(u)[:, None], 0.05)
 
 
-ERRORS = {"fit.pieces": "prediction", "fit.simulation": "simulation"}
+ERRORS = {"fit.multiple_shooting": "prediction", "fit.simulation": "simulation"}
 
 
 def chosen_in(findings) -> list[str]:

@@ -211,7 +211,7 @@ def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so
     library, xi, free = Library(SIGNATURE, [variable("y", 3)]), column(1.0), torch.ones(1, 1, dtype=torch.bool)
     findings = refine(20).run(library, xi, Constraints(free, torch.zeros_like(xi)), data).findings
     assert refine_trajectory(library, xi, free, data, Descent(20)).windows.length == 8
-    assert findings == (weak("fit.shorter_pieces", long=20, short=8),)
+    assert findings == (weak("fit.shorter_shooting", long=20, short=8),)
 
 
 def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew():
