@@ -233,6 +233,7 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
         which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
         lines[-1:] = [f"{which}: {file}", ""]
     findings = [Finding.from_record(record) for record in metrics.get("findings", ())]
+    checked = [Finding.from_record(record) for record in (metrics.get("check") or {}).get("findings", ())]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
     steady = metrics.get("steady_seconds", 5.0)
@@ -248,13 +249,7 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
         *_of_plant(metrics.get("planning") or ""),
         *_of_observer(metrics.get("observer") or {}),
         *(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in findings if each.code.startswith("run.")),
-        *(
-            [
-                f"Check on the model, {folder / 'check'}: {check_summary([Finding.from_record(each) for each in checked])}"
-            ]
-            if (checked := (metrics.get("check") or {}).get("findings"))
-            else []
-        ),
+        *([f"Check on the model, {folder / 'check'}: {check_summary(checked)}"] if checked else []),
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)
