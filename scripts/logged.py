@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ from job import command_and_commit
 from next_steps import following, mending, planning_on
 from omegaconf import DictConfig, OmegaConf
 
+from dynasindy.control import save
+from dynasindy.control.files import NAME
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.from_log import Wanted, controller_of, judged, log_report, model_of, write_controller
+from dynasindy.dyna.from_log import log_report, model_of
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
 from dynasindy.identification.before_fit import with_missing_rates
@@ -32,7 +34,7 @@ from dynasindy.sentences import line, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
-from dynasindy.workbench import damped, rates_of
+from dynasindy.workbench import damped, forecast, plan, rates_of
 
 
 @dataclass(frozen=True)
@@ -126,13 +128,14 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         if period.why:
             say(line(period.why))
     within = cfg.evaluation.get("within", WITHIN)
-    wanted = Wanted(task, parts["scenario"], parts["sensors"], dt, cfg.seed, within, begun.planning)
     again = planning_on(folder / "model.json", HydraConfig.get().overrides.task)
     kept = f"the equations are kept in {folder / 'model.json'}, but no controller yet; plan on them without a new fit:"
     with _stopped_in_words(f"{kept} {again}"):
-        controller = controller_of(model, source, wanted)
-        prediction = judged(controller, model, source, wanted)
-    write_controller(folder, controller, model, prediction)
+        controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **begun.planning)
+        scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
+        prediction = forecast(controller, model, source, scenario, cfg.seed, within)
+    save(controller, folder / NAME)
+    write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     if prediction.shown:
         draw_evaluation(prediction.shown, figures, controller_name("gradient"), place=prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())

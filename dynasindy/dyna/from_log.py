@@ -2,50 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from dynasindy.control import Controller, save
-from dynasindy.control.files import NAME
 from dynasindy.evaluation.forecast import Forecast
-from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text
-from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.identification.before_fit import before_fit
 from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.source import Source
 from dynasindy.progress import say, width
-from dynasindy.safe_io import write_json
-from dynasindy.sensing import Sensors
 from dynasindy.sentences import line, lines
 from dynasindy.sindy import SindyModel
-from dynasindy.tasks import Tracking
-from dynasindy.workbench import forecast, plan
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a controller is to do, and how it is planned and judged.
-
-    Attributes:
-        task: Outputs, their targets and the reward.
-        scenario: What is flown for the prediction.
-        sensors: What will be measured in flight; None for what the log shows.
-        dt: Control period [s].
-        seed: Seed of everything.
-        within: Mean absolute error at the end that is asked for, in target ranges.
-        planning: Settings of `GradientPlanning`.
-    """
-
-    task: Tracking
-    scenario: Scenario
-    sensors: Sensors | None = None
-    dt: float | None = None
-    seed: int = 0
-    within: float = WITHIN
-    planning: Mapping[str, Any] = field(default_factory=dict)
 
 
 def model_of(source: Source | None, build: Callable[..., object], path: str | Path | None = None) -> SindyModel:
@@ -77,23 +44,6 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
         found.report.to_text(), *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content)
     )
     return found.model
-
-
-def controller_of(model: SindyModel, source: Source | None, wanted: Wanted) -> Controller:
-    """Plan a controller on a model and, with a log, on what the log leaves open of it."""
-    return plan(model, wanted.task, source, wanted.sensors, wanted.dt, wanted.seed, **wanted.planning)
-
-
-def judged(controller: Controller, model: SindyModel, source: Source | None, wanted: Wanted) -> Forecast:
-    """Predict what a controller will do on models that its plan never saw; without a log, on its own."""
-    scenario = replace(wanted.scenario, seconds=None, lengths=1.0)  # as long as the task's episodes
-    return forecast(controller, model, source, scenario, wanted.seed, wanted.within)
-
-
-def write_controller(folder: Path, controller: Controller, model: SindyModel, prediction: Forecast) -> None:
-    """Write `controller.json` and `metrics.json`."""
-    save(controller, folder / NAME)
-    write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
 
 
 def log_report(model: SindyModel, prediction: Forecast) -> str:
