@@ -92,7 +92,7 @@ def test_words_that_cannot_be_read_or_name_no_plant_to_train_on(refused, tmp_pat
         ([*TASK, "plant.start={omega: 0}"], "plant.start"),
         ([*TASK, "plant.library=['1',u,'sinh(theta)']"], "'sinh'"),
         ([*TASK, "data.path=nowhere.csv"], "nowhere.csv"),
-        ([*TASK, "data.dt=-1"], "dt -1"),
+        ([*TASK, "data.dt=-1"], "data.dt is -1"),
         ([*TASK, "system=pendulum", "model=model.json"], "model"),
         (["-m", *TASK, "data.path=nowhere.csv", "seed=0,1"], "nowhere.csv"),
     ],

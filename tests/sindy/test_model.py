@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from torch import Tensor
 
 from dynasindy.excitation import Aprbs, Chirp, Excitation, Multisine
-from dynasindy.findings import wrong
+from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.covariance import of_sums
 from dynasindy.sindy.fit_report import Refined
@@ -181,7 +181,7 @@ def test_a_refinement_that_drops_everything_leaves_the_fit_and_says_so():
     assert not plain.fit(data).findings
     report = refined.fit(data)
     assert torch.equal(refined.coefficients, plain.coefficients) and refined.coefficients.count_nonzero() > 2
-    assert report.findings == (wrong("fit.dropped"),)
+    assert report.findings == (weak("fit.dropped"),)
 
 
 @pytest.mark.parametrize("time", ["continuous", "discrete"])
@@ -194,7 +194,7 @@ def test_a_log_of_nothing_but_noise_is_no_error(method, time):
     library = Library(signature, [CONSTANT, variable("u")])
     model = SindyModel(signature, library, refinement=Refinement(method=method), time=time)
     report = model.fit(Transitions(x[:-1], u, x[1:], 0.1, torch.zeros(300, dtype=torch.long)))
-    assert wrong("fit.dropped") in report.findings and model.covariance is None
+    assert weak("fit.dropped") in report.findings and model.covariance is None
 
 
 @pytest.mark.parametrize("stage", ["regression", "refinement"])
