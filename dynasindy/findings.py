@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from dynasindy.sentences import sentence
+
 Severity = Literal["note", "weak", "wrong"]
 
 
@@ -25,8 +27,6 @@ class Finding:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        from dynasindy.sentences import sentence  # sentences read no other module, and are needed to print alone
-
         return sentence(self.code, self.values)
 
     def record(self) -> dict[str, Any]:

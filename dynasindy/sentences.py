@@ -71,6 +71,11 @@ def _named(found: re.Match[str]) -> str:
     return setting(found[1]) + found[2]
 
 
+def gravest_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings by their severity: what is wrong, what is weak, notes."""
+    return sorted(findings, key=lambda each: -[*HEADS].index(each.severity))
+
+
 def line(finding: Finding) -> str:
     """Return a finding as a line of a report."""
     return f"{HEADS[finding.severity]}: {finding}"
@@ -78,7 +83,7 @@ def line(finding: Finding) -> str:
 
 def lines(findings: Iterable[Finding]) -> list[str]:
     """Return a line for each finding, the gravest first."""
-    return [line(each) for each in sorted(findings, key=lambda each: [*HEADS][::-1].index(each.severity))]
+    return list(map(line, gravest_first(findings)))
 
 
 class _Formatter(string.Formatter):
@@ -134,7 +139,7 @@ def _named_unit(column: str, unit: str) -> str:
     return f"'data.time=\"{text}\"'" if _words_of_commands else f"time={text!r}"
 
 
-def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool, **refused: bool) -> str:
+def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool, refused: bool = False) -> str:
     what = "values" if skipped else "states"
     where = ", ".join(f"{name}: {count}" for name, count in counts.items())
     text = f"{rows} of {total} rows have {what} that are missing or not finite ({where}), the first in line {line}; "
@@ -308,19 +313,17 @@ def _missing_bend(known: Mapping[str, str], kind: str, **bend: Any) -> str:
 
 def _idle(states: Sequence[str], initial: Mapping[str, Any]) -> str:
     stands, needs = ("stands", "it needs") if len(states) == 1 else ("stand", "they need")
-    example = f"'plant.initial={_flow(initial)}'" if _words_of_commands else f"initial={initial!r}"
     return (
         f"{' and '.join(states)} {stands} in no equation: no sensor sees what it does in any form, so {needs} a first "
-        f"guess of the equations, as in {example}, with numbers of your plant"
+        f"guess of the equations, as in {setting('plant.initial', initial)}, with numbers of your plant"
     )
 
 
 def _rates_added(known: Mapping[str, str]) -> str:
     its, are = ("its rate", "It is") if len(known) == 1 else ("their rates", "They are")
-    without = "'plant.known={}'" if _words_of_commands else "known={}"
     return (
         f"what {' and '.join(known)} will do depends on {its}, which the log lacks. {are} estimated with the model, as "
-        f"if {setting('plant.known', dict(known))} had been given; {without} leaves that out"
+        f"if {setting('plant.known', dict(known))} had been given; {setting('plant.known', {})} leaves that out"
     )
 
 
@@ -366,8 +369,8 @@ def _runs_away(seconds: float, states: Sequence[str]) -> str:
 def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str], held: Mapping[str, float]) -> str:
     said = ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
     than = ", ".join(map(error_of, held.values()))
-    return f"this model does not predict: over {format_duration(seconds)} it misses {said}; the last value held "
-    f"misses {than}"
+    over = format_duration(seconds)
+    return f"this model does not predict: over {over} it misses {said}; the last value held misses {than}"
 
 
 def _falls(states: Sequence[str], seconds: float) -> str:
@@ -458,18 +461,14 @@ def _longest_delay(seconds: float) -> str:
     )
 
 
-PROMISES = ("model.predicts", "model.incomplete")
-"""What is promised of a model or a controller, unless something is wrong."""
-
-
 def verdict_lines(findings: Sequence[Finding]) -> list[str]:
-    """Return a verdict: what is wrong or limits a promise comes first, the gravest before others, then the promise.
+    """Return a verdict: what is wrong comes first, then what limits a promise, then what is promised.
 
     Args:
         findings: What the verdict is made of.
     """
-    graver = sorted(findings, key=lambda each: (each.code in PROMISES, [*HEADS][::-1].index(each.severity)))
-    return [f"verdict: {each}" if not k else line(each) for k, each in enumerate(graver)]
+    first, *others = gravest_first(findings)
+    return [f"verdict: {first}", *map(line, others)]
 
 
 def _restarts(times: int, beyond: Sequence[Mapping[str, Any]]) -> str:
@@ -730,8 +729,8 @@ def _large_movements(gain: float | None, delay: float = 0.0, **more: Any) -> str
         which = f"This is less than the {both} above, so this line counts for {'both' if counts[1:] else 'that'}"
     return (
         f"simulated from target to target, the inputs may act {stronger} times as strongly, or {later} control "
-        f"periods, "
-        f"{1000 * delay * more['dt']:.0f} ms, later. {which}; thresholds: {limits['gain']:g} and {limits['delay']:g}"
+        f"periods, {1000 * delay * more['dt']:.0f} ms, later. {which}; thresholds: {limits['gain']:g} and "
+        f"{limits['delay']:g}"
     )
 
 
@@ -756,8 +755,8 @@ def _coefficients(
         steady += f"; {ran_away} run{'s' * (ran_away == 1)} away in the step of steps.png"
     return (
         f"{plants} plants with other coefficients, {how}, at the {held} target{'s' * (held > 1)} where the model "
-        f"itself is "
-        f"stable: {stays} of these plants, worst {worst} ({far}), {steady}; threshold: stable, {_error_limit(**error)}"
+        f"itself is stable: {stays} of these plants, worst {worst} ({far}), {steady}; threshold: stable, "
+        f"{_error_limit(**error)}"
     )
 
 
@@ -777,8 +776,7 @@ def _settling(
     )
     return (
         f"between opposite targets, limits of inputs apart, all but {100 * closed:g} % of the way is done after {own} "
-        f"with "
-        f"the model, and after {shown} with the slowest of {plants} plants with other coefficients"
+        f"with the model, and after {shown} with the slowest of {plants} plants with other coefficients"
         f"{'' if all_stable else ' that are stable'}, {worst}; threshold: {format_duration(limit, digits=3)}"
     )
 

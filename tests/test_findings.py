@@ -35,6 +35,7 @@ def test_a_finding_is_plain_data():
     record = json.loads(json.dumps(found.record(), allow_nan=False))
     assert (record["code"], record["severity"]) == ("model.misses", "wrong")
     assert Finding.from_record(record) == found and str(Finding.from_record(record)) == str(found)
+    assert "runs away m; the last value held misses 0.1" in str(found)
     small = note("log.gaps", count=3)
     assert Finding.from_record(small.record()) == small and records([small]) == [small.record()]
 

@@ -16,6 +16,7 @@ from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteri
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.sensing import Sensing
+from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
 
 OVERSHOT = 20.0
@@ -108,8 +109,7 @@ class Forecast:
             findings += advice
         if not (self.controlled or diverged or self.doubts or (advice and self._missed)):
             findings.append(self._advice(flown))
-        order = ("wrong", "weak", "note")
-        return tuple(sorted((*findings, *self.doubts), key=lambda each: order.index(each.severity)))
+        return tuple(gravest_first((*findings, *self.doubts)))
 
     def _errors(self, flown: Sequence[TrackingCriteria]) -> dict[str, Any]:
         """Return the errors of each output over the models [%]."""
