@@ -134,28 +134,21 @@ def simulate(
 
 
 def trajectory(f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
-    """Advance states over times that follow each other, as `moved` does again and again.
+    """Advance states over times that follow each other, as `simulate` does, in little memory.
 
     Args:
         f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
         x: States at the start, `(*batch, n_x)`.
-        u: Inputs held over each time, `(T, *batch, n_u)`.
+        u: Inputs held over each time, `(T, *batch, n_u)`, of one time or more.
         dt: Length of each time [s].
         substeps: Runge-Kutta steps in it.
 
     Returns:
         States at the end of each time, `(T, *batch, n_x)`.
     """
-    ends = [x.new_empty(0, *x.shape)]
-    at_once = max(1, AT_ONCE // (max(x.numel(), 1) * substeps))
-    for held in u.split(at_once):
-        if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
-            ends.append(code.flight(x, held, dt, substeps)[0][..., -1, :].clone())
-        else:
-            states = [x]
-            for k in range(len(held)):
-                states.append(moved(f, states[-1], held[k], dt, substeps))
-            ends.append(torch.stack(states[1:]))
+    ends = []
+    for held in u.split(max(1, AT_ONCE // (max(x.numel(), 1) * substeps))):
+        ends.append(simulate(f, x, held, dt, substeps)[0][..., -1, :].clone())
         x = ends[-1][-1]
     return torch.cat(ends)
 
