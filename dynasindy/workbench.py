@@ -45,7 +45,7 @@ from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding
-from dynasindy.identification.before_fit import missing_rates, rates_lacking, with_missing_rates, wrong_units
+from dynasindy.identification.before_fit import missing_rates, review_rates, with_missing_rates, wrong_units
 from dynasindy.identification.forecast_errors import forecast_errors
 from dynasindy.identification.identify import LoggedData
 from dynasindy.identification.log_fit import fit_log
@@ -159,7 +159,7 @@ def identify(
     source = source.with_rates(rates)
     require_consistent_rates(source.training, source.signature, rates, partial(_read_scaled, log.signature))
     model = build(signature=source.signature, known=rates)
-    before = (*added, *wrong_units(model, source), *missing_rates(model, rates_lacking(model, source)))
+    before = (*added, *wrong_units(model, source), *missing_rates(model, review_rates(model, source)))
     for each in before:
         warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source)

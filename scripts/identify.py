@@ -50,7 +50,7 @@ def main(cfg: DictConfig) -> None:
     source = found.source
     write_identification(found, source, folder, findings)
     draw(found, source, folder, list(cfg.formats))
-    steps = [following(cfg, found, known, before.lacking.shown if found.predicts else before.lacking.with_angles)]
+    steps = [following(cfg, found, known, before.missing.certain if found.predicts else before.missing.possible)]
     steps += [with_ends(HydraConfig.get().overrides.task, source.ends)] if source.ends else []
     say(to_words(found, source, width()), f"written to {folder}", listed(*steps))
 

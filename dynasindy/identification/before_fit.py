@@ -26,19 +26,19 @@ FEW = 50
 
 
 @dataclass(frozen=True)
-class Before:
+class PrefitReview:
     """Hold what is found before the fit.
 
     Attributes:
         findings: What was read, what is wrong with it or costs the fit dearly.
-        lacking: Which rates a log lacks; none of other data.
+        missing: Which rates a log lacks; none of other data.
     """
 
     findings: tuple[Finding, ...]
-    lacking: Lacking
+    missing: MissingRates
 
 
-def before_fit(model: SindyModel, source: Source) -> Before:
+def before_fit(model: SindyModel, source: Source) -> PrefitReview:
     """Look at a model and its data before the fit.
 
     Args:
@@ -46,17 +46,17 @@ def before_fit(model: SindyModel, source: Source) -> Before:
         source: The data.
     """
     if not source.logged:
-        return Before((*wrong_units(model, source), *source.findings), Lacking({}, {}))
-    lacking, rows = rates_lacking(model, source), len(source.training)
+        return PrefitReview((*wrong_units(model, source), *source.findings), MissingRates({}, {}))
+    missing, rows = review_rates(model, source), len(source.training)
     findings = [
         *wrong_units(model, source),
         *([weak("log.few_rows", rows=rows, least=FEW)] if rows < FEW else []),
         *source.findings,
         *_angles(model, source),
         *_many_functions(model, source),
-        *missing_rates(model, lacking),
+        *missing_rates(model, missing),
     ]
-    return Before(tuple(findings), lacking)
+    return PrefitReview(tuple(findings), missing)
 
 
 def wrong_units(model: SindyModel, source: Source) -> list[Finding]:
@@ -77,22 +77,22 @@ def _angles(model: SindyModel, source: Source) -> list[Finding]:
     return [note("log.degrees", angle=n, unit=unit, states=states) for n, unit in units.items() if unit in TURNS]
 
 
-def missing_rates(model: SindyModel, lacking: Lacking) -> list[Finding]:
+def missing_rates(model: SindyModel, missing: MissingRates) -> list[Finding]:
     """Return which rates a log lacks or may lack, and the equations that give them, once for each state.
 
     Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
 
     Args:
         model: A model of the log, not fitted yet.
-        lacking: What `rates_lacking` returned of it.
+        missing: What `review_rates` returned of it.
     """
     given, findings = _known(model), []
-    if new := [name for name in lacking.shown if name not in given]:
-        findings.append(weak("fit.rates_missing", states=new, known=lacking.shown))
+    if new := [name for name in missing.certain if name not in given]:
+        findings.append(weak("fit.rates_missing", states=new, known=missing.certain))
     return findings + [
         note("fit.no_torque", angle=name, known={**given, name: f"{name}_rate"})
-        for name in lacking.with_angles
-        if name not in lacking.shown
+        for name in missing.possible
+        if name not in missing.certain
     ]
 
 
@@ -115,27 +115,27 @@ def with_missing_rates(
     if known is not None or not source.logged:
         return source, dict(known or {}), []
     model = build(signature=source.signature)
-    found = {} if _chosen(model, source.signature) else rates_lacking(model, source).shown
+    found = {} if _chosen(model, source.signature) else review_rates(model, source).certain
     if not found:
         return source, {}, []
     return replace(source.with_rates(found), findings=source.findings), found, [note("fit.rates_added", known=found)]
 
 
 @dataclass(frozen=True)
-class Lacking:
+class MissingRates:
     """Hold the rate of each state, by its name: those that are known and those that are missing.
 
     Attributes:
-        shown: With those that the log itself shows to be missing.
-        with_angles: The same, and with one of each angle in rad where no state is in rad/s and nobody chose the
+        certain: With those that the log itself shows to be missing.
+        possible: The same, and with one of each angle in rad where no state is in rad/s and nobody chose the
             functions.
     """
 
-    shown: dict[str, str]
-    with_angles: dict[str, str]
+    certain: dict[str, str]
+    possible: dict[str, str]
 
 
-def rates_lacking(model: SindyModel, source: Source) -> Lacking:
+def review_rates(model: SindyModel, source: Source) -> MissingRates:
     """Return which rates a log lacks; to find them takes a regression of each state.
 
     Args:
@@ -147,7 +147,7 @@ def rates_lacking(model: SindyModel, source: Source) -> Lacking:
     angles = []
     if model.step is None and "rad/s" not in signature.state_units and not _chosen(model, signature):
         angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
-    return Lacking(
+    return MissingRates(
         *(
             known | {name: _name_of_rate(name, signature) for name in names if name not in known}
             for names in (missing, [*missing, *angles])

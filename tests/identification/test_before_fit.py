@@ -11,7 +11,7 @@ from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
-from dynasindy.identification.before_fit import PLANTS, before_fit, rates_lacking, with_missing_rates, wrong_units
+from dynasindy.identification.before_fit import PLANTS, before_fit, review_rates, with_missing_rates, wrong_units
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
@@ -73,12 +73,12 @@ def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
     assert found == [note("fit.no_torque", angle="theta", known={"theta": "theta_rate"})]
     source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
     model = SindyModel(source.signature, "auto")
-    lacking = rates_lacking(model, source)
-    assert lacking.with_angles == {"theta": "theta_rate"} and not lacking.shown
-    steps = rates_lacking(SindyModel(source.signature, "auto", time="discrete"), source)
-    assert not steps.with_angles and not steps.shown  # a difference equation has no rates
+    missing = review_rates(model, source)
+    assert missing.possible == {"theta": "theta_rate"} and not missing.certain
+    steps = review_rates(SindyModel(source.signature, "auto", time="discrete"), source)
+    assert not steps.possible and not steps.certain  # a difference equation has no rates
     chosen = SindyModel(source.signature, ["theta", "Omega", "u"])
-    assert not rates_lacking(chosen, source).with_angles
+    assert not review_rates(chosen, source).possible
 
 
 def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):
@@ -97,8 +97,8 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     clock, unseen = before_fit(model, known).findings
     assert clock.code == "log.time" and clock.values["dt"] == pytest.approx(0.01)
     assert unseen == note("log.unmeasured", state="a_rate")
-    assert rates_lacking(model, known).shown == {"a": "a_rate"}
-    assert before_fit(model, known).lacking == rates_lacking(model, known)
+    assert review_rates(model, known).certain == {"a": "a_rate"}
+    assert before_fit(model, known).missing == review_rates(model, known)
 
 
 def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
