@@ -60,7 +60,7 @@ def reaches(
             findings += _too_wide(column, found[name], ends)
         if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
             findings.append(weak("log.beyond_ends", **ends))
-        elif found[name] == PLAIN and given.low is None and WIDE * np.ptp(column) < PLAIN.high - PLAIN.low:
+        elif found[name] == PLAIN and into_range and given.low is None and np.ptp(column) * WIDE < 2:
             findings.append(weak("log.small_input", inputs=_words({name: given}, {name: _tried(column)}), **ends))
         elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
             sided[name] = ActuatorScaling.of(0.0, 1.0) if column.max() > 0 else ActuatorScaling.of(-1.0, 0.0)

@@ -216,8 +216,8 @@ def forecast_errors(
 def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
     """Return times ahead over which a model is judged [s].
 
-    They begin at the fastest time constant of the model, where the log mostly was, or at a tenth of the time in which
-    the slowest measured state changes, whichever is shorter, and end at three times the latter.
+    They begin at half of the fastest time constant of the model, where the log mostly was, or at a tenth of the time
+    in which the slowest measured state changes, whichever is shorter, and end at three times the latter.
 
     Args:
         model: a fitted model.
@@ -227,7 +227,7 @@ def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
     x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
     measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
     fastest = fastest_time_constant(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured)
-    return _series(max(data.dt, 0.5 * min(time / 5, fastest)), 3 * time)
+    return _series(max(data.dt, min(time / 10, fastest / 2)), 3 * time)
 
 
 def _lost(found: ForecastErrors, model: SindyModel) -> bool:

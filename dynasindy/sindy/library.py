@@ -229,8 +229,7 @@ def parse(text: str) -> Feature:
         if token is None:
             raise ValueError(
                 f"function {text!r} of {setting('plant.library')} cannot be read at {text[place:]!r}; allowed are "
-                f"products such as "
-                "'Omega_a^2 sin(alpha_p)': separate factors by spaces"
+                "products such as 'Omega_a^2 sin(alpha_p)': separate factors by spaces"
             )
         place = token.end()
         power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
@@ -366,8 +365,7 @@ class Library:
         if not self.features:
             raise ValueError(
                 f"{setting('plant.library')} is empty; allowed is one function or more, or the name of a list: add "
-                f"some there, or in "
-                "the file of the plant"
+                "some there, or in the file of the plant"
             )
         self.names = tuple(f.name() for f in self.features)
         self._plan: _Plan | None = None

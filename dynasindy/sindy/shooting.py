@@ -522,13 +522,11 @@ def require_bounded(flow: Flow) -> None:
         RunsAway: it does.
     """
     if bool((lost := flow.lost()).any()):
+        method, window = (setting(f"world_model.refinement.{key}") for key in ("method", "window"))
         raise RunsAway(
-            f"{setting('world_model.refinement.method')}=trajectory: the model runs away in {int(lost.sum())} of "
-            f"{len(lost)} "
-            f"windows of "
+            f"{method}=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
             f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
-            f"there, lower {setting('world_model.refinement.window')}, or choose another "
-            f"{setting('world_model.refinement.method')}"
+            f"there, lower {window}, or choose another {method}"
         )
 
 
@@ -577,12 +575,10 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         square = torch.cat([square, damping**0.5 * torch.eye(len(kept), dtype=square.dtype)])
         target = torch.cat([target, damping**0.5 * old[kept]])
     if not bool(square.isfinite().all() & target.isfinite().all()):
+        method, window = (setting(f"world_model.refinement.{key}") for key in ("method", "window"))
         raise RunsAway(
-            f"{setting('world_model.refinement.method')}=trajectory: the trajectories leave all finite numbers; give "
-            f"a better "
-            f"first guess, "
-            f"lower {setting('world_model.refinement.window')}, or choose another "
-            f"{setting('world_model.refinement.method')}"
+            f"{method}=trajectory: the trajectories leave all finite numbers; give a better first guess, lower "
+            f"{window}, or choose another {method}"
         )
     solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
     values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
