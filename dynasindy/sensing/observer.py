@@ -26,8 +26,9 @@ from torch import Tensor
 
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
-from dynasindy.systems import Signature, Stops, System, integrate
-from dynasindy.systems.steps import Rates, Steps, split_delay, steps_of
+from dynasindy.systems import Altered, Signature, Stops, System, integrate
+from dynasindy.systems.machine import Machine
+from dynasindy.systems.steps import Steps, split_delay, steps_of
 
 DRIFTING = 0.01
 """Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
@@ -109,6 +110,7 @@ class Observer:
         self.q = torch.full_like(self.scale, STRAYING)
         self.q[list(rates)], self.q[self.n_x :] = FOLLOWING, DRIFTING
         self.nis: float | None = None
+        self._augmentation: _Augmented | None = None
 
     @property
     def memory(self) -> int:
@@ -380,16 +382,15 @@ class Observer:
         """Move states on under inputs that broadcast with them."""
         steps = self.steps(seconds)
         u = u.double().expand(*x.shape[:-1], u.shape[-1])
-        # State-major memory: every elementwise operation of the model runs on contiguous rows.
-        x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
-        return integrate(Rates(self._rates, self.system.step), x, u, seconds, steps.number, self.stops)[0][..., -1, :]
+        return integrate(self._augmented(), x, u, seconds, steps.number, self.stops)[0][..., -1, :]
 
-    def _rates(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt of the states and, if they are estimated, of the pushes behind them, which stay."""
-        dx: Tensor = self.system(x[..., : self.n_x], u)
+    def _augmented(self) -> System:
+        """Return what the observer believes of the plant, with the pushes behind the states, if they are estimated."""
         if not self.pushed:
-            return dx
-        return torch.cat([dx + self._push(x) if self.learnt else dx, torch.zeros_like(x[..., self.n_x :])], -1)
+            return self.system
+        if self._augmentation is None or self._augmentation.system is not self.system:
+            self._augmentation = _Augmented(self.system, self.pushed if self.learnt else (), len(self.pushed))
+        return self._augmentation
 
     def _push(self, mean: Tensor) -> Tensor:
         """Return the push on each state, `(*batch, n_x)`."""
@@ -403,6 +404,38 @@ class Observer:
         return padded.masked_fill(self.variance.isinf() | padded.isinf(), torch.nan)
 
 
+class _Augmented(Altered):
+    """A system with constants behind its states, which stay, and which add to the rates of some of them.
+
+    Args:
+        system: The system.
+        pushed: Places of the states that a constant adds to the rate of, one for each, or none.
+        count: How many constants there are.
+    """
+
+    def __init__(self, system: System, pushed: Sequence[int], count: int) -> None:
+        super().__init__(system)
+        self.pushed, self.count = list(pushed), count
+        self._code: tuple[Machine, Machine] | None = None
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, n_x + count)`, of states `(*batch, n_x + count)`."""
+        states, constants = x.split([self.signature.n_x, self.count], -1)
+        dx: Tensor = self.system(states, u)
+        if self.pushed:
+            dx = dx.index_add(-1, torch.tensor(self.pushed), constants)
+        return torch.cat([dx, torch.zeros_like(constants)], -1)
+
+    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
+        """Return machine code of the system's own, with the constants."""
+        own = self.system.compiled(x[..., : self.signature.n_x], u)
+        if own is None:
+            return None
+        if self._code is None or self._code[0] is not own:
+            self._code = own, Machine(own.program.with_constants(self.pushed, self.count), own.dtype)
+        return self._code[1]
+
+
 class _Kinematic(System):
     """A system whose states move at the rates that are states themselves, and otherwise stay.
 
@@ -413,6 +446,8 @@ class _Kinematic(System):
         signature: Names, units and ranges of the plant.
         rates: Index of a state to that of its rate.
     """
+
+    machine_code = True
 
     def __init__(self, signature: Signature, rates: Mapping[int, int]) -> None:
         super().__init__(signature)

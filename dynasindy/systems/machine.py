@@ -62,6 +62,17 @@ class Program:
     constants: tuple[float, ...] = ()
     step: float | None = None
 
+    def with_constants(self, added_to: Sequence[int], count: int) -> Program:
+        """Return the vector field with states more that stay, the first of which add to the rates of some.
+
+        Args:
+            added_to: states that one of them adds to the rate of, one for each.
+            count: how many there are.
+        """
+        terms = {state: f" + x[{self.n_x + k}]" for k, state in enumerate(added_to)}
+        results = (f"{result}{terms.get(i, '')}" for i, result in enumerate(self.results))
+        return replace(self, n_x=self.n_x + count, results=(*results, *["0.0"] * count))
+
 
 class Machine:
     """A vector field, compiled.
@@ -76,7 +87,7 @@ class Machine:
     """
 
     def __init__(self, program: Program, dtype: torch.dtype = torch.float32) -> None:
-        self.n_x, self.n_u, self.dtype = program.n_x, program.n_u, dtype
+        self.n_x, self.n_u, self.dtype, self.program = program.n_x, program.n_u, dtype, program
         self.step = program.step
         self._real = ctypes.c_float if dtype == torch.float32 else ctypes.c_double
         self._constants = self._reals(program.constants)

@@ -1,7 +1,8 @@
 """A plant's equations in formulas, read off its own torch code: it is run once, on symbols.
 
-What can be read are the operators, `torch.sin`, `cos`, `exp`, `tanh`, `sqrt`, `abs` and `sign`, comparisons turned into
-numbers by `to`, whole powers, `unbind` and `[..., i]` of states and inputs, and a last `torch.stack`.
+What can be read are the operators, `torch.sin`, `cos`, `exp`, `tanh`, `sqrt`, `abs` and `sign`, `torch.zeros_like` of a
+column, comparisons turned into numbers by `to`, whole powers, `unbind` and `[..., i]` of states and inputs, and a last
+`torch.stack`.
 """
 
 from __future__ import annotations
@@ -138,6 +139,8 @@ class _Symbol:
         name = getattr(func, "__name__", "")
         if name == "stack" and (args[1:] == (-1,) or (kwargs or {}) == {"dim": -1}):
             return _Row(list(args[0]))
+        if name == "zeros_like" and len(args) == 1 and not kwargs:
+            return args[0].page.line("0.0")
         if name == "square" and not kwargs:
             return args[0].square()
         if name in CALLED and len(args) == 1 and not kwargs:

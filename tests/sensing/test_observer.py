@@ -171,6 +171,27 @@ def test_an_estimated_push_moves_its_rate_and_stays():
     torch.testing.assert_close(moved.mean, torch.linalg.matrix_exp(pushed * DT) @ x, rtol=0, atol=1e-7)
 
 
+class TorchTras(Tras):
+    """The same equations without machine code."""
+
+    machine_code = False
+
+
+@pytest.mark.parametrize("learnt", [False, True])
+def test_machine_code_believes_what_torch_code_believes(learnt):
+    sensors = Sensors({name: {"noise": 0.01} for name in Tras().signature.state_names[:4]}, delay=1)
+    beliefs = []
+    for plant in (Tras(), TorchTras()):
+        ours = Observer(plant, sensors, ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), DT))
+        ours.nis = 1.0 if learnt else None
+        rng = torch.Generator().manual_seed(0)
+        belief = ours.begin(0.1 * torch.randn(3, 6, generator=rng))
+        belief = Belief(belief.mean + 0.1 * torch.randn(belief.mean.shape, generator=rng), belief.covariance)
+        inputs = torch.rand(3, ours.memory, 2, generator=rng)
+        beliefs.append([*vars(ours.advance(belief, inputs)).values(), ours.ahead(belief.mean, inputs)])
+    torch.testing.assert_close(*beliefs, rtol=1e-9, atol=1e-12)
+
+
 def test_its_width_is_the_memory_that_a_rollout_takes_up_for_it():
     plant = Tras()
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), DT, dtype=torch.float64)
