@@ -26,6 +26,7 @@ from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import lines as lines_of
 from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
+from dynasindy.systems.smoothing import local_cubic, slopes_beside_gaps
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
@@ -38,8 +39,6 @@ STREAM = 0.2
 """Part of the rows without an input from which on they are those of another stream."""
 HOLE = 10
 """Usual distances between two samples of a state from which on what lies between them is no moment."""
-RATED = 5
-"""Samples under a local cubic, of those that it would have, from which on it gives a rate."""
 
 
 def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
@@ -82,29 +81,6 @@ def _outside(seen: NDArray[np.bool_], segment: NDArray[np.int64]) -> NDArray[np.
     np.minimum.at(first, labels[seen], rows[seen])
     np.maximum.at(last, labels[seen], rows[seen])
     return (rows < first[labels]) | (rows > last[labels])
-
-
-def _rates_beside(column: Array, length: int, dt: float) -> Array:
-    """Return slopes of local cubics over `length` samples, `(n,)`, NaN where too few of these were measured.
-
-    Args:
-        column: Samples, NaN where one is lost, `(n,)`, n at least `length`.
-        length: Samples under a cubic, an odd number.
-        dt: Time between two samples.
-    """
-    n = len(column)
-    first = np.clip(np.arange(n) - length // 2, 0, n - length)
-    windows = column[first[:, None] + np.arange(length)]
-    seen, here = np.isfinite(windows), (np.arange(n) - first - length // 2).astype(float)
-    powers = np.arange(-(length // 2), length // 2 + 1.0)[:, None] ** np.arange(4)
-    weighed = seen[..., None] * powers
-    normal, right = weighed.mT @ powers, (weighed * np.nan_to_num(windows)[..., None]).sum(1)
-    enough = seen.sum(1) >= RATED
-    cubic = np.linalg.solve(normal[enough], right[enough][..., None])[..., 0]
-    rates = np.full(n, np.nan)
-    at = here[enough]
-    rates[enough] = (cubic[:, 1] + 2 * cubic[:, 2] * at + 3 * cubic[:, 3] * at**2) / dt
-    return rates
 
 
 STUCK = 5  # samples with one value at the end of its range may be a stop
@@ -469,8 +445,6 @@ def _with_rates(
     x: dict[str, Array], states: dict[str, Column], segment: NDArray[np.int64], dt: float, findings: list[Finding]
 ) -> Array:
     """Reconstruct rates that were not logged by a local cubic over the neighbouring samples."""
-    from scipy.signal import savgol_filter  # a second of imports that most runs do without
-
     full = dict(x)
     for name, column in states.items():
         if column.name:
@@ -484,9 +458,7 @@ def _with_rates(
             if len(samples) < SMOOTH:
                 continue
             whole = bool(np.isfinite(samples).all())
-            rate[rows] = (
-                savgol_filter(samples, SMOOTH, 3, deriv=1, delta=dt) if whole else _rates_beside(samples, SMOOTH, dt)
-            )
+            rate[rows] = local_cubic(samples, SMOOTH, dt, 1) if whole else slopes_beside_gaps(samples, SMOOTH, dt)
         rate *= column.scale
         findings.append(note("log.differentiated", state=name, of=column.derivative_of))
     return np.stack([full[name] for name in states], -1)

@@ -13,8 +13,9 @@ from torch import Tensor
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.noise import sensor_noise
-from dynasindy.sindy.reconstruction import best_length, interpolate_gaps, local_cubic
+from dynasindy.sindy.reconstruction import interpolate_gaps
 from dynasindy.sindy.regression import least_squares
+from dynasindy.systems.smoothing import best_length, local_cubic
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]

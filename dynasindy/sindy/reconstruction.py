@@ -19,13 +19,9 @@ from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, shares, simpson_f
 from dynasindy.sindy.shooting import ENOUGH, choose_stretches, relative_step, substeps_for
 from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import moved
+from dynasindy.systems.smoothing import best_length, local_cubic
 from dynasindy.systems.steps import Rates
 from dynasindy.systems.transitions import Transitions
-
-LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
-"""Samples under a local cubic that are tried."""
-AS_GOOD = 1.1
-"""Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
 
 NOISY = 1e-5
 """Part of a function of measured states that others leave over, below which it depends on them."""
@@ -197,37 +193,6 @@ def interpolate_gaps(column: Array) -> Array | None:
     """Return samples with the lost ones interpolated, `(n,)`; None if none was measured."""
     seen = np.flatnonzero(~np.isnan(column))
     return np.interp(np.arange(len(column)), seen, column[seen]) if len(seen) else None
-
-
-def best_length(column: Array) -> int:
-    """Choose how many samples lie under a local cubic: as many as predict the samples left out hardly worse.
-
-    Args:
-        column: samples, `(n,)`.
-    """
-    from scipy.signal import savgol_coeffs, savgol_filter  # a second of imports that most runs do without
-
-    errors = {}
-    for length in LENGTHS:
-        if length > len(column):
-            break
-        own = savgol_coeffs(length, 3)[length // 2]  # weight of a sample in its own smoothed value
-        errors[length] = float(np.square((column - savgol_filter(column, length, 3)) / (1 - own)).mean())
-    if not errors:
-        return LENGTHS[0]
-    least = min(errors.values())
-    return max(length for length, error in errors.items() if error <= AS_GOOD * least + 1e-300)
-
-
-def local_cubic(column: Array, length: int, dt: float, derivative: int) -> Array:
-    """Smooth or differentiate samples, `(n,)`, by a cubic through `length` neighbours; fewer where there are fewer."""
-    length = min(length, len(column) - 1 + len(column) % 2)
-    if length < 5:
-        return np.gradient(column, dt) if derivative and len(column) > 1 else column * (1 - derivative)
-    from scipy.signal import savgol_filter
-
-    smooth: Array = savgol_filter(column, length, 3, deriv=derivative, delta=dt)
-    return smooth
 
 
 def has_gaps(data: Transitions) -> Tensor:

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from dynasindy.data.columns import Column, infer
-from dynasindy.data.csv import CsvLog, _holes, _rates_beside, _stuck
+from dynasindy.data.csv import CsvLog, _holes, _stuck
 from dynasindy.findings import Finding, LogError, note, weak
+from dynasindy.systems.smoothing import slopes_beside_gaps
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -566,6 +567,6 @@ def test_a_segment_begins_and_ends_with_a_measured_row():
 
 def test_a_slope_needs_five_of_seven_samples():
     column = lacking(30, 10, 11, 12)
-    rates = _rates_beside(column, 7, 0.1)
+    rates = slopes_beside_gaps(column, 7, 0.1)
     assert np.isnan(rates[9:14]).all() and np.isfinite(rates[[8, 14]]).all()
     assert rates[np.isfinite(rates)] == pytest.approx(10.0)

@@ -15,19 +15,17 @@ from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, variable
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.reconstruction import (
     BRIEF,
-    LENGTHS,
     DelayedRecording,
-    best_length,
     find_missing_rates,
     has_gaps,
     interpolate_gaps,
-    local_cubic,
     rate_states,
     reconstruct,
     simulate_hidden_states,
     with_rate_ranges,
 )
 from dynasindy.systems import Signature
+from dynasindy.systems.smoothing import LENGTHS, best_length, local_cubic
 from dynasindy.systems.transitions import Transitions
 
 DT = 0.05

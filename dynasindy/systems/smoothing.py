@@ -1,0 +1,86 @@
+"""Local cubics: samples are smoothed or differentiated by the best cubic through their neighbours (Savitzky, Golay)."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
+"""Samples under a local cubic that are tried."""
+AS_GOOD = 1.1
+"""Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
+RATED = 5
+"""Samples under a local cubic, of those that it would have, from which on it gives a rate."""
+
+Array = NDArray[np.float64]
+
+
+def best_length(column: Array) -> int:
+    """Choose how many samples lie under a local cubic: as many as predict the samples left out hardly worse.
+
+    Args:
+        column: samples, `(n,)`.
+    """
+    errors = {}
+    for length in LENGTHS:
+        if length > len(column):
+            break
+        own = _cubic(length, 0)[length // 2, length // 2]  # weight of a sample in its own smoothed value
+        errors[length] = float(np.square((column - _filtered(column, length, 0)) / (1 - own)).mean())
+    if not errors:
+        return LENGTHS[0]
+    least = min(errors.values())
+    return max(length for length, error in errors.items() if error <= AS_GOOD * least + 1e-300)
+
+
+def local_cubic(column: Array, length: int, dt: float, derivative: int) -> Array:
+    """Smooth or differentiate samples, `(n,)`, by a cubic through `length` neighbours; fewer where there are fewer."""
+    length = min(length, len(column) - 1 + len(column) % 2)
+    if length < 5:
+        return np.gradient(column, dt) if derivative and len(column) > 1 else column * (1 - derivative)
+    return _filtered(column, length, derivative) / dt**derivative
+
+
+def _filtered(column: Array, length: int, derivative: int) -> Array:
+    """Return values or slopes a sample of local cubics, `(n,)`; SciPy's filter fits its edges anew each time."""
+    half, cubic = length // 2, _cubic(length, derivative)
+    middle = np.convolve(column, cubic[half, ::-1], "valid")
+    return np.concatenate([cubic[:half] @ column[:length], middle, cubic[half + 1 :] @ column[-length:]])
+
+
+@cache
+def _cubic(length: int, derivative: int) -> Array:
+    """Return what turns samples into the cubic that fits them best, or its slope a sample, `(length, length)`."""
+    place, step = np.linspace(-1, 1, length), 2 / (length - 1)
+    values = np.polynomial.legendre.legvander(place, 3)
+    at = (
+        values
+        if not derivative
+        else np.stack([np.polynomial.Legendre.basis(k).deriv()(place) * step for k in range(4)], -1)
+    )
+    return np.asarray(at @ np.linalg.pinv(values))
+
+
+def slopes_beside_gaps(column: Array, length: int, dt: float) -> Array:
+    """Return slopes of local cubics over `length` samples, `(n,)`, NaN where too few of these were measured.
+
+    Args:
+        column: Samples, NaN where one is lost, `(n,)`, n at least `length`.
+        length: Samples under a cubic, an odd number.
+        dt: Time between two samples.
+    """
+    n = len(column)
+    first = np.clip(np.arange(n) - length // 2, 0, n - length)
+    windows = column[first[:, None] + np.arange(length)]
+    seen, here = np.isfinite(windows), (np.arange(n) - first - length // 2).astype(float)
+    powers = np.arange(-(length // 2), length // 2 + 1.0)[:, None] ** np.arange(4)
+    weighed = seen[..., None] * powers
+    normal, right = weighed.mT @ powers, (weighed * np.nan_to_num(windows)[..., None]).sum(1)
+    enough = seen.sum(1) >= RATED
+    cubic = np.linalg.solve(normal[enough], right[enough][..., None])[..., 0]
+    rates = np.full(n, np.nan)
+    at = here[enough]
+    rates[enough] = (cubic[:, 1] + 2 * cubic[:, 2] * at + 3 * cubic[:, 3] * at**2) / dt
+    return rates
