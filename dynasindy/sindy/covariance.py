@@ -138,34 +138,33 @@ def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> C
     errors, factors = dx - theta @ coefficients, []
     for state in range(coefficients.shape[1]):
         active = parameters.features[parameters.states == state]
-        factor = jackknife(torch.cat([theta[:, active], errors[:, state : state + 1]], -1).unsqueeze(1))
+        rows = torch.cat([theta[:, active], errors[:, state : state + 1]], -1)
+        factor = jackknife(rows.tensor_split(min(STRETCHES, len(rows))))
         if factor is None:
             return None
         factors.append(factor)
     return Covariance.of(parameters, torch.cat(factors))
 
 
-def jackknife(rows: Tensor, always: Tensor | None = None, stretches: int = STRETCHES) -> Tensor | None:
-    """Return how unknowns move when each stretch of the data is left out, as a factor of their covariance.
+def jackknife(parts: Sequence[Tensor], always: Tensor | None = None) -> Tensor | None:
+    """Return how unknowns move when each part of the data is left out, as a factor of their covariance.
 
     Args:
-        rows: slopes by the unknowns, and errors as the last column, `(N, R, M + 1)`: R rows of each of N samples or
-            windows, which are left out together, in the order of time.
+        parts: slopes by the unknowns, and errors as the last column, `(R, M + 1)` of each part, in the order of time;
+            or the triangular factor of such rows.
         always: rows that are never left out, `(R, M + 1)`.
-        stretches: number of stretches.
 
     Returns:
-        The factor, `(M, stretches)`; of fewer windows or samples than stretches it has as many columns as there are.
-        None where a number is not finite, as of a model that all but runs away.
+        The factor, `(M, len(parts))`. None where a number is not finite, as of a model that all but runs away.
     """
-    count = min(stretches, len(rows))
-    always = rows.new_zeros(1, rows.shape[-1]) if always is None else always
-    scale = torch.cat([rows.flatten(0, 1), always]).norm(dim=0).clamp_min(1e-100)
+    count, none = len(parts), parts[0].new_zeros(1, parts[0].shape[-1])
+    always, parts = none if always is None else always, [_triangle(part) for part in parts]
+    scale = torch.cat([*parts, always]).norm(dim=0).clamp_min(1e-100)
     if not bool(scale.isfinite().all()):
         return None
     scale[-1] = 1.0
-    parts = [_triangle((part / scale).flatten(0, 1)) for part in rows.tensor_split(count)]
-    before, after = [_triangle(always / scale)], [rows.new_zeros(1, rows.shape[-1])]
+    parts = [part / scale for part in parts]
+    before, after = [_triangle(always / scale)], [none]
     for first, last in zip(parts[:-1], parts[:0:-1], strict=True):
         before.append(_triangle(torch.cat([before[-1], first])))
         after.append(_triangle(torch.cat([after[-1], last])))

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
-from dynasindy.sindy.covariance import Covariance, jackknife
+from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import least_squares, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters, Propagator
@@ -108,7 +108,8 @@ def one_step_covariance(
     rows, target, scale = _linear_model(library, xi, parameters, data, floor)
     n_shapes = len(library.shapes)
     errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
-    factor = jackknife(torch.cat([rows, errors], -1).unflatten(0, (len(data), -1)))
+    samples = torch.cat([rows, errors], -1).unflatten(0, (len(data), -1))
+    factor = jackknife([part.flatten(0, 1) for part in samples.tensor_split(min(STRETCHES, len(data)))])
     return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
 
 

@@ -23,6 +23,8 @@ ENOUGH = 10_000
 """Rows of a recording on which functions are chosen; the coefficients are fitted on all."""
 CHOSEN_STRETCHES = 10
 """Stretches that the rows lie in that are chosen of a long recording."""
+CHUNK = 100_000
+"""Slopes, about, that are condensed at once, so that they stay in fast memory."""
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,15 @@ class Flow:
             slopes.append(chained(step, slopes[-1]))
         return torch.stack(slopes, 1)
 
+    def part(self, rows: slice) -> Flow:
+        """Return the trajectories of some of the windows."""
+        names = ("rows", "first", "inputs", "measured", "mask", "joined")
+        windows = replace(self.windows, **{name: getattr(self.windows, name)[rows] for name in names})
+        estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
+        part = Flow(estimate, self.parameters, windows, self.predicted[rows])
+        part.__dict__["s"] = self.s[rows]
+        return part
+
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""
         finite = self.predicted.square().isfinite().all(-1).all(-1)
@@ -345,8 +356,9 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     if sigma is None:
         require_bounded(flow)
         sigma = flow.sigma()
-    rows, moves, errors, cost = _rows(flow, sigma)
-    parameters = flow.parameters
+    triangles, rest, moves = _condensed(flow, sigma, 1 + flow.s.numel() // CHUNK)
+    parameters, rows = flow.parameters, torch.cat([*triangles, rest])
+    errors, cost = _weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
     target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
@@ -361,61 +373,88 @@ def shooting_covariance(flow: Flow) -> Covariance | None:
     """
     if not len(flow.parameters) or bool(flow.lost().any()):
         return None
-    rows, windows = _rows(flow, flow.sigma())[0], flow.windows
-    samples = windows.length if bool(windows.joined.any()) else windows.length + 1
-    count = len(windows) * samples * windows.mask.shape[-1]
-    always = rows[count:] if count < len(rows) else None
     # Errors within a window have its start in common, so it is left out as a whole where there are enough of them.
-    parts = len(windows) if len(windows) >= STRETCHES else len(windows) * samples
-    factor = jackknife(rows[:count].unflatten(0, (parts, -1)), always)
+    triangles, rest, _ = _condensed(flow, flow.sigma(), STRETCHES)
+    factor = jackknife(triangles, rest if len(rest) else None)
     if factor is None:
         return None
     return Covariance.of(flow.parameters, factor[len(factor) - len(flow.parameters) :])
 
 
-def _rows(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost."""
-    rows, moves, errors, cost = (_joined if bool(flow.windows.joined.any()) else _alone)(flow, sigma)
-    estimate, parameters, windows = flow.estimate, flow.parameters, flow.windows
+def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Tensor, Tensor]:
+    """Condense the weighted errors and their slopes by the unknowns, the nodes that continue a window eliminated.
+
+    Windows are condensed part by part, so that each stays in fast memory. Errors that last are not independent from
+    window to window.
+
+    Returns:
+        R of the errors of `count` parts of the recording, `(<= F + P + 1, F + P + 1)`, rows that are of none, and how
+        the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
+    """
+    windows, n_x = flow.windows, flow.predicted.shape[-1]
+    joined = bool(windows.joined.any())
+    nodes, triangles, moves = _condense(flow) if joined else None, list[Tensor](), list[Tensor]()
+    parts = 1 if windows.lasting is not None or len(windows) < count else count
+    for of_part in torch.arange(len(windows)).tensor_split(parts):
+        mine = slice(int(of_part[0]), int(of_part[-1]) + 1)
+        part = flow.part(mine) if parts > 1 else flow
+        rows, moved = _alone(part, sigma) if nodes is None else (_joined(part, sigma, nodes[mine]), nodes[mine])
+        units = len(windows) if len(windows) >= count // parts > 1 else len(rows) // n_x
+        pieces = rows.unflatten(0, (units, -1)).tensor_split(count // parts)
+        triangles += [torch.linalg.qr(piece.flatten(0, 1), mode="r")[1] for piece in pieces if len(piece)]
+        moves.append(moved)
+    rest = [_starts(flow, sigma, nodes, torch.cat(triangles))] if nodes is not None else []
     if windows.likely is not None:
-        rows = torch.cat([rows, _small(flow, rows.shape[1])])
+        rest.append(_small(flow, triangles[0].shape[1]))
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
+        estimate, parameters = flow.estimate, flow.parameters
         may = parameters.support(estimate.xi.shape)
         exponents = _free_scales(estimate.library, estimate.xi, may, unseen)[1]
-        held = _scale_constraints(exponents, estimate.xi, rows, (parameters.features, parameters.states))
-        rows = torch.cat([rows, held])
-    return rows, moves, errors, cost
+        places = parameters.features, parameters.states
+        rest.append(_scale_constraints(exponents, estimate.xi, torch.cat([*triangles, *rest]), places))
+    return triangles, torch.cat([triangles[0][:0], *rest]), torch.cat(moves)
 
 
-def _joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Return weighted rows `(M, F + P + 1)`, moves of the nodes, weighted errors, and the cost, of one trajectory."""
-    estimate, windows = flow.estimate, flow.windows
-    error, begun = (windows.measured - flow.predicted) * windows.mask, ~windows.joined
-    start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
-    moves = _condense(flow)
-    n_x = estimate.xi.shape[1]
+def _joined(flow: Flow, sigma: Tensor, moves: Tensor) -> Tensor:
+    """Return the weighted rows of windows of one trajectory, `(W L n_x, F + P + 1)`.
+
+    Args:
+        flow: the windows.
+        sigma: error of each state, `(n_x,)`.
+        moves: how their nodes move, `(W, n_x, F + P + 1)`.
+    """
+    windows, n_x = flow.windows, flow.predicted.shape[-1]
     # error - d predicted: the node's move, then shapes and coefficients.
     columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
     n_own = flow.s.shape[-1] - n_x
     columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
-    columns[..., -1] = error - columns[..., -1]
+    columns[..., -1] = windows.measured - flow.predicted - columns[..., -1]
     columns = _white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
+    return columns.flatten(0, 2)
+
+
+def _starts(flow: Flow, sigma: Tensor, moves: Tensor, triangles: Tensor) -> Tensor:
+    """Return the weighted rows of the starts of trajectories, `(2 S n_x, F + P + 1)`; `triangles` are of the others."""
+    estimate, windows, begun = flow.estimate, flow.windows, ~flow.windows.joined
+    start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
-    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1))
-    rows = torch.cat([columns.reshape(-1, columns.shape[-1]), starts.reshape(-1, columns.shape[-1])])
-    rows = torch.cat([rows, _held(estimate, begun, rows)])
-    return rows, moves, *_errors_of_joined(flow, sigma)
+    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1)).flatten(0, 1)
+    return torch.cat([starts, _held(estimate, begun, torch.cat([triangles, starts]))])
 
 
 def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
     return 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
 
 
-def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
-    """Return the weighted errors of one trajectory, `(W, L, n_x)`, and its cost."""
+def _weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return the weighted errors of the samples, `(W, L, n_x)`, and the cost."""
     estimate, windows = flow.estimate, flow.windows
+    if not bool(windows.joined.any()):
+        error, seen = _errors(flow)
+        weighed = _white((error * seen).unsqueeze(-1), replace(windows, mask=seen)).squeeze(-1) / sigma
+        return weighed[:, 1:], float(weighed.square().sum()) + _unlikely(flow)
     error = (windows.measured - flow.predicted) * windows.mask
     weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
     starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
@@ -428,10 +467,7 @@ def _errors_of_joined(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
     """Return the cost of a trial, as in `linearise_windows`. No slopes are computed: only a better trial needs them."""
-    if bool(flow.windows.joined.any()):
-        return _errors_of_joined(flow, sigma)[1]
-    error, seen = _errors(flow)
-    return _weighed((error * seen).unsqueeze(-1), seen, flow, sigma)[1]
+    return _weighted_errors(flow, sigma)[1]
 
 
 def _unlikely(flow: Flow) -> float:
@@ -453,25 +489,19 @@ def _small(flow: Flow, width: int) -> Tensor:
     return rows
 
 
-def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Return the same of windows on their own.
+def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor]:
+    """Return weighted rows of windows on their own, `(W (L + 1) n_x, F + P + 1)`, and how their nodes move.
 
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
     n_x, (every, seen) = flow.predicted.shape[-1], _every(flow)
-    every, cost = _weighed(every, seen, flow, sigma)
+    every = _white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
     rows = every.flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
     moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
-    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves, every[:, 1:, :, -1], cost
-
-
-def _weighed(every: Tensor, seen: Tensor, flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
-    """Return weighted slopes and errors of windows on their own, `(W, L + 1, n_x, C)`, errors last, and the cost."""
-    every = _white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
-    return every, float(every[..., -1].square().sum()) + _unlikely(flow)
+    return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves
 
 
 def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
