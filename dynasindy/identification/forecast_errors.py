@@ -26,6 +26,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
 from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
@@ -34,6 +35,8 @@ ORDERS = (1, 2, 4, 8, 16)
 """Numbers of past samples to choose from."""
 TRIED = 100
 """Start times from which each order is tried."""
+ENOUGH_ROWS = 50_000
+"""Rows of a long recording that tell some fifty weights as well as all of them."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class LinearModel:
     @classmethod
     def _of_order(cls, data: Transitions, order: int) -> LinearModel | None:
         seen, rows = _seen(data), _rows(data, order)
+        rows = rows[choose_stretches(len(rows), ENOUGH_ROWS)]
         columns, target = _regressors(data, rows, order, seen), data.x_next[rows][:, seen].double()
         complete = ~(columns.isnan().any(-1) | target.isnan().any(-1))
         columns, target = columns[complete], target[complete]
@@ -340,10 +344,10 @@ def characteristic(data: Transitions) -> float:
     longest = max(2, int(torch.bincount(data.segment - data.segment.min()).max()) // 3)
     lags = sorted({round(1.15**k) for k in range(200) if round(1.15**k) <= longest})
     waiting = [i for i in range(data.x.shape[1]) if float(data.x_next[:, i].nan_to_num().std()) > 0]
+    spread = (data.x_next - data.x_next.nanmean(0)).square().nanmean(0).sqrt()
     for lag in lags:
         same = data.segment[lag:] == data.segment[:-lag]
         change = (data.x_next[lag:] - data.x_next[:-lag])[same].square().nanmean(0).sqrt()
-        spread = (data.x_next - data.x_next.nanmean(0)).square().nanmean(0).sqrt()
         waiting = [i for i in waiting if not change[i] >= spread[i]]
         if not waiting:
             return lag * data.dt
@@ -431,8 +435,9 @@ def _simulated(model: SindyModel, x: Tensor, u: Tensor, dt: float) -> Tensor:
 
 def _errors(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:
     """Return the root-mean-square error over each horizon, `(H, n_x)`; what is NaN of either does not count."""
-    squared = (predicted - real).square()
-    return torch.stack([squared[:, :k].nanmean((0, 1)).sqrt() for k in steps])
+    squared, last = (predicted - real).square(), torch.tensor(steps) - 1
+    counts = (~squared.isnan()).sum(0).cumsum(0)[last]
+    return (squared.nansum(0).cumsum(0)[last] / counts).sqrt()
 
 
 def _last_seen(data: Transitions) -> Tensor:

@@ -25,7 +25,7 @@ from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import BRIEF, RegressionData, has_gaps, rate_states, reconstruct
+from dynasindy.sindy.reconstruction import BRIEF, RegressionData, half_bump, has_gaps, rate_states, reconstruct
 from dynasindy.sindy.regression import Rows, RunningSums, least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.systems.transitions import Transitions
@@ -105,7 +105,7 @@ class _Search:
     """Regressions of the rates of change on functions of a signal that was led through lags of many times."""
 
     def __init__(self, model: SindyModel, data: Transitions, signal: str, delay: float = 0.0) -> None:
-        self.model, self.data, self.signal, self.delay = model, data, signal, delay
+        self.model, self.data, self.signal, self.delay = model, data.to(torch.float64), signal, delay
         self.rates, self.noisy = rate_states(model.library, model.constraints), not bool(has_gaps(data))
         self.guess = reconstruct(data, self.rates, self.noisy)
         self.input = signal in model.signature.input_names
@@ -122,14 +122,14 @@ class _Search:
         times, keep = self._times()
         if not times:
             return None
-        left = plain.left(keep)
-        costs = {time: self._cost(time, keep) for time in times}
+        left, half = plain.left(keep), half_bump(self.data.select(keep))
+        costs = {time: self._cost(time, keep, half) for time in times}
         time = min(costs, key=costs.__getitem__)
         if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
             return None
         gain = left - costs[time]
         wide = self._wide(time)
-        rows = self._rows(wide, time, keep)
+        rows = self._rows(wide, time, keep, half)
         if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
             return None
         wide.initial, wide.initial_delay = self._solved(wide, rows, time), self.delay
@@ -160,10 +160,10 @@ class _Search:
                 return [m * data.dt for m in TIMES if m <= n], keep
         return [], keep
 
-    def _cost(self, time: float, keep: Tensor) -> float:
+    def _cost(self, time: float, keep: Tensor, half: int) -> float:
         """Return N/2 log of what is left over; infinite of a store that would drive what fills it."""
         wide = self._wide(time)
-        theta, dx = self._rows(wide, time, keep)
+        theta, dx = self._rows(wide, time, keep, half)
         free = self._free(wide, theta)
         if not self.input:
             mine = free[:, self.moved]
@@ -182,7 +182,7 @@ class _Search:
         free[:, -1] = False
         return free
 
-    def _rows(self, wide: SindyModel, time: float, keep: Tensor) -> Rows:
+    def _rows(self, wide: SindyModel, time: float, keep: Tensor, half: int) -> Rows:
         """Return averaged functions and rates of change under a state that follows with so much time [s].
 
         Where a state that follows a measured one began is not known: behind the functions stands what decays from
@@ -204,7 +204,7 @@ class _Search:
         def _theta(x: Tensor, u: Tensor) -> Tensor:
             return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
 
-        seen = RegressionData.of(guess.select(keep), measured.select(keep), self.rates, self.noisy)
+        seen = RegressionData(guess.select(keep), measured.select(keep), self.rates, half)
         theta, dx = seen.rows(_theta, _theta)  # where a state was not measured no field is asked for
         return theta, dx[:, :n_x]
 

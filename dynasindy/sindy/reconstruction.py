@@ -56,11 +56,7 @@ class RegressionData:
         cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False
     ) -> RegressionData:
         """Choose the bump by the noise of what was measured; none where all was measured and it is not said noisy."""
-        half = 0
-        if noisy or bool(has_gaps(measured)):
-            columns = (interpolate_gaps(column.numpy()) for column in measured.x_next.double().unbind(-1))
-            half = max(best_length(column) for column in columns if column is not None) // 2
-            half = min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
+        half = half_bump(measured) if noisy or bool(has_gaps(measured)) else 0
         return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
 
     @property
@@ -82,6 +78,13 @@ class RegressionData:
         if not self.half:
             return simpson_form(theta, field, self.guess)
         return weak_form(theta, self.measured, self.guess, self.rates, self.half)
+
+
+def half_bump(measured: Transitions) -> int:
+    """Return half of the length of the bump of the weak form that the noise of a recording asks for [samples]."""
+    columns = (interpolate_gaps(column.numpy()) for column in measured.x_next.double().unbind(-1))
+    half = max(best_length(column) for column in columns if column is not None) // 2
+    return min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
 
 
 def rate_states(library: Library, constraints: Constraints) -> dict[int, int]:

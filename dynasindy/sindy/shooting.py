@@ -426,7 +426,7 @@ def _joined(flow: Flow, sigma: Tensor, moves: Tensor) -> Tensor:
     """
     windows, n_x = flow.windows, flow.predicted.shape[-1]
     # error - d predicted: the node's move, then shapes and coefficients.
-    columns = flow.s[..., :n_x] @ moves.unsqueeze(1)
+    columns = (flow.s.flatten(1, 2)[..., :n_x] @ moves).unflatten(1, (-1, n_x))
     n_own = flow.s.shape[-1] - n_x
     columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
     columns[..., -1] = windows.measured - flow.predicted - columns[..., -1]
