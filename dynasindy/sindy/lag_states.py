@@ -257,13 +257,16 @@ class _Search:
 
 def _lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:
     """Return a state that follows a signal `(N,)` from rest, at the begin and the end of each interval, `(N,)` both."""
-    left, now, starts, ends = math.exp(-data.dt / time), 0.0, [], []
-    for held, anew in zip(signal.tolist(), data.begins().tolist(), strict=True):
-        now = held if anew else now
-        starts.append(now)
-        now = held + (now - held) * left
-        ends.append(now)
-    return torch.tensor(starts, dtype=signal.dtype), torch.tensor(ends, dtype=signal.dtype)
+    anew, left = data.begins(), math.exp(-data.dt / time)
+    gain, ends, reach = (
+        torch.full_like(signal, left).masked_fill(anew, 0.0),
+        torch.where(anew, signal, (1 - left) * signal),
+        1,
+    )
+    while bool(gain.any()):  # what each end is of the one `reach` intervals before, until nothing before matters
+        ends[reach:], gain[reach:] = ends[reach:] + gain[reach:] * ends[:-reach], gain[reach:] * gain[:-reach]
+        reach *= 2
+    return torch.where(anew, signal, ends.roll(1)), ends
 
 
 def _lag_state_name(name: str) -> str:

@@ -334,6 +334,7 @@ class Linearised:
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
         errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`.
+        least: whether no step from here was found to lower the cost.
     """
 
     triangle: Tensor
@@ -343,6 +344,7 @@ class Linearised:
     sigma: Tensor
     errors: Tensor
     unlikely: float = 0.0
+    least: bool = False
 
 
 def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
@@ -570,15 +572,14 @@ def _condense(flow: Flow) -> Tensor:
     n_x = nodes.shape[1]
     n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
     moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
-    gaps, seen = _gaps(flow), 0
-    for j, joined in enumerate(windows.joined.tolist()):
-        if joined:
-            moves[j] = s[j - 1, -1, :, :n_x] @ moves[j - 1]
-            moves[j, :, n_start : n_start + n_own] += s[j - 1, -1, :, n_x:]
-            moves[j, :, -1] += gaps[j]
-        else:
-            moves[j, :, seen : seen + n_x] = torch.eye(n_x, dtype=nodes.dtype)
-            seen += n_x
+    joined = windows.joined.nonzero().flatten()
+    moves[joined, :, n_start : n_start + n_own] = s[joined - 1, -1, :, n_x:]
+    moves[joined, :, -1] = _gaps(flow)[joined]
+    starts = moves[~windows.joined, :, :n_start]
+    moves[~windows.joined, :, :n_start] = torch.eye(n_start, dtype=nodes.dtype).view(*starts.shape)
+    own, slopes = moves.numpy(), s[:, -1, :, :n_x].numpy()
+    for j in joined.tolist():
+        own[j] += slopes[j - 1] @ own[j - 1]
     return moves
 
 

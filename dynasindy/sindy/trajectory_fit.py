@@ -206,7 +206,7 @@ def _settle(
     damping, parameters, windows = 0.0, flow.parameters, flow.windows
     model = model or linearise_windows(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
-    for k in range(max_rounds):
+    for k in range(0 if model.least else max_rounds):
         report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
         candidate = move(flow, model, torch.arange(len(model.scale)), damping)
         trial = Flow.of(candidate, parameters, windows)
@@ -215,7 +215,7 @@ def _settle(
         after = linearise_windows(trial) if cost < model.cost and not lost else None
         if after is None or not bool(after.triangle.isfinite().all()):
             if damping > 1e6 or (not lost and abs(cost - model.cost) < 1e-6 * model.cost):
-                break
+                return flow, replace(model, least=True)
             damping = max(10 * damping, 1e-3)
             continue
         gain = (model.cost - cost) / model.cost
