@@ -153,7 +153,7 @@ def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skippe
 def _unwrapped(state: str, turn: float, times: int, counts: bool) -> str:
     size = "2 pi" if math.isclose(turn, 2 * math.pi) else f"{turn:g}"
     scaled = {state: {"name": state, "unit": "rad", "scale": float(f"{2 * math.pi / turn:.6g}")}}
-    more = f"; if these are a turn, {setting('data.states', scaled)} gives rad" if counts else ""
+    more = f"; if these are a turn, {setting('data.states', scaled)} gives rad" if counts or turn == 360 else ""
     return (
         f"{state} jumps by {size} {times} times and was unwrapped, as a controller has to do{more}; a unit that is "
         "none of an angle keeps it as it is"
@@ -204,7 +204,10 @@ def _guess(
     """Say what columns may be: sentences, then settings to copy."""
     hints = []
     if not time:
-        hints.append("No column grows from row to row, as time does: write the time of each row into the file")
+        hints.append(
+            "No column grows from row to row, as time does: write the time of each row into the file, or give "
+            "<data.dt>, the time between two rows in seconds"
+        )
     if counter:
         hints.append(
             f"{counter} holds whole numbers, as a counter does: if it counts rows, give <data.dt>, too, in seconds"
@@ -215,9 +218,9 @@ def _guess(
             "one nothing can be identified"
         )
     text = "".join(f" {hint}." for hint in hints) + " This is a first guess, to be corrected: "
-    given: dict[str, Any] = {} if clock_known and time == "time" else {"time": time or "HEADING"}
+    given: dict[str, Any] = {} if not time or (clock_known and time == "time") else {"time": time}
     given |= {"inputs": [*inputs], "states": [*states]}
-    seconds = counter and not clock_known
+    seconds = not time or (counter and not clock_known)
     if _words_of_commands:
         words = [f"'data.{key}={_flow_of_names(value)}'" for key, value in given.items()]
         return text + " ".join([*words, *(["data.dt=SECONDS"] if seconds else [])])
@@ -867,7 +870,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.title_lines": lambda count: (
         f"{'1 line' if count == 1 else f'{count} lines'} above the headings {'was' if count == 1 else 'were'} skipped"
     ),
+    "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",
     "log.other_lengths": "left out, as the others have {length} values: {names:list}",
+    "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
     "log.words": _words_in_column,
@@ -875,8 +880,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         "left out, as what never changes tells nothing of the plant: " + _pairs(columns, "{:g} in all rows")
     ),
     "log.counters": lambda columns: (
-        f"left out, as {'it grows' if len(columns) == 1 else 'they grow'} by exactly one in each row, as a counter "
-        f"of rows does: {', '.join(columns)}; <data.states> or <data.inputs> may name it all the same"
+        f"left out, as {'it grows' if len(columns) == 1 else 'they grow'} evenly, as a counter of rows or a second "
+        f"clock does: {', '.join(columns)}; <data.states> or <data.inputs> may name it all the same"
     ),
     "log.text_columns": lambda columns: (
         "left out, as they hold words and no numbers: "
@@ -898,6 +903,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "<data.dt>",
     "log.zero_order_hold": "{column} stands in {rows} of {total} rows, and is held from each to the next",
     "log.missing": _missing,
+    "log.spikes": "{state} leaves its course for single samples, {count} in all, first in line {line} to {value:g}; "
+    "they count as missing",
     "log.unwrapped": _unwrapped,
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": lambda count: (

@@ -350,8 +350,8 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
         ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
     values, name = table.values[:, 0], split_unit(clock.heading)[0]
-    if not clock.unit and not table.dated and (unit := _unix_unit(values)):
-        clock = replace(clock, unit=unit)
+    if table.dated or (not clock.unit and _unix_unit(values)):
+        clock = replace(clock, unit="" if table.dated else _unix_unit(values))
     values, again = _continued(values, table, clock.seconds(path), dt)
     t, counts = values * clock.seconds(path), not clock.unit and not table.dated and is_counter(values)
     if counts and dt is not None:

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
 from dynasindy.data.headings import named_by, parts_of, split_unit
-from dynasindy.data.table import ColumnSummary, correct_map, grows, read_columns, summarise_columns
+from dynasindy.data.table import (
+    REGULAR,
+    ColumnSummary,
+    correct_map,
+    grows,
+    keeps_time,
+    read_columns,
+    summarise_columns,
+)
 from dynasindy.data.units import with_units
 from dynasindy.findings import Finding, LogError, note
 
@@ -94,7 +102,8 @@ def infer(
     if blank := [name for name in empty if name in named]:
         raise LogError("log.column_without_numbers", file=path, column=blank[0])
     still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
-    counts = [name for name, c in others.items() if c.name in look.counting and name not in named]
+    second = _second_clocks(path, clock.heading, [c.name for c in others.values()])
+    counts = [name for name, c in others.items() if c.name in (*look.counting, *second) and name not in named]
     if inputs is None:
         moving = {n: c for n, c in others.items() if n not in {*still, *counts}}
         found = {n: c for n, c in moving.items() if INPUT.fullmatch(n)}
@@ -115,6 +124,13 @@ def infer(
     if findings is not None:
         findings += out
     return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
+
+
+def _second_clocks(path: str, clock: str, headings: Sequence[str]) -> list[str]:
+    """Return which columns are the time of the rows once more, as another clock told it."""
+    table = read_columns(Path(path))
+    t = table.column(clock) if clock in table.headings else np.empty(0)
+    return [heading for heading in headings if len(t) and keeps_time(table.column(heading), t)]
 
 
 def _names(named: Collection[str], columns: Collection[str]) -> set[str]:
@@ -157,8 +173,6 @@ def _lacking(
     return LogError("log.no_roles", **facts, lacks=lacks, guess=guess)
 
 
-REGULAR = 0.9
-"""Share of the rows of a counter that follow the one before without a gap."""
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
 COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")
@@ -300,7 +314,8 @@ def guess_columns(
     named = time is not None
     if time is None:
         time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
-    names = [split_unit(heading)[0] for heading in columns if heading not in (time, *look.counting)]
+    clocks = [h for h, column in columns.items() if time in columns and keeps_time(column, columns[time])]
+    names = [split_unit(heading)[0] for heading in columns if heading not in (time, *clocks, *look.counting)]
     counts = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
     held = True
     if not inputs and names:

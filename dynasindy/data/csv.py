@@ -34,7 +34,10 @@ Array = NDArray[np.float64]
 ALONE = 0.8
 """Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
 PASSING = 0.05
-"""Part of the samples in the middle half of the range from which on it is passed through; two levels are no angle."""
+"""Part of the samples in the middle half of the range from which on it is passed through; two levels are no angle. Of
+all samples and of the range, what single samples that fail stay below, and beyond."""
+USUAL, SPIKE = 0.9, 20
+"""Share of the samples that say how far one is off the line between its neighbours, and how many times that is none."""
 STREAM = 0.2
 """Part of the rows without an input from which on they are those of another stream."""
 HOLE = 10
@@ -245,7 +248,8 @@ class CsvLog:
         t, of_time = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
-        x = {s: unwrap_angle(s, values[c.name] * c.scale, c.unit, findings) for s, c in states.items() if c.name}
+        x = {s: without_spikes(s, values[c.name] * c.scale, table.lines, findings) for s, c in states.items() if c.name}
+        x = {s: unwrap_angle(s, samples, states[s].unit, findings) for s, samples in x.items()}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         return _Part(path, table.headings, states, inputs, t, x, u, [*of_time, *findings])
 
@@ -313,6 +317,32 @@ def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Tabl
         values[held, k] = values[last[held], k]
         findings.append(note("log.zero_order_hold", column=table.headings[k], rows=len(rows), total=len(values)))
     return replace(table, values=values)
+
+
+def without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: list[Finding]) -> Array:
+    """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes.
+
+    Args:
+        name: Name of the state.
+        x: Its samples, NaN where one is lost, `(N,)`.
+        lines: Lines of the file, `(N,)`.
+        findings: What was decided; what is done here is added.
+    """
+    rows = np.flatnonzero(np.isfinite(x))
+    if len(rows) < SMOOTH:
+        return x
+    before, value, after = x[rows[:-2]], x[rows[1:-1]], x[rows[2:]]
+    off = np.abs(value - 0.5 * (before + after))
+    usual, (low, high) = float(np.quantile(off, USUAL)), np.quantile(value, [1 - USUAL, USUAL])
+    far = (off > max(SPIKE * usual, PASSING * (high - low))) & (np.abs(after - before) < 0.1 * off)
+    spikes = rows[1:-1][far]
+    if not usual or not 0 < len(spikes) <= PASSING * len(rows):
+        return x
+    found = {"count": len(spikes), "line": int(lines[spikes[0]]), "value": float(x[spikes[0]])}
+    findings.append(note("log.spikes", state=name, **found))
+    left = x.copy()
+    left[spikes] = np.nan
+    return left
 
 
 def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Array:

@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +26,18 @@ SAMPLE = 400
 """Lines from which separator, headings and decimal sign are told."""
 WIDEST = 100_000
 """Letters of such a line that are looked at."""
+MOST = 1000
+"""Columns that are read."""
 BLANKS = r"\s+"
-SEPARATORS = (",", ";", "\t", BLANKS)
+SEPARATORS = (",", ";", "\t", "|", BLANKS)
 """What may stand between the values of a line; the first of several that do."""
 WORD = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
 """A heading between blanks, with its unit."""
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+PLAIN = str.maketrans({"\u2212": "-", "\u066b": ".", **dict.fromkeys("'\u2019\u00a0\u202f\u2009")})
+"""Signs of numbers that Python does not read: another minus or decimal sign, and what parts thousands."""
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?")
+"""A number whose points part thousands, where all points of a file with decimal commas do."""
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
 UNITS = frozenset((
     "s", "sec", "ms", "us", "ns", "min", "h", "hz", "khz", "m", "mm", "cm", "km", "m/s", "m/s2", "m/s^2",
@@ -43,6 +48,8 @@ UNITS = frozenset((
 """Units that may stand in a line of their own below the headings, in small letters and without brackets."""
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""
+PLACES = 9
+"""Decimals of times that are compared."""
 EXTRA = "pip install 'dynasindy[logs]'"
 
 
@@ -94,7 +101,8 @@ def read_file(path: Path) -> RawTable:
 
 def _is_number(text: str) -> bool:
     """Tell whether a text is a number, with a point or a comma for decimals."""
-    return bool(NUMBER.fullmatch(text.strip()))
+    text = text.translate(PLAIN).strip()
+    return bool(NUMBER.fullmatch(text) or THOUSANDS.fullmatch(text))
 
 
 @dataclass(frozen=True)
@@ -107,12 +115,20 @@ class _Layout:
     columns: int
     first: int  # lines before the first one of values
     findings: tuple[Finding, ...] = ()
+    thousands: str = ""
 
 
 def _read_text(path: Path) -> RawTable:
     encoding = _encoding(path)
     with path.open(encoding=encoding, errors="replace") as file:
-        layout = _layout(path, [line.rstrip("\n")[:WIDEST] for line in islice(file, SAMPLE)])
+        if re.match(r"\s*(?:[{<]|\[\s*[\[{])", file.read(WIDEST)):
+            raise ValueError(f"{path} is JSON or markup and no table; allowed are columns: write the log as CSV")
+        file.seek(0)
+        sample, plain = list[str](), 0
+        while plain < SAMPLE and (line := file.readline()):
+            sample.append(line.rstrip("\n")[:WIDEST])
+            plain += not re.match(r"\s*[#%]", line)
+        layout = _layout(path, sample)
     settings: dict[str, Any] = {
         "sep": layout.separator,
         "decimal": layout.decimal,
@@ -123,6 +139,7 @@ def _read_text(path: Path) -> RawTable:
         "skip_blank_lines": False,
         "skipinitialspace": True,
         "low_memory": False,
+        "thousands": layout.thousands or None,
     }
     try:
         frame = pd.read_csv(path, names=range(layout.columns), index_col=False, **settings)
@@ -149,8 +166,8 @@ def _read_text(path: Path) -> RawTable:
 
 def _too_wide(path: Path, line: object, count: object, layout: _Layout) -> str:
     return (
-        f"{path}, line {line} has {count} values for {len(layout.headings)} headings; allowed is one each: put points "
-        "into decimals, or semicolons between columns"
+        f"{path}, line {line} has {count} values for {len(layout.headings)} headings; allowed is one each: mend the "
+        "line; where all are so, put points into decimals, or semicolons between columns"
     )
 
 
@@ -202,6 +219,10 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     lower = filled[len(filled) // 2 :]
     width = max(map(len, (rows[k] for k in lower)))
     common = Counter(len(rows[k]) for k in lower).most_common(1)[0][0]
+    if common > MOST:
+        raise ValueError(
+            f"{path} has {common} values in a line; allowed are {MOST}, one a signal: exchange rows and columns"
+        )
     counts = Counter(place for k in lower for place, text in enumerate(rows[k]) if _is_value(text))
     numeric = {place for place, count in counts.items() if 2 * count >= len(lower)}
     leading = min(numeric, default=0)
@@ -220,24 +241,36 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
         first = 1
     head, headed = filled[:first], bool(first)
     decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
+    pointed = [text for k in filled[first:] for text in rows[k] if "." in text and _is_number(text.replace(".", ""))]
+    thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else ""
     if not headed:
         width = max(map(len, rows.values()))
         trailing = not any(len(row) == width and row[-1] for row in rows.values())
         count = width - trailing
         names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
-        return _Layout(separator, decimal, names, width, filled[0], (note("log.no_headings", names=names),))
-    headings, units = rows[head[-1]], list[str]()
-    if len(head) > 1 and _are_units(headings, rows[head[-2]]):
-        headings, units, head = rows[head[-2]], headings, head[:-1]
-    if separator == BLANKS and len(headings) > common:  # blanks before units
-        headings = WORD.findall(lines[head[-1]])
-    if units:
-        bare = [re.sub(r"^[\[(]|[\])]$", "", unit) for unit in units]
-        headings = [f"{name} [{unit}]" if unit not in ("", "-") else name for name, unit in zip(headings, bare)]
+        said = (note("log.no_headings", names=names),)
+        return _Layout(separator, decimal, names, width, filled[0], said, thousands)
+    cells = {k: WORD.findall(lines[k]) if separator == BLANKS and len(rows[k]) > common else rows[k] for k in head}
+    place = len(head) - 1
+    while place and (not _differ(cells[head[place]], common) or _are_units(cells[head[place]], cells[head[place - 1]])):
+        place -= 1  # a line such as `Smp, Smp, Smp` is none of headings
+    if not _differ(cells[head[place]], common):
+        place = len(head) - 1
+    headings = cells[head[place]]
+    others = (cells[k] for k in (*reversed(head[place + 1 :]), *head[:place][-1:]))
+    if units := next((row for row in others if _are_units(row, headings)), []):
+        bare = [re.sub(r"^[\[(]?-?[\])]?$|^[\[(]|[\])]$", "", unit) for unit in units]
+        headings = [_with_unit(*pair) for pair in zip(headings, bare, strict=True)]
     width = max(width, len(headings))
     last = filled[first] if first < len(filled) else head[-1] + 1
-    above = (note("log.title_lines", count=head[-1]),) if head[-1] else ()
-    return _Layout(separator, decimal, tuple(headings), width, last, above)
+    above = (note("log.title_lines", count=head[place]),) if head[place] else ()
+    return _Layout(separator, decimal, tuple(headings), width, last, above, thousands)
+
+
+def _differ(row: Sequence[str], common: int) -> bool:
+    """Tell whether a row is as wide as the values and holds no word twice, as headings do."""
+    words = [text for text in row if text]
+    return len(row) >= common - 1 and len(words) > 1 and len(set(words)) == len(words)
 
 
 def _separator(lines: Sequence[str]) -> str:
@@ -326,8 +359,8 @@ def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:
 
 
 def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
-    if values.dtype.kind == "M":
-        return np.where(np.isnat(values), np.nan, values.astype("datetime64[ns]").astype(np.int64) / 1e9)
+    if values.dtype.kind in "Mm":
+        return np.where(np.isnat(values), np.nan, values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9)
     return values.astype(np.float64)
 
 
@@ -387,12 +420,18 @@ def _read_hdf5(path: Path) -> RawTable:
     with h5py.File(path, "r") as file:
 
         def keep(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and "#refs#" not in name:
-                short = name.rpartition("/")[2]
-                columns[name if short in columns else short] = item[()]
+            if isinstance(item, h5py.Dataset) and item.dtype.kind in "biufV" and "#refs#" not in name:
+                short = _with_unit(name.rpartition("/")[2], item.attrs.get("unit", item.attrs.get("units", "")))
+                parts = {field: item[field] for field in item.dtype.names or ()}
+                columns.update(parts or {name if short in columns else short: item[()]})
 
         file.visititems(keep)
     return _of_columns(columns, path)
+
+
+def _with_unit(name: str, unit: object) -> str:
+    """Return a heading of a name and the unit that a container has of it, if any."""
+    return f"{name} [{unit}]" if isinstance(unit, str) and unit else name
 
 
 def _read_npz(path: Path) -> RawTable:
@@ -405,18 +444,24 @@ def _read_npz(path: Path) -> RawTable:
 
 def _of_frame(frame: pd.DataFrame) -> RawTable:
     if frame.index.name or not isinstance(frame.index, pd.RangeIndex):
-        frame = frame.reset_index()
+        frame = frame.reset_index(names=frame.index.name or ("time" if frame.index.dtype.kind in "Mm" else "index"))
     headings = tuple(str(name) for name in frame.columns)
+    kinds = {k: frame.iloc[:, k].dtype.kind for k in range(len(headings))}
     columns = {
-        k: pd.Series(_as_number(frame[name].to_numpy())) if frame[name].dtype.kind == "M" else frame[name]
-        for k, name in enumerate(frame.columns)
+        k: pd.Series(_as_number(frame.iloc[:, k].to_numpy(f"{kind}8[ns]"))) if kind in "Mm" else frame.iloc[:, k]
+        for k, kind in kinds.items()
     }
     return RawTable(headings, pd.DataFrame(columns), np.arange(1, len(frame) + 1, dtype=np.int64))
 
 
 def _read_excel(path: Path) -> RawTable:
-    """Read the first sheet as text would be: headings may stand below a title."""
-    cells = pd.read_excel(path, header=None).replace(r"\s*[\r\n]+\s*", " ", regex=True)
+    """Read the largest sheet as text would be: headings may stand below a title."""
+    sheets = pd.read_excel(path, header=None, sheet_name=None)
+    sheet = max(sheets, key=lambda name: sheets[name].size)
+    said = (
+        (note("log.sheet", sheet=sheet, others=[name for name in sheets if name != sheet]),) if len(sheets) > 1 else ()
+    )
+    cells = sheets[sheet].replace(r"\s*[\r\n]+\s*", " ", regex=True)
     buffer = io.StringIO()
     cells.to_csv(buffer, header=False, index=False)
     lines = buffer.getvalue().splitlines()
@@ -424,25 +469,33 @@ def _read_excel(path: Path) -> RawTable:
     body = cells.iloc[layout.first :, : len(layout.headings)]
     body.columns = pd.RangeIndex(body.shape[1])
     frame = body.reset_index(drop=True).infer_objects()
-    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), layout.findings)
+    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), (*said, *layout.findings))
 
 
 def _read_tdms(path: Path) -> RawTable:
     file = import_module("nptdms").TdmsFile.read(path)
     columns: dict[str, Any] = {}
+    waves: dict[str, pd.Series] = {}
     for group in file.groups():
         for channel in group.channels():
-            if "time" not in columns and "wf_increment" in channel.properties:
-                columns["time"] = channel.time_track()
-            _put(columns, channel.name if channel.name not in columns else f"{group.name}_{channel.name}", channel[:])
-    return _of_columns(columns, path)
+            name = _with_unit(channel.name, channel.properties.get("unit_string"))
+            name = name if name not in {**columns, **waves} else f"{group.name}_{name}"
+            if "wf_increment" in channel.properties:
+                waves[name] = pd.Series(channel[:], channel.time_track().round(PLACES))
+            else:
+                _put(columns, name, channel[:])
+    if columns or not waves:
+        lengths = {len(wave): wave.index.to_numpy() for wave in waves.values()}
+        times = {"time": lengths[max(lengths)]} if lengths else {}
+        return _of_columns(times | columns | {name: wave.to_numpy() for name, wave in waves.items()}, path)
+    return _of_frame(pd.concat(waves, axis=1).sort_index().rename_axis("time"))
 
 
 def _read_mdf(path: Path) -> RawTable:
     with import_module("asammdf").MDF(path) as file:
+        units = {channel.name: channel.unit for group in file.groups for channel in group.channels}
         frame = file.to_dataframe(use_interpolation=False, time_from_zero=False)
-    frame.index.name = "time"
-    return _of_frame(frame)
+    return _of_frame(frame.rename(columns=lambda name: _with_unit(name, units.get(name))).rename_axis("time"))
 
 
 def _read_bag(path: Path) -> RawTable:

@@ -6,15 +6,13 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 
 SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "ms": 1e-3,
-    "us": 1e-6,
-    "\u00b5s": 1e-6,
-    "\u03bcs": 1e-6,
-    "ns": 1e-9,
+    **dict.fromkeys(("s", "sec"), 1.0),
+    **dict.fromkeys(("ms", "msec"), 1e-3),
+    **dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec"), 1e-6),
+    **dict.fromkeys(("ns", "nsec"), 1e-9),
     "min": 60.0,
     "h": 3600.0,
+    **dict.fromkeys(("d", "day", "days"), 86400.0),
     **dict.fromkeys(("second", "seconds"), 1.0),
     **dict.fromkeys(("millisecond", "milliseconds", "millis"), 1e-3),
     **dict.fromkeys(("microsecond", "microseconds", "micros"), 1e-6),
@@ -22,14 +20,28 @@ SECONDS = {
     **dict.fromkeys(("hour", "hours"), 3600.0),
 }
 """Units of time, in seconds; capital letters are as good."""
-CLOCKS = ("time", "t", "timestamp", "stamp", "elapsed", "x_value")
+CLOCKS = ("time", "t", "timestamp", "timestamps", "stamp", "datetime", "elapsed", "uptime", "epoch", "x_value")
 """What a column of time is called, in small letters."""
+NAME = re.compile(r"[^\W\d][\w .-]*")
+"""Names that can be told from functions and numbers in an equation."""
 ALONE = 4
 """Letters from which on a unit alone, such as `millis`, is the name of a time; `s` or `h` may be a way or a height."""
 SUFFIXES = {
     "deg_s": "deg/s", "dps": "deg/s", "rad_s": "rad/s", "deg": "deg", "rad": "rad", "rpm": "rpm", "pct": "%", "V": "V",
 }  # fmt: skip
 """Units as the end of a name has them, `angle_deg`."""
+ANGLES = {
+    **dict.fromkeys(("deg", "degs", "degree", "degrees", "\u00ba"), "deg"),
+    **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
+    **dict.fromkeys(("rev", "revs", "revolution", "revolutions"), "rev"),
+    **{unit: unit for unit in ("\u00b0", "mrad", "cdeg", "mdeg", "gon", "turn", "turns")},
+}
+"""Units of angles, in small letters, and what stands for them."""
+PER_SECOND = re.compile(r"(?:[ _]*(?:/|per|_)[ _]*s(?:ec(?:ond)?)?|[ *.\u00b7]*s(?:\^?-1|\u207b\u00b9))", re.IGNORECASE)
+PER_MINUTE = re.compile(r"rpm|(?:rev|r|u)/min", re.IGNORECASE)
+"""Turns per minute, which are `rpm`."""
+APART = re.compile(r"\s*(?:[,/_{<-]|\bin\b|(?<=[a-z])(?=[A-Z]))\s*")
+"""What may stand between a name and its unit where the unit has no brackets, as in `angle / deg` and `angleDeg`."""
 
 
 def split_unit(heading: str) -> tuple[str, str]:
@@ -44,16 +56,34 @@ def plain_heading(heading: str) -> str:
     A place in an array belongs to the name, and so do the parts of a path: `/joint/position[0]` is `joint_position_0`.
     """
     heading = " ".join(heading.split())
-    name, unit = split_unit(heading)
+    own = name, unit = split_unit(heading)
     if unit.isdigit():
         name, unit = heading, ""
     if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
         name, unit = name[: -len(end) - 1], SUFFIXES[end]
-    if re.search(r"/|\[\d+\]", name):
-        name = re.sub(r"\W+", "_", name).strip("_")
-    elif unit == split_unit(heading)[1]:
-        return heading
-    return f"{name} [{unit}]" if unit else name
+    name, unit = (name, plain_unit(unit)) if unit else _apart(name)
+    if not NAME.fullmatch(name):
+        plain = re.sub(r"\W+", "_", name).strip("_")
+        name = plain if NAME.fullmatch(plain) else name
+    return heading if (name, unit) == own else f"{name} [{unit}]" if unit else name
+
+
+def plain_unit(unit: str) -> str:
+    """Return a unit of angles or of their rates as others are called: `DEG/sec` is `deg/s`; another one as it is."""
+    if PER_MINUTE.fullmatch(unit):
+        return "rpm"
+    rate = re.fullmatch(rf"(.+?){PER_SECOND.pattern}", unit, re.IGNORECASE)
+    angle = ANGLES.get((rate[1] if rate else unit).lower())
+    return unit if angle is None else f"{angle}/s" if rate else angle
+
+
+def _apart(name: str) -> tuple[str, str]:
+    """Split an angle's unit of degrees or radians off the end of a name that has it without brackets."""
+    for between in APART.finditer(name):
+        unit = plain_unit(name[between.end() :].rstrip("}>"))
+        if between.start() and re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit):
+            return name[: between.start()], unit
+    return name, ""
 
 
 def plain_headings(headings: Sequence[str]) -> list[str]:
@@ -91,8 +121,9 @@ def parts_of(heading: str) -> tuple[str, str]:
     name, unit = split_unit(heading)
     if unit:
         return name, unit
-    if found := re.fullmatch(r"(.+)[_ ]([^\W_]+)", heading):
-        return (found[1], found[2]) if found[2].lower() in SECONDS else (heading, "")
+    clocks, units = "|".join(name for name in CLOCKS if len(name) >= ALONE), "|".join(SECONDS)
+    if found := re.fullmatch(f"(.+[_ ]|{clocks})({units})", heading, re.IGNORECASE):
+        return found[1].rstrip("_ "), found[2]
     return heading, heading if len(heading) >= ALONE and heading.lower() in SECONDS else ""
 
 

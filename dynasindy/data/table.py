@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,9 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dynasindy.data.files import read_file
+from dynasindy.data.files import PLAIN, read_file
 from dynasindy.data.headings import is_clock, named_by, plain_headings, split_unit
-from dynasindy.findings import Finding, note
+from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
 
@@ -31,10 +32,17 @@ def correct_map() -> str:
     return f"correct the column map ({', '.join(map(setting, ('data.time', 'data.states', 'data.inputs')))})"
 
 
-THOUSANDS = r"[+-]?\d{1,3}(?:,\d{3})+(?:\.\d*)?"
+THOUSANDS = r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?"
 """A number whose commas part thousands, where all commas of a column do."""
+DAY = 86400.0
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
+STRAIGHT = 1e-3
+"""Part of its range by which a second clock may be off the first one."""
+TICKS = 3
+"""Steps from which on they are those of a clock."""
+REGULAR = 0.9
+"""Share of the rows of a counter that follow the one before without a gap."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +97,9 @@ def _read(path: Path, changed: int, size: int) -> Table:
     values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
     for k, heading in enumerate(headings):
         values[:, k], wrong, is_date = _numbers(raw.frame[k], raw.lines)
+        first = not k and not heading and not any(map(is_clock, headings[1:]))
+        if first and (is_date or (grows(values[:, k]) and not _counts(values[:, k]))):
+            heading = headings[k] = "time"  # that rows are named by, as pandas writes it
         if wrong is not None:
             words[heading] = wrong
         if is_date:
@@ -98,9 +109,38 @@ def _read(path: Path, changed: int, size: int) -> Table:
         if k and not _counts(values[:, k]):
             raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         kept.remove(k)  # an index that a program wrote
-    found = tuple(headings[k] for k in kept)
-    table = Table(found, values[:, kept], raw.lines, words, frozenset(dated), raw.findings)
-    return _with_one_clock(table)
+    same = [k for k in kept if _stands_before(k, headings, values, words)]
+    found = [headings[k] for k in kept if k not in same]
+    findings = [note("log.same_columns", columns=sorted({headings[k] for k in same}))] if same else []
+    values = values[:, [k for k in kept if k not in same]]
+    table = Table(tuple(found), values, raw.lines, words, frozenset(dated), (*raw.findings, *findings))
+    return _with_one_clock(_with_whole_dates(table))
+
+
+def _stands_before(k: int, headings: Sequence[str], values: Array, words: Collection[str]) -> bool:
+    """Tell whether a column is there before with the same heading and the same numbers."""
+    first = headings.index(headings[k])
+    return first < k and headings[k] not in words and np.array_equal(values[:, first], values[:, k], equal_nan=True)
+
+
+def _with_whole_dates(table: Table) -> Table:
+    """Return a table in which a column of days and the one of the time of day are one column of dates."""
+    dated = {heading: table.column(heading) for heading in table.headings if heading in table.dated}
+    days = [name for name, column in dated.items() if bool((np.mod(column, DAY) == 0).all()) and column.any()]
+    clocks = [name for name, column in dated.items() if name not in days and bool((column < DAY).all())]
+    if len(days) != 1 or len(clocks) != 1:
+        return table
+    values = table.values.copy()
+    values[:, table.headings.index(clocks[0])] += dated[days[0]]
+    kept = [k for k, heading in enumerate(table.headings) if heading != days[0]]
+    time = days[0] if is_clock(days[0]) or not is_clock(clocks[0]) else clocks[0]
+    headings = tuple(time if table.headings[k] == clocks[0] else table.headings[k] for k in kept)
+    words = {
+        time if heading == clocks[0] else heading: each for heading, each in table.words.items() if heading != days[0]
+    }
+    return replace(
+        table, headings=headings, values=values[:, kept], words=words, dated=table.dated - {clocks[0]} | {time}
+    )
 
 
 CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
@@ -145,15 +185,28 @@ def grows(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
+def keeps_time(column: Array, t: Array) -> bool:
+    """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
+    rows = np.isfinite(column) & np.isfinite(t)
+    x, t = column[rows], t[rows]
+    if len(t) < COUNTED or not grows(t):
+        return False
+    steps = np.diff(x)
+    off = np.abs(x - x[0] - np.ptp(x) / (t[-1] - t[0]) * (t - t[0])).max()
+    ticks = steps.max() if (steps > 0).sum() >= TICKS else 0.0
+    return bool((steps >= 0).all() and steps.max() > 0 and off <= max(ticks, STRAIGHT * np.ptp(x)))
+
+
 def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words | None, bool]:
     """Return a column as numbers, the words in it, and whether these are dates, which become seconds."""
     if column.dtype.kind in "biuf":
         return column.to_numpy(dtype=np.float64), None, False
     text = column.astype("string").str.strip()
-    points = text.str.replace(",", ".", regex=False)
+    points = text.str.translate(PLAIN).str.replace(",", ".", regex=False)
+    points = points.str.replace(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", regex=True)  # as Fortran writes
     comma = text.str.contains(",", regex=False).fillna(False)
     if comma.any() and text[comma].str.fullmatch(THOUSANDS).all():
-        points = text.str.replace(",", "", regex=False)
+        points = text.str.translate(PLAIN).str.replace(",", "", regex=False)
     numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
     worded = np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)
     if not worded.any():
@@ -161,7 +214,8 @@ def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words 
     first = int(np.flatnonzero(worded)[0])
     words = Words(int(lines[first]), str(text[first])[:40], int(worded.sum()))
     if np.isnan(numbers).all() and math.isfinite(seconds_of_date(str(text[first]))):
-        return _seconds(text), words, True
+        dates = _seconds(text)
+        return dates, words, bool(np.isfinite(dates).any())
     return numbers, words, False
 
 
@@ -171,8 +225,33 @@ def _seconds(text: pd.Series) -> Array:
         DAY_FIRST, lambda found: _iso(found) if found[0] == found.string else found[0], regex=True
     ).str.replace(",", ".", regex=False)
     dates = pd.to_datetime(iso, format="ISO8601", utc=True, errors="coerce")
-    since = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
-    return np.asarray(since.to_numpy(dtype=np.float64, na_value=np.nan))
+    since = _since(dates - pd.Timestamp(0, tz="UTC"))
+    return since if np.isfinite(since).any() else _other_dates(text.str.replace(",", ".", regex=False))
+
+
+def _since(times: pd.Series) -> Array:
+    return np.asarray((times / pd.Timedelta(seconds=1)).to_numpy(dtype=np.float64, na_value=np.nan))
+
+
+def _other_dates(text: pd.Series) -> Array:
+    """Return the seconds of times of day, durations and dates in other forms, NaN of what is none.
+
+    Whether the day or the month is first has to be told by the dates, or to make no difference from row to row.
+    """
+    first = str(text.dropna().iloc[0])
+    if re.search(r"\d\s*(?:s|sec|ms|us|ns)$|^(?:\d+ days? )?-?\d+:\d\d(?::\d\d)?(?:\.\d+)?$", first):
+        whole = text.str.replace(r"^(\d+:\d\d(?:\.\d+)?)$", r"00:\1", regex=True)
+        return _since(pd.to_timedelta(whole, errors="coerce"))
+    if not re.search(r"\d:\d\d|^\d+[-./]\d+[-./]\d+$", first):
+        return np.full(len(text), np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a form that pandas has to find for each row
+        read = [pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce") for day in (False, True)]
+    months, days = (_since(dates - pd.Timestamp(0, tz="UTC")) for dates in read)
+    lost = np.isnan(months).sum() - np.isnan(days).sum()
+    told = lost or np.array_equal(np.diff(months), np.diff(days), equal_nan=True)
+    found = np.full(len(days), np.nan) if not told else months if lost < 0 else days
+    return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
 
 
 def _iso(found: re.Match[str]) -> str:
@@ -181,7 +260,7 @@ def _iso(found: re.Match[str]) -> str:
 
 
 def seconds_of_date(text: str) -> float:
-    """Return the seconds of a date with its time of day, by ISO 8601 or with points; NaN of what is none."""
+    """Return the seconds of a date or a time of day; NaN of what is none."""
     text = text.strip()
     if re.fullmatch(r"[\d.,]*", text) and not DAY_FIRST.fullmatch(text):
         return math.nan
@@ -201,16 +280,17 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is no table, a column is missing or stands there twice, or one has values and none of them
-            is a number.
+        ValueError: the file is no table, a column is missing or stands there twice, or one has no number.
     """
     whole = read_columns(path)
-    if dt is not None and names[:1] == ["time"] and not named_by("time", whole.headings):  # nobody named another
-        even = dt * np.arange(len(whole.lines), dtype=np.float64)
+    time, even = names[0], (dt or 0.0) * np.arange(len(whole.lines), dtype=np.float64)
+    blank = time in whole.headings and time not in whole.words and bool(np.isnan(whole.column(time)).all())
+    if dt is not None and (blank or (time == "time" and not named_by("time", whole.headings))):  # nobody named another
+        others = [k for k, heading in enumerate(whole.headings) if heading != time]
         whole = replace(
             whole,
-            headings=("time", *whole.headings),
-            values=np.column_stack([even, whole.values]),
+            headings=(time, *(whole.headings[k] for k in others)),
+            values=np.column_stack([even, whole.values[:, others]]),
             findings=(*whole.findings, note("log.no_time")),
         )
     places = [_find(path, name, whole.headings) for name in names]
@@ -222,11 +302,14 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
             values[:, k] = np.nan
         if heading in whole.words and not (heading in whole.dated and not k):
             words[heading] = whole.words[heading]
-        if heading in words and np.isnan(values[:, k]).all():
-            raise ValueError(
-                f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
-                f"numbers, and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
-            )
+        if not len(values) or not np.isnan(values[:, k]).all():
+            continue
+        if heading not in words:
+            raise LogError("log.column_without_numbers", file=str(path), column=heading)
+        raise ValueError(
+            f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
+            f"numbers, and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
+        )
     worded = (
         note("log.words", line=each.line, column=heading, text=each.text, count=each.count)
         for heading, each in words.items()
@@ -248,11 +331,11 @@ def _find(path: Path, name: str, headings: Sequence[str]) -> int:
 
 
 def _counts(column: Array) -> bool:
-    """Tell whether a column grows by exactly one in each row."""
+    """Tell whether a column grows by exactly one from row to row, but for gaps and where it begins anew."""
     rows = np.flatnonzero(~np.isnan(column))
     if not len(rows) or np.ptp(rows) + 1 < COUNTED:
         return False
-    return bool((column[rows] - column[rows[0]] == rows - rows[0]).all())
+    return bool((np.diff(column[rows]) == np.diff(rows)).mean() > REGULAR)
 
 
 @dataclass(frozen=True)

@@ -298,7 +298,7 @@ class Altered(System):
 
 TURNS = {
     **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
-    "mrad": 1e-3,
+    **{"mrad": 1e-3, "cdeg": math.pi / 18_000, "mdeg": math.pi / 180_000, "gon": math.pi / 200},
     **dict.fromkeys(("rev", "turn", "turns"), 2 * math.pi),
 }
 """Units of angles that are not rad, in rad."""

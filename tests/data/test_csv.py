@@ -1,6 +1,7 @@
 """Files are read as they are written, and every kind of bad file costs one line that says what to mend."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,7 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     path = tmp_path / "log.csv"
     write(path, log())
     lines = path.read_text().splitlines()
-    lines[10], lines[30] = "0.09,off,1,1", "0.29"
+    lines[10], lines[30] = re.sub(",[^,]*", ",off", lines[10], count=1), "0.29"
     path.write_text("\n".join(lines))
     assert CsvLog(str(path), STATES, INPUTS).read().findings[1:] == (
         note("log.words", line=11, column="angle", text="off", count=1),

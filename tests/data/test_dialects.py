@@ -1,0 +1,330 @@
+"""Logs as other programs and other countries write them hold the numbers of the plant, or say what they lack."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dynasindy.findings import LogError
+from dynasindy.identification.identify import LoggedData
+
+ROWS = 300
+T = 0.01 * np.arange(ROWS)
+ANGLE = 8 * np.sin(1.5 * T) ** 2 - 1
+RATE = 12 * np.sin(3 * T)
+COMMAND = np.where(np.arange(ROWS) // 20 % 2, 0.7, -0.25)
+START = pd.Timestamp("2024-05-31 12:00")
+TIMES = [START + pd.Timedelta(milliseconds=10 * k) for k in range(ROWS)]
+
+
+def table(headings, *columns, separator=",", above="", below=()):
+    cells = [[c if isinstance(c, str) else f"{c:.6f}" for c in column] for column in columns]
+    rows = (separator.join(row) for row in zip(*cells, strict=True))
+    return "\n".join([*filter(None, [above]), separator.join(headings), *below, *rows]) + "\n"
+
+
+def recording(path, text, **settings):
+    path.write_text(text, encoding="utf-8")
+    return LoggedData(str(path), **settings).recording(None)
+
+
+def require_truth(found, states=("angle", "rate"), rows=ROWS - 1):
+    assert (found.signature.state_names, found.signature.input_names) == (states, ("u",))
+    assert found.transitions.dt == pytest.approx(0.01, rel=1e-5) and len(found.transitions) == rows
+    assert found.transitions.x[:, 0].numpy() == pytest.approx(ANGLE[:rows], abs=1e-5)
+    assert found.transitions.x[:, 1].numpy() == pytest.approx(RATE[:rows], abs=1e-4)
+    assert found.transitions.u[:, 0].numpy() == pytest.approx(COMMAND[:rows], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("angle", "rate"),
+    [
+        ("angle, deg", "rate, deg/s"),
+        ("angle / deg", "rate / (deg/s)"),
+        ("angle in deg", "rate in deg/s"),
+        ("angle {deg}", "rate <deg/s>"),
+        ("angle (\u00ba)", "rate (\u00ba/s)"),
+        ("angle [DEG]", "rate [Deg per s]"),
+        ("angle [degree]", "rate [degree/second]"),
+        ("angle [deg]", "rate [deg\u00b7s\u207b\u00b9]"),
+        ("angleDeg", "rateDegPerSec"),
+        ("angle_degrees", "rate_degrees_per_second"),
+    ],
+)
+def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
+    degrees = (np.degrees(ANGLE), np.degrees(RATE))
+    found = recording(tmp_path / "l.csv", table(["time", angle, rate, "u"], T, *degrees, COMMAND, separator=";"))
+    require_truth(found)
+    assert found.signature.state_units == ("rad", "rad/s")
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("gon", 400), ("cdeg", 36_000), ("mdeg", 360_000)])
+def test_parts_of_degrees_are_angles_too(tmp_path, unit, turn):
+    columns = (T, ANGLE * turn / (2 * np.pi), RATE, COMMAND)
+    found = recording(tmp_path / "l.csv", table(["time", f"angle [{unit}]", "rate [rad/s]", "u"], *columns))
+    require_truth(found)
+
+
+def _grouped(mark, decimal):
+    def text(value):
+        return f"{value:,.2f}".replace(".", "d").replace(",", mark).replace("d", decimal)
+
+    return text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        _grouped("'", "."),
+        _grouped("\u202f", ","),
+        _grouped(".", ","),
+        lambda value: f"{value:.4f}".replace("-", "\u2212"),
+        lambda value: f"{value:.8E}".replace("E", "D"),
+        lambda value: f"'{value:.4f}'",
+    ],
+)
+def test_numbers_have_the_signs_of_many_countries_and_programs(tmp_path, text):
+    columns = [[text(v) for v in column] for column in (1e5 * T, 1e5 * ANGLE, 1e5 * RATE)]
+    levels = [text(v) for v in COMMAND]
+    states = {name: {"name": name, "scale": 1e-5} for name in ("angle", "rate")}
+    written = table(["time [us]", "angle", "rate", "u"], *columns, levels, separator=";")
+    found = recording(tmp_path / "l.csv", written, states=states)
+    assert found.transitions.dt == pytest.approx(1e-3)
+    assert found.transitions.x.numpy() == pytest.approx(np.stack([ANGLE, RATE], -1)[:-1], abs=1e-6)
+
+
+def test_a_decimal_comma_beside_points_in_other_columns_parts_no_thousands(tmp_path):
+    columns = [[f"{v:.3f}".replace(".", ",") for v in column] for column in (ANGLE, RATE, COMMAND)]
+    require_near = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, *columns, separator=";"))
+    assert require_near.transitions.x[:, 0].numpy() == pytest.approx(ANGLE[:-1], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "%d/%m/%Y %H:%M:%S.%f",
+        "%m/%d/%Y %I:%M:%S.%f %p",
+        "%d-%b-%Y %H:%M:%S.%f",
+        "%d.%m.%y %H:%M:%S,%f",
+        "%H:%M:%S.%f",
+        "%H:%M:%S,%f",
+    ],
+)
+def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
+    stamps = [time.strftime(form) for time in TIMES]
+    require_truth(
+        recording(
+            tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, separator=";")
+        )
+    )
+
+
+@pytest.mark.parametrize("form", ["{:g} sec", "0:00:{:g}", "00:{:05.2f}", "0 days 00:00:{:09.6f}"])
+def test_durations_tell_the_time_between_rows(tmp_path, form):
+    stamps = [form.format(t) for t in T]
+    require_truth(recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
+
+
+def test_dates_of_which_the_day_may_be_the_month_are_refused(tmp_path):
+    days = [f"{1 + k // 30:02d}/05/2024 12:00:{k % 30:02d}" for k in range(ROWS)]
+    with pytest.raises(ValueError, match="time"):
+        recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], days, ANGLE, RATE, COMMAND))
+
+
+@pytest.mark.parametrize(
+    ("headings", "day", "clock"),
+    [
+        (("Date", "Time"), "%Y-%m-%d", "%H:%M:%S.%f"),
+        (("Date", "Time"), "%d.%m.%Y", "%H:%M:%S,%f"),
+        (("time", "tod"), "%d/%m/%Y", "%I:%M:%S.%f %p"),
+    ],
+)
+def test_a_day_and_a_time_of_day_are_one_time(tmp_path, headings, day, clock):
+    stamps = [[time.strftime(form) for time in TIMES] for form in (day, clock)]
+    text = table(
+        [headings[0], "angle", "rate", "u", headings[1]], stamps[0], ANGLE, RATE, COMMAND, stamps[1], separator=";"
+    )
+    require_truth(recording(tmp_path / "l.csv", text))
+
+
+@pytest.mark.parametrize(
+    ("above", "below"),
+    [
+        ("TOA5,CR1000,1234,pendulum", ("s,rad,rad/s,", ",Smp,Smp,Smp")),
+        ("", (",mean,mean,mean",)),
+        ("[s],[rad],[rad/s],[-]", ()),
+    ],
+)
+def test_headings_are_the_line_in_which_all_differ(tmp_path, above, below):
+    text = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, above=above, below=below)
+    require_truth(recording(tmp_path / "l.csv", text))
+
+
+def test_a_unit_below_dates_is_none_of_time(tmp_path):
+    stamps = [str(time) for time in TIMES]
+    text = table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, below=("TS,rad,rad/s,-",))
+    require_truth(recording(tmp_path / "l.csv", text))
+
+
+def test_names_with_other_signs_become_names_that_equations_hold(tmp_path):
+    headings = ["Run 1: Time (s)", "Run 1: angle (rad)", "d(angle)/dt", "u"]
+    found = recording(tmp_path / "l.csv", table(headings, T, ANGLE, RATE, COMMAND), time="Run 1: Time")
+    require_truth(found, ("Run_1_angle", "d_angle_dt"))
+
+
+@pytest.mark.parametrize("name", ["TimeUS", "timestampUs", "time_usec", "timestamps [us]"])
+def test_a_clock_is_known_by_its_name_and_the_unit_at_its_end(tmp_path, name):
+    require_truth(recording(tmp_path / "l.csv", table([name, "angle", "rate", "u"], 1e6 * T, ANGLE, RATE, COMMAND)))
+
+
+def test_a_second_clock_and_a_counter_that_lost_rows_are_no_states(tmp_path):
+    counter = np.arange(ROWS) % 256
+    other = 1.7e9 + T + 1e-3 * np.sin(np.arange(ROWS))
+    headings = ["time", "stamp_pc", "seq", "angle", "rate", "u"]
+    found = recording(tmp_path / "l.csv", table(headings, T, other, counter, ANGLE, RATE, COMMAND))
+    require_truth(found)
+    (left,) = [each for each in found.findings if each.code == "log.counters"]
+    assert set(left.values["columns"]) == {"stamp_pc", "seq"}
+
+
+def test_an_unnamed_index_of_times_is_the_time(tmp_path):
+    require_truth(recording(tmp_path / "l.csv", table(["", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND)))
+    stamps = [str(time) for time in TIMES]
+    require_truth(recording(tmp_path / "l.csv", table(["", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
+
+
+def test_a_column_that_stands_there_twice_is_read_once(tmp_path):
+    headings = ["time", "angle", "time", "rate", "time", "u"]
+    found = recording(tmp_path / "l.csv", table(headings, T, ANGLE, T, RATE, T, COMMAND))
+    require_truth(found)
+    assert [each.values["columns"] for each in found.findings if each.code == "log.same_columns"] == [["time"]]
+
+
+@pytest.mark.parametrize("value", [-9999.0, 1e30, 50.0])
+def test_what_a_sensor_writes_when_it_fails_counts_as_missing(tmp_path, value):
+    failed = np.arange(40, ROWS, 50)
+    angle = ANGLE.copy()
+    angle[failed] = value
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
+    (spikes,) = [each for each in found.findings if each.code == "log.spikes"]
+    assert spikes.values == {"state": "angle", "count": len(failed), "line": 42, "value": value}
+    rows = found.transitions.x[:, 0].isfinite().numpy()
+    assert np.flatnonzero(~rows).tolist() == failed.tolist()
+    assert found.transitions.x[:, 0].numpy()[rows] == pytest.approx(ANGLE[:-1][rows], abs=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_signal_that_jumps_or_is_noisy_keeps_all_its_samples(tmp_path, noise):
+    jumps = np.where(np.arange(ROWS) // 7 % 3, 4.0, -2.0) + noise * np.random.default_rng(0).standard_normal(ROWS)
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, jumps, RATE, COMMAND))
+    assert "log.spikes" not in {each.code for each in found.findings}
+
+
+def test_a_time_without_values_is_named_or_replaced_by_the_sampling_time(tmp_path):
+    text = table(["X_Value", "angle", "rate", "u"], [""] * ROWS, ANGLE, RATE, COMMAND, separator="\t")
+    with pytest.raises(LogError) as error:
+        recording(tmp_path / "l.txt", text)
+    assert error.value.finding.code == "log.column_without_numbers"
+    assert error.value.finding.values["column"] == "X_Value"
+    require_truth(recording(tmp_path / "l.txt", text, dt=0.01))
+
+
+def test_a_title_that_is_longer_than_the_sample_is_skipped(tmp_path):
+    title = "\n".join(f"# setting {k} = {k / 10}" for k in range(600))
+    text = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, above=title)
+    require_truth(recording(tmp_path / "l.csv", text))
+
+
+def test_bars_part_columns(tmp_path):
+    require_truth(
+        recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, separator="|"))
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (json.dumps([{"time": t, "u": 1.0} for t in T]), "JSON"),
+        ("".join(json.dumps({"time": t, "u": 1.0}) + "\n" for t in T), "JSON"),
+        ("<log>\n" + "".join(f"<row t='{t:.2f}' u='1.0'/>\n" for t in T) + "</log>\n", "markup"),
+        ("\n".join(",".join([name, *map(str, np.tile(T, 8))]) for name in ("time", "angle", "u")), "rows"),
+    ],
+)
+def test_what_is_no_table_is_refused_as_such(tmp_path, text, said):
+    with pytest.raises(ValueError, match=said):
+        recording(tmp_path / "l.csv", text)
+
+
+def frame():
+    return pd.DataFrame({"time": T, "angle": ANGLE, "rate": RATE, "u": COMMAND})
+
+
+def _zoned(path):
+    frame().assign(time=[time.tz_localize("Europe/Berlin") for time in TIMES]).to_parquet(path)
+
+
+def _durations(path):
+    frame().drop(columns="time").set_index(pd.to_timedelta(T, "s")).to_parquet(path)
+
+
+def _sheets(path):
+    with pd.ExcelWriter(path) as book:
+        pd.DataFrame({"rig": ["A"]}).to_excel(book, sheet_name="Info", index=False)
+        frame().to_excel(book, sheet_name="Data", index=False)
+
+
+def _units_of_tdms(path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    wave = {"wf_increment": 0.01, "wf_start_offset": 0.0, "wf_samples": ROWS}
+    with TdmsWriter(str(path)) as file:
+        file.write_segment(
+            [
+                ChannelObject("g", "angle", np.degrees(ANGLE), {**wave, "unit_string": "deg"}),
+                ChannelObject("g", "rate", np.degrees(RATE), {**wave, "unit_string": "deg/s"}),
+                ChannelObject("g", "u", COMMAND[::10], {**wave, "wf_increment": 0.1, "wf_samples": ROWS // 10}),
+            ]
+        )
+
+
+def _units_of_mdf(path):
+    from asammdf import MDF, Signal
+
+    angle, rate = Signal(np.degrees(ANGLE), T, name="angle", unit="deg"), Signal(RATE, T, name="rate", unit="rad/s")
+    with MDF() as file:
+        file.append([angle, rate, Signal(COMMAND, T, name="u")])
+        file.save(path, overwrite=True)
+
+
+def _units_of_hdf5(path):
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, values in {**frame(), "angle": np.degrees(ANGLE)}.items():
+            file[name] = values
+        file["angle"].attrs["unit"] = "deg"
+
+
+def _fields_of_hdf5(path):
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file["log"] = frame().to_records(index=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("l.parquet", _zoned),
+        ("l.parquet", _durations),
+        ("l.xlsx", _sheets),
+        ("l.tdms", _units_of_tdms),
+        ("l.mf4", _units_of_mdf),
+        ("l.h5", _units_of_hdf5),
+        ("l.h5", _fields_of_hdf5),
+    ],
+)
+def test_containers_tell_times_units_and_which_sheet_holds_the_log(tmp_path, name, write):
+    write(tmp_path / name)
+    require_truth(LoggedData(str(tmp_path / name)).recording(None))
