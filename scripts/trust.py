@@ -18,7 +18,7 @@ from dynasindy.safe_io import DamagedFileError, read_text, reading
 
 LARGEST, DEEPEST = 250_000, 20
 """Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
-ROOMS = ("systems", "tasks", "envs", "excitation", "sindy", "planning", "agents", "sensing", "data.replay")
+ROOMS = ("systems", "tasks", "envs", "excitation", "sindy", "planning", "agents", "sensing")
 BESIDES = ("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.components")
 BUILDERS = (
     "dynasindy.sindy.named_libraries",

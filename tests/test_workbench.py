@@ -14,8 +14,8 @@ import dynasindy
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.data.csv import Recording
-from dynasindy.data.rollout_data import record_plant
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.findings import FindingError, LogError, note, weak, wrong

@@ -1,5 +1,1 @@
-"""Stored experience."""
-
-from dynasindy.data.replay import LEARN_KEYS, MEASURED_KEYS, REAL_KEYS, DynaReplay
-
-__all__ = ["LEARN_KEYS", "MEASURED_KEYS", "REAL_KEYS", "DynaReplay"]
+"""Logs of plants: a reader from any file to a recording."""

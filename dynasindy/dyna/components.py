@@ -12,8 +12,7 @@ from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase, TransformedEnv
 
-from dynasindy.agents import TD3
-from dynasindy.data import MEASURED_KEYS, DynaReplay
+from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import Count

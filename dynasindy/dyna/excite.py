@@ -27,9 +27,9 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.data.rollout_data import measurements_and_inputs, transitions
 from dynasindy.dyna.components import Components, PlantComponents
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
 from dynasindy.excitation import Excitation
 from dynasindy.findings import Finding, note, weak
 from dynasindy.planning.regulator import regulated

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from dynasindy.agents import TD3
-from dynasindy.data import MEASURED_KEYS, DynaReplay
+from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
 from dynasindy.dyna.components import Components, LoopSettings, sensed_environment
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation

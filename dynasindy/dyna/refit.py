@@ -10,8 +10,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.data.rollout_data import LoggedPeriods, measurements_and_inputs, transitions
 from dynasindy.dyna.components import Components, LoopSettings
+from dynasindy.envs.rollout_data import LoggedPeriods, measurements_and_inputs, transitions
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
 from dynasindy.sindy import WorldModel

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Tensor
 
-from dynasindy.data.rollout_data import before_leaving, disturb, observed, record_plant, transitions
 from dynasindy.dyna.components import PlantComponents
 from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restarts
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.rollout_data import before_leaving, disturb, observed, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
-from dynasindy.identification.identify import ExcitationBuilder
 from dynasindy.identification.source import Source
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
@@ -88,7 +87,7 @@ class Simulated:
                 "use the command train"
             )
 
-    def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
+    def load(self, system: System | None, excitation: Callable[..., Excitation]) -> Source:
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:

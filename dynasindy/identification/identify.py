@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
@@ -17,7 +17,6 @@ from dynasindy.data.headings import named_by, split_unit
 from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
 from dynasindy.data.table import read_columns
 from dynasindy.data.units import as_map, with_units
-from dynasindy.excitation import Excitation
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.identification import verdict
 from dynasindy.identification.equations import missing_nonlinearity
@@ -39,7 +38,8 @@ from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import Signature, System
 
-ExcitationBuilder = Callable[..., Excitation]
+if TYPE_CHECKING:
+    from dynasindy.excitation import Excitation
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class LoggedData:
         if self.dt is not None and not self.dt > 0:
             raise ValueError(f"{setting('data.dt')} is {self.dt} s; allowed is a time > 0, or none for the file's own")
 
-    def load(self, system: System | None, excitation: ExcitationBuilder) -> Source:
+    def load(self, system: System | None, excitation: Callable[..., Excitation]) -> Source:
         """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.
 
         Rates that are known and that neither the file nor the plant has become states that the model tells.

@@ -17,8 +17,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
-from dynasindy.agents import TD3, Actor
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.equilibria import Equilibria

@@ -16,9 +16,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import Transform
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
-from dynasindy.data.replay import LEARN_KEYS
+from dynasindy.agents import TD3, DynaReplay
+from dynasindy.agents.replay import LEARN_KEYS
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import check_memory
 from dynasindy.planning.gate import Bound

@@ -19,9 +19,8 @@ import torch
 
 from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_seconds
 from benchmarks.unseen_situations import judge_following, judge_holding
-from dynasindy.agents import TD3
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control.integral import IntegralAction
-from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe

@@ -31,7 +31,7 @@ from benchmarks.pysindy_regression import (
     stlsq,
     weak_rows,
 )
-from dynasindy.data.rollout_data import disturb, record_plant, record_plants
+from dynasindy.envs.rollout_data import disturb, record_plant, record_plants
 from dynasindy.excitation import Aprbs, Chirp, Excitation
 from dynasindy.safe_io import Row, read_rows, write_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel

@@ -8,7 +8,7 @@ from benchmarks import identify, pysindy_regression
 from benchmarks.identify import TEXTBOOK, cramer_rao
 from benchmarks.pysindy_regression import best_threshold, integral_rows, smoothed_rows, weak_rows
 
-from dynasindy.data.rollout_data import disturb
+from dynasindy.envs.rollout_data import disturb
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.sindy.named_libraries import paper_table

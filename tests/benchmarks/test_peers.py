@@ -10,7 +10,7 @@ from benchmark import parse
 from benchmarks import peers
 from benchmarks.peers import serve
 
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
 from dynasindy.planning.equilibria import find_equilibria

@@ -13,7 +13,7 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from dynasindy.data import REAL_KEYS
+from dynasindy.agents import REAL_KEYS
 from dynasindy.dyna.excite import excite
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.planning import Gate

@@ -115,7 +115,7 @@ def log(tmp_path_factory, write_log) -> Path:
 
     import torch
 
-    from dynasindy.data.rollout_data import record_plant
+    from dynasindy.envs.rollout_data import record_plant
     from dynasindy.excitation import Multisine
     from dynasindy.systems import Pendulum
 

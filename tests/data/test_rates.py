@@ -15,7 +15,7 @@ from dynasindy.data.rates import (
     turning,
     with_rates,
 )
-from dynasindy.data.rollout_data import disturb, record_plant
+from dynasindy.envs.rollout_data import disturb, record_plant
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.findings import LogError, weak
 from dynasindy.systems import Pendulum, Signature, Tras, Xi

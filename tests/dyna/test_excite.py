@@ -7,7 +7,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.data.rollout_data import transitions
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
     _excitation_limits,
@@ -19,6 +18,7 @@ from dynasindy.dyna.excite import (
     within,
 )
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.rollout_data import transitions
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note, weak
 from dynasindy.sensing import Observer, Sensing, Sensors

@@ -4,8 +4,7 @@ from functools import partial
 import pytest
 import torch
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import experiment
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings

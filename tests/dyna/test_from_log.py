@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import dynasindy
-from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.from_log import log_report, model_of
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note

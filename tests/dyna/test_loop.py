@@ -3,8 +3,7 @@
 import torch
 from torchrl.envs.utils import exploration_type
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train

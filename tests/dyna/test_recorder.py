@@ -9,9 +9,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.agents import TD3
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control import load
-from dynasindy.data import DynaReplay
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train

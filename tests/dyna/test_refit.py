@@ -8,14 +8,13 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
-from dynasindy.data.rollout_data import transitions
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.excite import interact
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.refit import _acting, _held_out_windows, first_fit, fit, refit
 from dynasindy.envs import ControlEnv
+from dynasindy.envs.rollout_data import transitions
 from dynasindy.excitation import Chirp
 from dynasindy.planning import Gate, ModelError, NoPlanning, replay_error
 from dynasindy.sindy import Oracle, SindyModel

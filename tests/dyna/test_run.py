@@ -8,8 +8,7 @@ from functools import partial
 import pytest
 import torch
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe

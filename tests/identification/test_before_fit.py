@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
 from dynasindy.identification.before_fit import PLANTS, before_fit, review_rates, with_missing_rates, wrong_units

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.simulated import Simulated
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import LogError, note, weak
 from dynasindy.identification.identify import LoggedData, identify_source

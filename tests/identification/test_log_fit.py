@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note, weak
 from dynasindy.identification import log_fit as module

@@ -10,7 +10,7 @@ import torch
 import dynasindy
 from dynasindy.control import save
 from dynasindy.data.csv import Recording
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.findings import Finding, note, weak

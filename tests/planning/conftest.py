@@ -4,8 +4,7 @@ import pytest
 import torch
 from alternating import Mapped
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning.plan_settings import find_task_equilibria

@@ -7,8 +7,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
-from dynasindy.agents import TD3
-from dynasindy.data import LEARN_KEYS, DynaReplay
+from dynasindy.agents import LEARN_KEYS, TD3, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import Imagination, ImaginedReplay, NoPlanning, Planned, Planner, imagined_replay
 from dynasindy.systems import Diverged, System, Tras

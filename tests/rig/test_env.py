@@ -9,8 +9,7 @@ import pytest
 import torch
 from torchrl.envs import Transform, TransformedEnv, check_env_specs
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.envs import ControlEnv

@@ -12,7 +12,7 @@ import pytest
 import torch
 import yaml
 
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs
 from dynasindy.systems import Pendulum, Tras
 

@@ -15,7 +15,7 @@ from benchmarks.logs import words as log_words
 from omegaconf import OmegaConf
 
 import dynasindy
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature

@@ -8,7 +8,7 @@ from pathlib import Path
 import forked
 import pytest
 
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum
 

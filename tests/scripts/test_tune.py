@@ -10,7 +10,7 @@ import forked
 import pytest
 import yaml
 
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.systems import Pendulum
 

@@ -11,8 +11,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs import Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from dynasindy.agents import TD3
-from dynasindy.data import MEASURED_KEYS, DynaReplay
+from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
 from dynasindy.dyna.callback import Callback, Place
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe

@@ -7,8 +7,7 @@ from functools import partial
 import pytest
 import torch
 
-from dynasindy.agents import TD3
-from dynasindy.data import DynaReplay
+from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
 from dynasindy.envs import Foreign, GymnasiumEnv

@@ -5,7 +5,7 @@ import pysindy
 import pytest
 import torch
 
-from dynasindy.data.rollout_data import record_plant
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.pysindy_interchange import PySindyDefault, from_pysindy, to_pysindy, to_sympy

@@ -8,7 +8,7 @@ import torch
 from benchmarks.identify import TEXTBOOK
 from scipy.linalg import expm
 
-from dynasindy.data.rollout_data import disturb
+from dynasindy.envs.rollout_data import disturb
 from dynasindy.identification.log_fit import _take_alternative
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable

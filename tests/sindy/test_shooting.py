@@ -10,7 +10,7 @@ import torch
 from benchmarks.identify import TEXTBOOK, cramer_rao
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
-from dynasindy.data.rollout_data import disturb
+from dynasindy.envs.rollout_data import disturb
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.named_libraries import build_library, polynomial

@@ -29,10 +29,10 @@ from tensordict import TensorDictBase
 from benchmarks.common import add_choices, add_output, append, cpu_seconds
 from benchmarks.gradient import CASES, KNOWN, PLANTS, build_recipe
 from benchmarks.peers import serve
-from dynasindy.data.rollout_data import record_plant
 from dynasindy.dyna.callback import Callback
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.loop import train
+from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source

@@ -7,7 +7,8 @@ from scipy.linalg import expm
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dynasindy.data.rollout_data import (
+from dynasindy.envs import ControlEnv
+from dynasindy.envs.rollout_data import (
     before_leaving,
     disturb,
     measurements_and_inputs,
@@ -15,7 +16,6 @@ from dynasindy.data.rollout_data import (
     record_plants,
     transitions,
 )
-from dynasindy.envs import ControlEnv
 from dynasindy.findings import note
 from dynasindy.systems import Diverged, Tras, rk4
 from dynasindy.systems.base import Signature, System

@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.data.finite_checks import is_finite, non_finite, require_finite_rollout
+from dynasindy.agents.finite_checks import is_finite, non_finite, require_finite_rollout
 from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
-from dynasindy.data.finite_checks import is_finite, is_finite_rollout, require_finite_rollout
+from dynasindy.agents.finite_checks import is_finite, is_finite_rollout, require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import ModelPrediction
 from dynasindy.systems import Diverged, Signature, System

@@ -5,8 +5,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.transforms import Transform
 
-from dynasindy.data import replay as module
-from dynasindy.data.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
+from dynasindy.agents import replay as module
+from dynasindy.agents.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
 from dynasindy.systems import Diverged
 
 
