@@ -1,18 +1,18 @@
 """Write the tables of README and docs anew from the files of docs/results: `python scripts/tables.py`.
 
-A page holds `<!-- table: NAME -->` and `<!-- end -->`; what stands between them is what the function of that name below
-returns. A number that changes in a file changes in the pages by this command, and by nothing else.
+A page holds `<!-- table: NAME -->` and `<!-- end -->`; what stands between them are the rows of the function of that
+name below. A number that changes in a file changes in the pages by this command, and by nothing else.
 """
 
 from __future__ import annotations
 
-import csv
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
+import pandas as pd
 import torch
 
 from dynasindy.evaluation.ablation import Level, read_ablation, to_markdown
@@ -22,12 +22,26 @@ from dynasindy.safe_io import write_text
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- table: (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
-Row = Mapping[str, str]
 AXES, WORST = ("azimuth", "pitch"), ("azimuth_worst", "pitch_worst")
-ERRORS = ("steady_state_error/alpha_a", "steady_state_error/alpha_p")
 ROLLOUTS = ("rollouts_800", "rollouts_400", "rollouts_0")
 LAST = {"xi": 12, "tras": 16}
 """Episodes after which the controls of the ablation are compared."""
+TABLES: dict[str, Callable[[], str]] = {}
+"""The tables by name, each as Markdown."""
+Rows = Iterator[Sequence[object]]
+
+
+def table(header: str) -> Callable[[Callable[[], Rows]], Callable[[], Rows]]:
+    """Make a table of the rows that a function yields; `header` is its first line without the outer bars."""
+
+    def add(rows: Callable[[], Rows]) -> Callable[[], Rows]:
+        columns = header.split(" | ")
+        TABLES[rows.__name__] = lambda: "\n".join(
+            f"| {' | '.join(map(str, line))} |" for line in (columns, ["---"] * len(columns), *rows())
+        )
+        return rows
+
+    return add
 
 
 def pages() -> dict[Path, str]:
@@ -51,30 +65,24 @@ def main() -> None:
 
 
 @cache
-def rows_of(name: str) -> tuple[dict[str, str], ...]:
-    """Return the rows of a CSV file of docs/results."""
-    with (RESULTS / name).open(newline="", encoding="utf-8") as file:
-        return tuple(csv.DictReader(file))
+def read(name: str) -> pd.DataFrame:
+    """Return a CSV file of docs/results, each cell as text."""
+    return pd.read_csv(RESULTS / name, dtype=str, keep_default_na=False)
 
 
-def rows(name: str, **wanted: object) -> list[dict[str, str]]:
+def rows(name: str, **wanted: object) -> pd.DataFrame:
     """Return the rows that have the wanted cells; there is at least one."""
-    found = [row for row in rows_of(name) if all(row[key] == str(value) for key, value in wanted.items())]
-    if not found:
+    found = read(name)
+    for key, value in wanted.items():
+        found = found[found[key] == str(value)]
+    if found.empty:
         raise ValueError(f"{name} has no row with {wanted}")
     return found
 
 
-def numbers(found: Iterable[Row], column: str) -> list[float]:
+def numbers(found: pd.DataFrame, column: str) -> pd.Series[float]:
     """Return a column, an empty cell as infinite."""
-    return [float(row[column] or "inf") for row in found]
-
-
-def grid(header: str, lines: Iterable[Sequence[object]]) -> str:
-    """Return a Markdown table; `header` is its first line without the outer bars."""
-    columns = header.split(" | ")
-    cells = [columns, ["---"] * len(columns), *lines]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in cells)
+    return found[column].replace("", "inf").astype(float)
 
 
 def short(value: float, places: int = 4) -> str:
@@ -82,61 +90,62 @@ def short(value: float, places: int = 4) -> str:
     return f"{value:.{places}f}".removeprefix("0") if value < 1 else f"{value:.2f}"
 
 
-def pair(of: Callable[[str], float], places: int = 4, axes: Sequence[str] = AXES) -> str:
+def pair(values: Iterable[float]) -> str:
     """Return azimuth and pitch: .0006 / .0011."""
-    return " / ".join(short(of(axis), places) for axis in axes)
+    return " / ".join(map(short, values))
 
 
-def worst(found: Sequence[Row], axes: Sequence[str] = AXES) -> str:
+def worst(found: pd.DataFrame, axes: Sequence[str] = AXES) -> str:
     """Return the worst seed on each axis."""
-    return pair(lambda axis: max(numbers(found, axis)), axes=axes)
+    return pair(numbers(found, axis).max() for axis in axes)
 
 
-def seeds(values: Sequence[float]) -> str:
+def seeds(values: Iterable[float]) -> str:
     """Return the interquartile mean over seeds and its interval."""
-    return over_seeds(values, 4, "never").replace("never [never, never]", "never")
+    return over_seeds([*values], 4, "never").replace("never [never, never]", "never")
 
 
-def runs(plant: str, setting: str, experiment: str = "dyna") -> list[dict[str, str]]:
+def runs(plant: str, setting: str, experiment: str = "dyna") -> pd.DataFrame:
     """Return the rows of a setting of the ablation, one per seed."""
     return rows("ablation.csv", system=plant, experiment=experiment, setting=setting)
 
 
-def main_job() -> str:
-    """Return the errors of the main job after 10 s of data, of the worst of ten seeds."""
-    found = {plant: _gradient("step", plant) for plant in ("tras", "xi")}
-    return grid(
-        "plant | data | error, azimuth / pitch | time on one core",
-        [
-            (f"`{plant}`", "10 s", f"{worst(own)} rad", f"{max(numbers(own, 'cpu_seconds')):.0f} s")
-            for plant, own in found.items()
-        ],
-    )
+def worse_axis(plant: str, setting: str, experiment: str, episode: int) -> pd.Series[float]:
+    """Return the error of the worse axis of each seed after an episode."""
+    found = rows("ablation_curves.csv", system=plant, experiment=experiment, setting=setting, episode=episode)
+    return found.filter(like="evaluated_steady_state_error").astype(float).max(axis=1)
 
 
-def policies() -> str:
-    """Return the scores of the controllers that lie in the repository."""
-    lines = []
+@table("plant | data | error, azimuth / pitch | time on one core")
+def main_job() -> Rows:
+    """Yield the errors of the main job after 10 s of data, of the worst of ten seeds."""
+    for plant in ("tras", "xi"):
+        found = rows("gradient.csv", case="step", plant=plant, plant_seconds=10.0)
+        yield f"`{plant}`", "10 s", f"{worst(found)} rad", f"{numbers(found, 'cpu_seconds').max():.0f} s"
+
+
+@table("policy | data | error, azimuth / pitch [rad] | RMSE, azimuth / pitch [rad]")
+def policies() -> Rows:
+    """Yield the scores of the controllers that lie in the repository."""
     for plant in ("tras", "xi"):
         file = RESULTS / "policies" / plant / "origin.json"
         score = json.loads(file.read_text())["evaluation"]
         errors = (_score(score, metric) for metric in ("steady_state_error", "rmse"))
-        lines.append((f"[`{plant}`]({file.relative_to(ROOT)})", "30 s", *errors))
-    return grid("policy | data | error, azimuth / pitch [rad] | RMSE, azimuth / pitch [rad]", lines)
+        yield f"[`{plant}`]({file.relative_to(ROOT)})", "30 s", *errors
 
 
-def scenarios() -> str:
-    """Return what the policy of the main job makes of each scenario."""
-    lines = []
+@table("scenario | RMSE [rad] | mean abs error of the last 5 s [rad] | return")
+def scenarios() -> Rows:
+    """Yield what the policy of the main job makes of each scenario."""
     for name in ("step", "sine", "square", "wind", "noise", "delay", "detuned"):
         score = json.loads((RESULTS / f"runs/tras_gradient/evaluation/{name}.json").read_text())
         errors = (_score(score, metric) for metric in ("rmse", "steady_state_error"))
-        lines.append((f"`{name}`", *errors, f"{score['return']:.1f}"))
-    return grid("scenario | RMSE [rad] | mean abs error of the last 5 s [rad] | return", lines)
+        yield f"`{name}`", *errors, f"{score['return']:.1f}"
 
 
-def gradient() -> str:
-    """Return the worst seed of each case of planning by gradient."""
+@table("case | plant | real data | seeds | worst seed | CPU [s] | to reach")
+def gradient() -> Rows:
+    """Yield the worst seed of each case of planning by gradient."""
     reach = {
         ("step", "tras", 10): ".004",
         ("step", "tras", 30): ".002",
@@ -154,81 +163,72 @@ def gradient() -> str:
         ("detuned", "tras", 10): ".02 (10 of 10)",
         ("friction_alone", "trms33", 10): ".02 (10 of 10)",
     }
-    both = ("tras", "xi")
-    cases = [(case, "", p, s) for case in ("step", "nominal") for p in both for s in (10, 30)]
-    cases += [("small", "", p, 10) for p in both]
-    cases += [("moving", wave, p, 10) for p in both for wave in ("sine", "square")]
-    integral = ("", "step_integral")
-    cases += [("noise", action, p, s) for p in both for s in (10, 30, 70) for action in integral]
-    cases += [(case, "", p, 10) for case in ("bench", "bench_delay") for p in both]
-    cases += [("detuned", scenario, "tras", 10) for scenario in ("detuned_gust", "detuned_gust_integral")]
-    cases += [("friction_alone", action, "trms33", 10) for action in integral]
-    cases += [("oracle", "", p, 10) for p in both]
-    lines = []
-    for case, scenario, plant, seconds in cases:
-        found = _gradient(case, plant, seconds, scenario or "step")
+    cases = ["step", "nominal", "small", "moving", "noise", "bench", "bench_delay", "detuned", "friction_alone"]
+    found = read("gradient.csv").astype({"plant_seconds": float})
+    found = found[found.case.isin([*cases, "oracle"]) & found.plant_seconds.isin([10, 30, 70])]
+    found = found[~found.scenario.str.contains("_inputs|_nis")]
+    keys = ["case", "plant", "plant_seconds", "scenario"]
+    groups = sorted(found.groupby(keys), key=lambda group: ([*cases, "oracle"].index(group[0][0]), *group[0][1:]))
+    for (case, plant, seconds, scenario), own in groups:
         words = f"`{case}`" + (f", {scenario}, RMSE" if case == "moving" else "")
         words += ", integral action" if scenario.endswith("integral") else ""
-        errors = worst(found)
-        errors += f" ({worst(found, WORST)})" if case in ("detuned", "friction_alone") else ""
+        errors = worst(own) + (f" ({worst(own, WORST)})" if case in ("detuned", "friction_alone") else "")
         target = reach.get((scenario if case == "moving" else case, plant, seconds), "")
-        cpu = f"{max(numbers(found, 'cpu_seconds')):.0f}"
-        lines.append((words, f"`{plant}`", f"{seconds} s", len(found), errors, cpu, target))
-    return grid("case | plant | real data | seeds | worst seed | CPU [s] | to reach", lines)
+        cpu = f"{numbers(own, 'cpu_seconds').max():.0f}"
+        yield words, f"`{plant}`", f"{seconds:g} s", len(own), errors, cpu, target
 
 
-def unseen() -> str:
-    """Return the situations that nothing was tuned on."""
+@table("situation | policy of | plant | seeds | error | worst seed | worst single reference")
+def unseen() -> Rows:
+    """Yield the situations that nothing was tuned on."""
     policy = {"unseen": "step", "unseen_moving": "moving"}
-    lines = []
-    for case, scenario, plant in dict.fromkeys((r["case"], r["scenario"], r["plant"]) for r in rows_of("gradient.csv")):
-        if case in policy:
-            found = _gradient(case, plant, scenario=scenario)
-            middle = pair({axis: _middle(numbers(found, axis)) for axis in AXES}.__getitem__)
-            who = (f"`{scenario}`", f"`{policy[case]}`", f"`{plant}`", len(found))
-            lines.append((*who, middle, worst(found), worst(found, WORST)))
-    return grid("situation | policy of | plant | seeds | error | worst seed | worst single reference", lines)
+    found = read("gradient.csv")
+    found = found[found.case.isin(policy)]
+    for (case, scenario, plant), own in found.groupby(["case", "scenario", "plant"], sort=False):
+        middle = (interquartile_mean(torch.tensor(numbers(own, axis).to_numpy())).item() for axis in AXES)
+        who = f"`{scenario}`", f"`{policy[case]}`", f"`{plant}`", len(own)
+        yield *who, pair(middle), worst(own), worst(own, WORST)
 
 
-def rigs() -> str:
-    """Return the scores of models of real plants."""
-    lines = [(r["rig"], r["model"], f"{r['metric']} [{r['unit']}]", r["value"]) for r in rows_of("rigs.csv")]
-    return grid("rig | model | error | value", lines)
+@table("rig | model | error | value")
+def rigs() -> Rows:
+    """Yield the scores of models of real plants."""
+    for row in read("rigs.csv").itertuples():
+        yield row.rig, row.model, f"{row.metric} [{row.unit}]", row.value
 
 
-def plants() -> str:
-    """Return the plants that were given as equations."""
-    return _plants(
-        {
-            "van_der_pol": "Van der Pol's oscillator",
-            "quadrotor": "quadrotor in a plane (x, z)",
-            "tanks": "two tanks, sampled every 2 s",
-            "cart_pole": "cart and pole (position, upright)",
-            "swing_up": "the same pole, swung up from hanging",
-            "pendulum_v1": "Gymnasium's Pendulum-v1, swung up",
-            "mountain_car": "MountainCarContinuous-v0, to the flag",
-            "inverted_pendulum": "MuJoCo's InvertedPendulum-v5, at a place",
-            "double_pendulum": "MuJoCo's InvertedDoublePendulum-v5, at a place",
-            "reacher": "MuJoCo's Reacher-v5, to a point",
-        }
+@table("plant | held to 1 % | error of the worst seed | data")
+def plants() -> Rows:
+    """Yield the plants that were given as equations."""
+    yield from _plants(
+        van_der_pol="Van der Pol's oscillator",
+        quadrotor="quadrotor in a plane (x, z)",
+        tanks="two tanks, sampled every 2 s",
+        cart_pole="cart and pole (position, upright)",
+        swing_up="the same pole, swung up from hanging",
+        pendulum_v1="Gymnasium's Pendulum-v1, swung up",
+        mountain_car="MountainCarContinuous-v0, to the flag",
+        inverted_pendulum="MuJoCo's InvertedPendulum-v5, at a place",
+        double_pendulum="MuJoCo's InvertedDoublePendulum-v5, at a place",
+        reacher="MuJoCo's Reacher-v5, to a point",
     )
 
 
-def bench_plants() -> str:
-    """Return the plants behind the sensors of a bench."""
-    return _plants(
-        {
-            "furuta_bench": "rotary pendulum (angle of its arm, upright)",
-            "balancer_bench": "robot on two wheels (place, upright)",
-            "cart_pole_bench": "cart and pole, behind encoders",
-            "ball_on_beam_bench": "ball on a beam, behind steps of a place and an angle",
-            "quadrotor_bench": "quadrotor in a plane, behind cameras",
-        }
+@table("plant | held to 1 % | error of the worst seed | data")
+def bench_plants() -> Rows:
+    """Yield the plants behind the sensors of a bench."""
+    yield from _plants(
+        furuta_bench="rotary pendulum (angle of its arm, upright)",
+        balancer_bench="robot on two wheels (place, upright)",
+        cart_pole_bench="cart and pole, behind encoders",
+        ball_on_beam_bench="ball on a beam, behind steps of a place and an angle",
+        quadrotor_bench="quadrotor in a plane, behind cameras",
     )
 
 
-def logs() -> str:
-    """Return the plants that are known by a log alone."""
+@table("plant, what is measured | promised | held to 1 % | error of the worst seed")
+def logs() -> Rows:
+    """Yield the plants that are known by a log alone."""
     names = {
         "servo": "motor with dry friction, encoder",
         "arm": "arm on a motor, encoder",
@@ -243,19 +243,17 @@ def logs() -> str:
         "beam": "ball on a beam, noisy place, closed loop",
         "shaft": "two discs on a soft shaft, encoders",
     }
-    lines = []
     for plant, name in names.items():
         found = rows("logs.csv", plant=plant)
-        every = {row["seed"] for row in found}
-        promised = {row["seed"] for row in found if row["foretold"] == "CONTROLLED"}
-        missed = {row["seed"] for row in found if float(row["error_percent"]) > 1}
-        counts = f"{len(promised)} of {len(every)}", f"{len(every - missed)} of {len(every)}"
-        lines.append((name, *counts, _percent(found)))
-    return grid("plant, what is measured | promised | held to 1 % | error of the worst seed", lines)
+        promised = found[found.foretold == "CONTROLLED"].seed.nunique()
+        missed = found[numbers(found, "error_percent") > 1].seed.nunique()
+        of = found.seed.nunique()
+        yield name, f"{promised} of {of}", f"{of - missed} of {of}", _percent(found)
 
 
-def textbook_logs() -> str:
-    """Return the plants out of textbooks, at first and since."""
+@table("plant, what is measured | at first | error at first | since | error since")
+def textbook_logs() -> Rows:
+    """Yield the plants out of textbooks, at first and since."""
     names = {
         "manipulator": "arm of two links, encoders",
         "turbine": "speed of a wind turbine, by its pitch",
@@ -269,174 +267,128 @@ def textbook_logs() -> str:
         "column": "distillation column, two inputs with delays",
     }
     words = {"CONTROLLED": "promised", "NOT promised": "not promised", "no controller": "no controller"}
-    lines = []
     for plant, name in names.items():
-        line = [name]
+        cells = []
         for file in ("logs_first.csv", "logs.csv"):
-            found = [row for row in rows_of(file) if row["plant"] == plant and row["seed"] == "0"]
+            found = read(file).query("plant == @plant and seed == '0'")
             ended = "not ended" if (file, plant) == ("logs.csv", "cylinder") else "not run"
-            line += [words[found[0]["foretold"]], _percent(found)] if found else [ended, "none"]
-        lines.append(line)
-    return grid("plant, what is measured | at first | error at first | since | error since", lines)
+            cells += [ended, "none"] if found.empty else [words[found.foretold.iloc[0]], _percent(found)]
+        yield name, *cells
 
 
-def peers() -> str:
-    """Return ours beside the strongest peers: errors of controllers, the worst target in brackets, and of models."""
-    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
-    for row in rows("peers.csv"):
-        key = tuple(row[name] for name in ("case", "plant", "peer", "version", "cpu_seconds", "ms_per_action"))
-        groups.setdefault(key, []).append(row)
-    lines = []
-    for (case, plant, peer, version, seconds, milliseconds), found in groups.items():
-        values = [row["value"] for row in found]
-        if len(values) == 4:
-            words = "{} / {} ({} / {}) rad".format(*values)
+@table("case | plant | by | error | CPU [s] | ms per action")
+def peers() -> Rows:
+    """Yield ours beside the strongest peers: errors of controllers, the worst target in brackets, and of models."""
+    keys = ["case", "plant", "peer", "version", "cpu_seconds", "ms_per_action"]
+    for (case, plant, peer, version, *costs), found in read("peers.csv").groupby(keys, sort=False):
+        if len(found) == 4:
+            words = "{} / {} ({} / {}) rad".format(*found.value)
         else:
-            words = f"{values[0]} {found[0]['measure'].removeprefix('RMSE, ')}"
-        name = "ours" if peer == "ours" else f"{peer} {version}"
-        lines.append((case, f"`{plant}`", name, words, seconds, milliseconds))
-    return grid("case | plant | by | error | CPU [s] | ms per action", lines)
+            words = f"{found.value.iloc[0]} {found.measure.iloc[0].removeprefix('RMSE, ')}"
+        yield case, f"`{plant}`", "ours" if peer == "ours" else f"{peer} {version}", words, *costs
 
 
-def identification() -> str:
-    """Return what identification had to reach, and what was measured."""
-    exact, worst_error = "seeds with 19 of 19 terms and 0 false", "worst relative coefficient error"
-    ratio = f"{float(_identified('trms33', 'worst state', 'ours, rotor', exactly=True)):g}"
-    xi, tras = (
-        _identified("speed", f"{plant} model").partition(",")[0].replace("e+0", "e") for plant in ("xi", "tras")
-    )
-    theirs = float(_identified("speed", "xi", "PySINDy"))
-    refits = [float(_identified("refit", size)) for size in ("1e+06", "1e+07")]
-    errors = {case: _identified(case, worst_error).replace("e-0", "e-") for case in ("xi_10s", "xi_control")}
-    exactly = {case: _identified(case, exact) for case in errors}
+@table("case | must reach | measured")
+def identification() -> Rows:
+    """Yield what identification had to reach, and what was measured."""
+
+    def cell(case: str, words: str, method: str = "ours") -> str:
+        found = rows("identification.csv", case=case)
+        found = found[found.measure.str.contains(words, regex=False) & found.method.str.match(f"{method}(?!_)")]
+        return str(found.value.iloc[0])
+
+    def exact(case: str) -> str:
+        error = cell(case, "worst relative coefficient error").replace("e-0", "e-")
+        return f"{cell(case, 'seeds with 19 of 19 terms and 0 false')}, worst {error}"
+
+    yield "`xi`, 10 s at 0.01 s, 10 seeds", "19 of 19 terms, 0 false, error <= 1e-6", exact("xi_10s")
+    yield "`xi`, 20 s at 0.05 s, 10 seeds", "19/0, <= 1e-4", exact("xi_control")
+    best = cell("tras", "worst state")
+    yield "`tras`, 20 s, rotor library", "400-step NRMSE <= 2 %", f"{best} % worst state, 32 unseen episodes"
+    for library in ("rotor_reaction", "rotor"):
+        error = float(cell("trms33", "worst state", f"ours, {library}"))
+        yield f"`trms33`, `{library}`", "the best honest figure", f"{error:g} % worst state over 26 unseen episodes"
+    first, second = (float(cell("refit", size)) for size in ("1e+06", "1e+07"))
+    slow = cell("refit", "fit of 1e6", "PySINDy")
+    yield "refit after 20 s on top of 1e6 samples", "<= 10 ms", f"{first:.2g} ms; PySINDy {slow} ms"
+    yield "the same on top of 1e7 samples", "at most twice that", f"{second:.2g} ms"
+    yield "refined fit of 1000 samples", "<= 1 s", f"{float(cell('xi_10s', 'refined fit')):.2f} s"
+    xi, tras = (cell("speed", f"{plant} model").partition(",")[0].replace("e+0", "e") for plant in ("xi", "tras"))
+    theirs = float(cell("speed", "xi", "PySINDy"))
     speeds = f"{xi} (`xi`), {tras} (`tras`); PySINDy `simulate` {theirs:.0f}"
-    best, reaction = (
-        _identified(*one) for one in (("tras", "worst state"), ("trms33", "worst state", "ours, rotor_r"))
-    )
-    slow = _identified("refit", "fit of 1e6", "PySINDy")
-    lines = [
-        ("`xi`, 10 s at 0.01 s, 10 seeds", "19 of 19 terms, 0 false, error <= 1e-6", "xi_10s"),
-        ("`xi`, 20 s at 0.05 s, 10 seeds", "19/0, <= 1e-4", "xi_control"),
-        ("`tras`, 20 s, rotor library", "400-step NRMSE <= 2 %", f"{best} % worst state, 32 unseen episodes"),
-        ("`trms33`, `rotor_reaction`", "the best honest figure", f"{reaction} % worst state over 26 unseen episodes"),
-        ("`trms33`, `rotor`", "the best honest figure", f"{ratio} % worst state over 26 unseen episodes"),
-        ("refit after 20 s on top of 1e6 samples", "<= 10 ms", f"{refits[0]:.2g} ms; PySINDy {slow} ms"),
-        ("the same on top of 1e7 samples", "at most twice that", f"{refits[1]:.2g} ms"),
-        ("refined fit of 1000 samples", "<= 1 s", f"{float(_identified('xi_10s', 'refined fit')):.2f} s"),
-        ("imagined transitions per second, batch 4096", ">= 1e6", speeds),
-    ]
-    named = {case: f"{exactly[case]}, worst {errors[case]}" for case in errors}
-    return grid("case | must reach | measured", [(*line[:2], named.get(line[2], line[2])) for line in lines])
+    yield "imagined transitions per second, batch 4096", ">= 1e6", speeds
 
 
-def rollouts() -> str:
-    """Return 800, 400 and no rollouts with our settings."""
+@table(" | `rollouts_800` | `rollouts_400` | `rollouts_0` (as many updates, no model)")
+def rollouts() -> Rows:
+    """Yield 800, 400 and no rollouts with our settings."""
     measures = {
         "plant time to the level [s]": "plant_seconds_to_level",
         "final error [rad]": "steady_state_error",
         "area under the curve": "area_under_curve",
         "return at the end": "final_return",
     }
-    lines = []
     for plant in ("xi", "tras"):
         found = [runs(plant, setting) for setting in ROLLOUTS]
         level = [f"{seeds(numbers(own, 'episodes_to_level'))} ({_reached(own)} seeds)" for own in found]
-        lines.append((f"`{plant}`, real episodes to the level", *level))
+        yield f"`{plant}`, real episodes to the level", *level
         for words, column in measures.items():
-            lines.append((f"`{plant}`, {words}", *(seeds(numbers(own, column)) for own in found)))
-    return grid(" | `rollouts_800` | `rollouts_400` | `rollouts_0` (as many updates, no model)", lines)
+            yield f"`{plant}`, {words}", *(seeds(numbers(own, column)) for own in found)
 
 
-def controls() -> str:
-    """Return the controls of the ablation."""
+@table("plant, setting | seeds | reached | real episodes to the level | error, worse axis [rad]")
+def controls() -> Rows:
+    """Yield the controls of the ablation."""
     names = ["rollouts_800", "oracle", "pysindy", "pysindy_gate_off", "direct", "rollouts_0_tuned"]
     names += [f"real_share_{share}" for share in ("05", "25", "50")]
     names += [f"horizon_{length}" for length in (1, 5, 20, 100, 400)]
-    lines = []
     for plant, chosen in (("xi", names), ("tras", ["rollouts_800", "oracle", "rollouts_0_tuned", *names[-3:-1]])):
         for name in chosen:
-            found = runs(plant, name)
-            curves = rows("ablation_curves.csv", system=plant, experiment="dyna", setting=name, episode=LAST[plant])
+            found, errors = runs(plant, name), worse_axis(plant, name, "dyna", LAST[plant])
             level = seeds(numbers(found, "episodes_to_level"))
-            errors = seeds([max(float(row[f"evaluated_{column}"]) for column in ERRORS) for row in curves])
-            lines.append((f"`{plant}`, `{name}`", len(found), _reached(found), level, errors))
-    return grid("plant, setting | seeds | reached | real episodes to the level | error, worse axis [rad]", lines)
+            yield f"`{plant}`, `{name}`", len(found), _reached(found), level, seeds(errors)
 
 
-def paper() -> str:
-    """Return the paper's experiment at the end of its runs."""
-    columns = ("final_return", "area_under_curve", "steady_state_error")
-    lines = []
+@table("plant, setting | seeds, episodes | return at the end | area under the curve | error at the end [rad]")
+def paper() -> Rows:
+    """Yield the paper's experiment at the end of its runs."""
     for plant in ("xi", "tras"):
         for name in ROLLOUTS:
             found = runs(plant, name, "paper")
+            columns = ("final_return", "area_under_curve", "steady_state_error")
             measured = (seeds(numbers(found, column)) for column in columns)
-            lines.append((f"`{plant}`, `{name}`", f"{len(found)}, {found[0]['episodes']}", *measured))
-    header = "plant, setting | seeds, episodes | return at the end | area under the curve | error at the end [rad]"
-    return grid(header, lines)
+            yield f"`{plant}`, `{name}`", f"{len(found)}, {found.episodes.iloc[0]}", *measured
 
 
-def paper_errors() -> str:
-    """Return the error of the worse axis of each seed of the paper's experiment on `xi` along its 600 episodes."""
-    lines = []
+@table("rollouts | after 60 episodes | after 180 | after 300 | after 600")
+def paper_errors() -> Rows:
+    """Yield the error of the worse axis of each seed of the paper's experiment on `xi` along its 600 episodes."""
     for name in ROLLOUTS:
-        cells = []
-        for episode in (60, 180, 300, 600):
-            found = rows("ablation_curves.csv", system="xi", experiment="paper", setting=name, episode=episode)
-            worse = [max(float(row[f"evaluated_{column}"]) for column in ERRORS) for row in found]
-            cells.append(", ".join(short(error, 3) for error in worse))
-        lines.append(("none" if name == "rollouts_0" else name.removeprefix("rollouts_"), *cells))
-    return grid("rollouts | after 60 episodes | after 180 | after 300 | after 600", lines)
-
-
-def _gradient(case: str, plant: str, seconds: float = 10.0, scenario: str = "step") -> list[dict[str, str]]:
-    return rows("gradient.csv", case=case, plant=plant, plant_seconds=float(seconds), scenario=scenario)
+        cells = (worse_axis("xi", name, "paper", episode) for episode in (60, 180, 300, 600))
+        label = "none" if name == "rollouts_0" else name.removeprefix("rollouts_")
+        yield label, *(", ".join(short(error, 3) for error in errors) for errors in cells)
 
 
 def _score(score: Mapping[str, float], metric: str) -> str:
-    return pair(lambda axis: score[f"{metric}/{axis}"], axes=("alpha_a", "alpha_p"))
+    return pair(score[f"{metric}/{axis}"] for axis in ("alpha_a", "alpha_p"))
 
 
-def _plants(names: Mapping[str, str]) -> str:
-    lines = []
+def _plants(**names: str) -> Rows:
     for plant, name in names.items():
         found = rows("plants.csv", plant=plant)
-        held, every = ({r["seed"] for r in found if r["verdict"] == "CONTROLLED"}, {r["seed"] for r in found})
-        seconds = f"{max(numbers(found, 'plant_seconds')):.0f} s"
-        lines.append((name, f"{len(held)} of {len(every)}", f"{max(numbers(found, 'error_percent')):.3g} %", seconds))
-    return grid("plant | held to 1 % | error of the worst seed | data", lines)
+        controlled = found[found.verdict == "CONTROLLED"].seed.nunique()
+        error, seconds = (numbers(found, column).max() for column in ("error_percent", "plant_seconds"))
+        yield name, f"{controlled} of {found.seed.nunique()}", f"{error:.3g} %", f"{seconds:.0f} s"
 
 
-def _percent(found: Sequence[Row]) -> str:
-    error = max(numbers(found, "error_percent"))
+def _percent(found: pd.DataFrame) -> str:
+    error = numbers(found, "error_percent").max()
     return f"{error:.3g} %" if error < 100 else "lost"
 
 
-def _identified(case: str, words: str, method: str = "ours", exactly: bool = False) -> str:
-    """Return a cell of identification.csv by its case, the beginning of its method, and words of its measure."""
-    return next(
-        row["value"]
-        for row in rows("identification.csv", case=case)
-        if words in row["measure"] and (row["method"] == method if exactly else row["method"].startswith(method))
-    )
+def _reached(found: pd.DataFrame) -> str:
+    return f"{(found.episodes_to_level != '').sum()}/{len(found)}"
 
-
-def _reached(found: Sequence[Row]) -> str:
-    return f"{sum(bool(row['episodes_to_level']) for row in found)}/{len(found)}"
-
-
-def _middle(values: Sequence[float]) -> float:
-    return interquartile_mean(torch.tensor(values, dtype=torch.float64)).item()
-
-
-TABLES: dict[str, Callable[[], str]] = {
-    one.__name__: one
-    for one in (
-        *(main_job, policies, scenarios, gradient, unseen, rigs, plants, bench_plants, logs, textbook_logs),
-        *(identification, rollouts, controls, paper, paper_errors, peers),
-    )
-}
-"""The tables by name."""
 
 if __name__ == "__main__":
     main()
