@@ -11,7 +11,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: one thread is what is compared
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
-from cli import HELP, called, purpose, require_writable, while_read
+from cli import HELP, pipe_guard, program, purpose, require_writable
 
 BENCHMARKS = ("bench_surrogate", "gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
@@ -36,7 +36,7 @@ def page() -> str:
     lines = [purpose("benchmark"), ""]
     for name in BENCHMARKS:
         lines.append(f"  {name:<{max(map(len, BENCHMARKS))}}  {summary(name)}")
-    return "\n".join([*lines, "", f"The options of one:  {called('benchmark')} {BENCHMARKS[0]} --help"])
+    return "\n".join([*lines, "", f"The options of one:  {program('benchmark')} {BENCHMARKS[0]} --help"])
 
 
 def run(argv: Sequence[str]) -> int:
@@ -49,7 +49,7 @@ def run(argv: Sequence[str]) -> int:
         print(f"benchmark.py: {given}; choose one of: {', '.join(BENCHMARKS)}", file=sys.stderr)
         return 2
     name = argv[0]
-    arguments = parse(name, argv[1:], called("benchmark"))
+    arguments = parse(name, argv[1:], program("benchmark"))
     if arguments.out is not None:
         try:
             require_writable(arguments.out.parent)
@@ -63,7 +63,7 @@ def run(argv: Sequence[str]) -> int:
 
 def main() -> None:
     """Run what the command line names."""
-    with while_read():
+    with pipe_guard():
         sys.exit(run(sys.argv[1:]))
 
 

@@ -5,6 +5,7 @@ It imports no library that takes long, so that help comes at once, and a signal 
 
 from __future__ import annotations
 
+import argparse
 import ast
 import errno
 import os
@@ -35,7 +36,7 @@ WIDEST = 110
 """Columns that a line of help takes at most, also where the terminal is wider."""
 
 
-def leave(number: int, frame: FrameType | None) -> None:
+def exit_at_once(number: int, frame: FrameType | None) -> None:
     """End at once: nothing was begun, or everything is done."""
     os.write(2, b"stopped\n")
     os._exit(128 + number)
@@ -45,18 +46,18 @@ def stop(number: int, frame: FrameType | None) -> None:
     """Leave what is under way; a second signal leaves at once."""
     from dynasindy.dyna import Stopped
 
-    listen(leave)
+    handle_signals(exit_at_once)
     raise Stopped("stopped", number)
 
 
-def listen(handler: Callable[[int, FrameType | None], None]) -> None:
+def handle_signals(handler: Callable[[int, FrameType | None], None]) -> None:
     """Let a handler hear of Ctrl-C and SIGTERM; only the main thread may say so."""
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, handler)
 
 
-listen(leave)  # the imports of a script take seconds, in which a traceback would be all that a user sees
+handle_signals(exit_at_once)  # the imports of a script take seconds, in which a traceback would be all that a user sees
 
 
 @cache
@@ -76,20 +77,17 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def while_read() -> Iterator[None]:
+def pipe_guard() -> Iterator[None]:
     """End with the exit code of a broken pipe, 141, when whoever reads stdout has left; other errors stay theirs."""
+    end: SystemExit | BrokenPipeError | None = None
     try:
         yield
-    except SystemExit as end:
-        if end.code or not _reader_left():
-            raise
+    except (SystemExit, BrokenPipeError) as error:
+        end = error
+    if not getattr(end, "code", None) and _reader_left():
         sys.exit(141)
-    except BrokenPipeError:
-        if not _reader_left():  # another pipe broke, as that of a worker that died
-            raise
-        sys.exit(141)
-    if _reader_left():
-        sys.exit(141)
+    if end is not None:  # also where another pipe broke, as that of a worker that died
+        raise end
 
 
 def _reader_left() -> bool:
@@ -119,7 +117,7 @@ def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any]
     def decorate(task: Callable[[Any], float | None]) -> Callable[[], None]:
         @wraps(task)
         def start() -> None:
-            with while_read():
+            with pipe_guard():
                 if any(word in HELP for word in sys.argv[1:]):
                     print(help_page(config_name, sys.argv[1:]))
                 else:
@@ -139,7 +137,7 @@ def main() -> None:
     if name in HELP or name == "--version":
         import dynasindy
 
-        with while_read():
+        with pipe_guard():
             print(overview() if name in HELP else dynasindy.__version__)
     elif name in COMMANDS:
         sys.argv[1:] = rest
@@ -174,7 +172,7 @@ def refuse(line: str) -> None:
     sys.exit(2)
 
 
-def called(name: str) -> str:
+def program(name: str) -> str:
     """Return how a command is called here: as its script in a clone, unless it was called otherwise."""
     installed = not IN_CLONE or Path(sys.argv[0]).name == "dynasindy"
     return f"dynasindy {name}" if installed else f"python scripts/{name}.py"
@@ -183,7 +181,7 @@ def called(name: str) -> str:
 def purpose(name: str) -> str:
     """Return the docstring of a command's script, which says what it does and how it is called."""
     words = " ".join((ast.get_docstring(ast.parse((SCRIPTS / f"{name}.py").read_text())) or "").split())
-    return words.replace(f"python scripts/{name}.py", called(name))
+    return words.replace(f"python scripts/{name}.py", program(name))
 
 
 def overview() -> str:
@@ -226,6 +224,20 @@ def _answer_shell(words: list[str]) -> list[str]:
     return [name, *words]
 
 
+def config_dir(words: Sequence[str]) -> str | None:
+    """Return the folder of the user's own settings, if a command line names one."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd")
+    return parser.parse_known_args(words)[0].config_dir
+
+
+def group_options(group: str, words: Sequence[str] | None = None) -> dict[str, Path]:
+    """Return the files of a group by their names, the user's own too; those with an underscore are parts of others."""
+    own = config_dir(sys.argv[1:] if words is None else words)
+    folders = [CONF, Path(own)] if own else [CONF]
+    return {file.stem: file for folder in folders for file in sorted((folder / group).glob("[!_]*.yaml"))}
+
+
 def help_page(name: str, words: Sequence[str]) -> str:
     """Return the help of a command, from the comments of `conf/NAME.yaml`; an option of a group shows in its values.
 
@@ -233,47 +245,37 @@ def help_page(name: str, words: Sequence[str]) -> str:
         name: Command.
         words: The other words of the command line. `group` asks for its options, `group=option` for the keys of one.
     """
-    folders = [CONF, *(Path(b.partition("=")[2] or c) for b, c in zip(words, [*words[1:], ""]) if "-config-dir" in b)]
-    files = {group: _options(group, folders) for group in _folders(CONF)}
-    given = dict(word.partition("=")[::2] for word in words if not word.startswith(("-", "+", "~")))
-    if asked := {group: option for group, option in given.items() if group in files}:
-        lines: list[str] = []
-        for group, option in asked.items():
-            for each in [option] if option in files[group] else files[group]:
-                lines += [f"{group}={each}", *_wrapped(_heading(files[group][each]), "    "), ""]
-                lines += _setting_lines(_settings(files[group][each])) if option else []
+    groups = {place.name: group_options(place.name, words) for place in sorted(CONF.iterdir()) if place.is_dir()}
+    lines: list[str] = []
+    for group, _, option in (word.partition("=") for word in words):
+        for each, file in groups.get(group, {}).items():
+            if option in ("", each):
+                lines += [f"{group}={each}", *_wrapped(heading(file), "    "), ""]
+                lines += _setting_lines(_settings(file)) if option else []
+    if lines:
         return "\n".join(lines).rstrip()
     file = CONF / f"{name}.yaml"
     chosen, settings = _defaults(file), _settings(file)
     for group, option in list(chosen.items()):
-        if option in files.get(group, {}) and _is_global(files[group][option]):
-            chosen |= _defaults(files[group][option])
-            changed = _settings(files[group][option])
-            settings |= {key: (changed[key][0], said) for key, (_, said) in settings.items() if key in changed}
-    settings |= {key: (value, settings[key][1]) for key, value in given.items() if key in settings}
-    lines = [*_wrapped(purpose(name)), "", *_wrapped(_heading(file))]
-    if made_of := {group: option for group, option in chosen.items() if group in files}:
-        lines += ["", f"What it is made of; `{called(name)} GROUP --help` says what the options are:"]
-        for group, option in made_of.items():
-            others = ", ".join(other for other in files[group] if other != option)
+        other = groups.get(group, {}).get(option)
+        if other is not None and _is_global(other):
+            chosen |= _defaults(other)
+            changed = _settings(other)
+            settings |= {key: (changed[key][0], comment) for key, (_, comment) in settings.items() if key in changed}
+    lines = [*_wrapped(purpose(name)), "", *_wrapped(heading(file))]
+    if chosen := {group: option for group, option in chosen.items() if group in groups}:
+        lines += ["", f"What it is made of; `{program(name)} GROUP --help` says what the options are:"]
+        for group, option in chosen.items():
+            others = ", ".join(other for other in groups[group] if other != option)
             text = f"{group}={option}".ljust(20) + f"  or {others}"
             lines += textwrap.wrap(text, _width(), initial_indent="  ", subsequent_indent=" " * 27)
     lines += ["", "Settings:", *_setting_lines(settings), ""]
-    if made_of:
-        lines.append("Settings of an option:       {} {}={} --help".format(called(name), *next(iter(made_of.items()))))
-    lines.append(f"The whole config:            {called(name)} --cfg job")
+    if chosen:
+        lines.append("Settings of an option:       {} {}={} --help".format(program(name), *next(iter(chosen.items()))))
+    lines.append(f"The whole config:            {program(name)} --cfg job")
     if name in ("train", "ablation"):
-        lines.append(f"A sweep:                     {called(name)} -m seed=0,1,2 [hydra/launcher=joblib]")
-    return "\n".join([*lines, f"What Hydra itself can do:    {called(name)} --hydra-help"])
-
-
-def _folders(conf: Path) -> list[str]:
-    return sorted(place.name for place in conf.iterdir() if place.is_dir())
-
-
-def _options(group: str, folders: Iterable[Path]) -> dict[str, Path]:
-    """Return the files of a group by their names; those with a leading underscore are parts of others."""
-    return {file.stem: file for folder in folders for file in sorted((folder / group).glob("[!_]*.yaml"))}
+        lines.append(f"A sweep:                     {program(name)} -m seed=0,1,2 [hydra/launcher=joblib]")
+    return "\n".join([*lines, f"What Hydra itself can do:    {program(name)} --hydra-help"])
 
 
 def _is_global(file: Path) -> bool:
@@ -329,7 +331,7 @@ def _settings(file: Path) -> dict[str, tuple[str, str]]:
     return found
 
 
-def _heading(file: Path) -> str:
+def heading(file: Path) -> str:
     """Return the sentences at the top of a file."""
     lines = file.read_text().splitlines()
     end = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))

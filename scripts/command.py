@@ -8,11 +8,10 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout, suppress
-from io import StringIO
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
-from cli import COMPLETION, CONF, end_with_parent, leave, listen, require_writable, stop, while_read  # isort: split
+from cli import CONF, end_with_parent, exit_at_once, handle_signals, pipe_guard, require_writable, stop  # isort: split
 
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
@@ -25,14 +24,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from sweep import Sweep, note_end
 
-import dynasindy
 from dynasindy.dyna import Stopped
 from dynasindy.safe_io import write_text
 from dynasindy.sentences import use_command_words
 
-PACKAGE = Path(dynasindy.__file__).parent
 PROGRESS = ExitStack()
-"""What shows the work of that command."""
+"""What shows the work of the command."""
 
 
 def run(config_name: str, task: Callable[[DictConfig], float | None], progress: bool = True) -> None:
@@ -50,16 +47,15 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         progress: Whether what is under way is shown.
     """
 
-    def guarded(cfg: DictConfig) -> float | None:
+    def job(cfg: DictConfig) -> float | None:
         if Sweep.here and progress:
             show()
         elif not Sweep.here:
             end_with_parent()
-            listen(stop)
+            handle_signals(stop)
         use_command_words()
-        output = Path(HydraConfig.get().runtime.output_dir)
-        swept = HydraConfig.get().mode == RunMode.MULTIRUN
-        with suppress(SystemExit) if swept else nullcontext(), while_read(), _mistakes_in_words(config_name, cfg):
+        output, swept = Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
+        with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(config_name, cfg):
             try:
                 from settings import check  # it imports torch, which a misspelt key does without
 
@@ -72,35 +68,43 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
                 if swept:
                     note_end(None)
                 return score
-            except KeyboardInterrupt as signal:
-                raise _stopped(signal, cfg.get("folder")) from signal
+            except KeyboardInterrupt as end:
+                line, folder = str(end), cfg.get("folder")
+                if line in ("", "stopped"):
+                    left = folder is not None and Path(folder).is_dir() and any(Path(folder).iterdir())
+                    kept = f"what was written until then is in {folder}" if left else "nothing is kept"
+                    line = f"stopped; {kept}, the same command begins anew"
+                raise Stopped(line, getattr(end, "signal", 2)) from end
             finally:
-                if not swept:
-                    remove_empty(output)
-                    if cfg.get("folder"):
-                        remove_empty(Path(cfg.folder))
+                for folder in () if swept else (output, cfg.get("folder")):
+                    remove_empty(folder)
         return None  # a job of a sweep that failed
 
-    # The jobs of a sweep run in processes of their own, which have to find the modules beside this one.
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
-    # joblib's bookkeeper counts, line by line, what workers that were stopped no longer tidied.
-    os.environ["PYTHONWARNINGS"] = ",".join(
-        filter(None, [os.environ.get("PYTHONWARNINGS"), "ignore:resource_tracker:UserWarning"])
-    )
+    # The jobs of a sweep run in processes of their own, which have to find the modules beside this one; joblib's
+    # bookkeeper counts, line by line, what workers that were stopped no longer tidied.
+    for name, more in (("PYTHONPATH", str(Path(__file__).parent)), ("PYTHONWARNINGS", "ignore:resource_tracker")):
+        separator = os.pathsep if name == "PYTHONPATH" else ","
+        os.environ[name] = separator.join(filter(None, [more, os.environ.get(name)]))
     Sweep.here = True
-    use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `guarded`
-    warnings.formatwarning = _in_one_line
-    listen(stop)
-    completes = any(word in COMPLETION for word in sys.argv) and any(word.startswith("query=") for word in sys.argv)
-    with _stopped_in_words(), _mistakes_in_words(config_name):
-        sys.argv[1:] = [as_text(_latest(word)) for word in sys.argv[1:]]
-        complete(sys.argv)
-        with PROGRESS, _whole_names() if completes else nullcontext():
-            hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(guarded)()
-    listen(leave)
+    use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
+    handle_signals(stop)
+    try:
+        with one_line(config_name), PROGRESS:
+            sys.argv[1:] = complete([as_text(_latest(word)) for word in sys.argv[1:]])
+            hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job)()
+    except KeyboardInterrupt as end:
+        handle_signals(exit_at_once)
+        line = " ".join((str(end) or "stopped").split())
+        if Sweep.running:
+            line = f"stopped; the finished jobs are kept in {Sweep.running}, the same command goes on with the others"
+        print(line, file=sys.stderr)
+        sys.exit(128 + getattr(end, "signal", 2))
+    handle_signals(exit_at_once)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
-    if Sweep.wrong:
-        print(*(f"error: {line}" for line in Sweep.wrong), sep="\n", file=sys.stderr)
+    if Sweep.failed:
+        reasons = ", ".join(sorted(Sweep.failed))
+        print(f"error: {len(Sweep.failed)} jobs failed; the reasons are in {reasons}", file=sys.stderr)
         sys.exit(2)
 
 
@@ -113,13 +117,64 @@ def show() -> None:
         report_progress(LOADING)
 
 
-def _in_one_line(
-    message: Warning | str, category: type[Warning], file: str, number: int, line: str | None = None
-) -> str:
-    """Return a warning of ours as a line; what else warns says where it stands."""
-    if not Path(file).is_relative_to(PACKAGE):
-        return f"{file}:{number}: {category.__name__}: {message}\n"
-    return f"warning: {message}\n"
+@contextmanager
+def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
+    """End with one line where the user can mend what is wrong: with exit code 2, or 1 if a computation ran away."""
+    settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
+    try:
+        yield
+    except Exception as error:
+        diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
+        if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
+            raise
+        traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
+        line = f"error: {in_words(error, config_name, settings)}"
+        with suppress(OSError):  # the disk may be what is wrong
+            if HydraConfig.initialized():
+                _leave_line(line)
+            remove_empty(Sweep.running)
+        if Sweep.running is None:
+            PROGRESS.close()  # so that the line is the last one
+        print(line, file=sys.stderr)
+        sys.exit(1 if diverged else 2)
+
+
+def _leave_line(line: str) -> None:
+    """Remove the run folder if it is empty; else write the line into it. A job of a sweep always leaves its line.
+
+    A finished run stays as it is: what is wrong is the command, not the run.
+    """
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    swept, finished = HydraConfig.get().mode == RunMode.MULTIRUN, (folder / "metrics.json").is_file()
+    if not swept:
+        remove_empty(folder)
+    if not folder.is_dir() or folder.resolve() == Path.cwd() or (finished and not swept):
+        return  # who gave the command has read the line
+    file = _beside(folder) if finished else folder / "error.txt"
+    file.unlink(missing_ok=True)  # it may be a link in a run folder of others
+    write_text(file, line + "\n")
+    if swept:
+        note_end(file)
+
+
+def _beside(folder: Path) -> Path:
+    """Return where the line of a job lies that was refused because its folder holds a finished run."""
+    return folder.with_name(f"{folder.name}.error.txt")
+
+
+def remove_empty(folder: str | Path | None) -> None:
+    """Remove a folder of a run that holds nothing, or of a sweep in which no job began, and runs/ if it was all in it.
+
+    Hydra writes the settings of a sweep before its first job.
+    """
+    if folder is None or (folder := Path(folder)).resolve() == Path.cwd():
+        return
+    with suppress(OSError):  # another process may just have begun to use it
+        if [file.name for file in folder.iterdir()] == ["multirun.yaml"]:
+            (folder / "multirun.yaml").unlink()
+        folder.rmdir()
+        if Path.cwd() in folder.resolve().parent.parents:
+            folder.parent.rmdir()
 
 
 def _latest(word: str) -> str:
@@ -135,8 +190,8 @@ def _latest(word: str) -> str:
     return f"{asked[1]}={_quoted(str(files[place].parent))}"
 
 
-def complete(words: list[str]) -> None:
-    """Add to a command line, in place, what it implies: the folder that Hydra is to use, and the plant of a model.
+def complete(words: list[str]) -> list[str]:
+    """Return the words of a command with what they imply: the folder that Hydra is to use, and the plant of a model.
 
     The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own. A model
     that is given without data and without a plant, `model=model.json`, stands in the place of a log's.
@@ -144,18 +199,22 @@ def complete(words: list[str]) -> None:
     Raises:
         FileNotFoundError: The folder to resume is no run folder.
     """
-    given = dict(word.split("=", 1) for word in words[1:] if "=" in word)
+    implied = []
+    given = dict(word.split("=", 1) for word in words if "=" in word)
     if given.get("model", "null") not in ("null", "") and not {"data", "system", "resume"} & set(given):
-        _add(words, "system=logged")
+        implied.append("system=logged")
     folder = given.get("resume", "null").strip("'\"")
     if folder not in ("null", ""):
         if not (Path(folder) / "config.yaml").is_file():
             raise FileNotFoundError(
                 f"resume={folder} is no run folder, it has no config.yaml; give the folder that train.py printed"
             )
-        _add(words, f"hydra.run.dir={_quoted(folder)}")
+        implied.append(f"hydra.run.dir={_quoted(folder)}")
     elif {"-m", "--multirun"} & set(words) and "hydra.sweep.dir" not in given:
-        _add(words, f"hydra.sweep.dir={_quoted('runs/' + _sweep_name(words[1:]))}")
+        implied.append(f"hydra.sweep.dir={_quoted('runs/' + _sweep_name(words))}")
+    # Behind the last setting: Hydra reads none that an option, as --config-dir, parts from the others.
+    end = max((place + 1 for place, word in enumerate(words) if "=" in word and word[0] != "-"), default=len(words))
+    return [*words[:end], *implied, *words[end:]]
 
 
 def as_text(word: str) -> str:
@@ -185,12 +244,6 @@ def _is_read(word: str) -> bool:
     return True
 
 
-def _add(words: list[str], setting: str) -> None:
-    """Add a setting behind the last one: Hydra reads none that an option, as --config-dir, parts from the others."""
-    given = [place for place, word in enumerate(words) if place and "=" in word and not word.startswith("-")]
-    words.insert(given[-1] + 1 if given else len(words), setting)
-
-
 def _sweep_name(words: list[str]) -> str:
     """Return a name for a sweep: its settings in words, as far as they fit, and a digest of them all."""
     settings = [word for word in words if "=" in word and not word.startswith("hydra")]
@@ -203,101 +256,3 @@ def _quoted(folder: str) -> str:
     """Return a path as Hydra's grammar takes any text."""
     escaped = folder.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"
-
-
-@contextmanager
-def _whole_names() -> Iterator[None]:
-    """Offer a shell no names that begin with an underscore: they are parts of others, and make nothing alone."""
-    with redirect_stdout(StringIO()) as offered:
-        try:
-            yield
-        finally:
-            words = [word for word in offered.getvalue().split() if not re.search(r"(^|[=/.])_", word)]
-            print(*words, file=sys.__stdout__)
-
-
-@contextmanager
-def _mistakes_in_words(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
-    settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
-    try:
-        yield
-    except Exception as error:
-        diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
-        if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
-            raise
-        traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
-        line = f"error: {in_words(error, config_name, settings)}"
-        with suppress(OSError):  # the disk may be what is wrong
-            _leave_word(line)
-            if Sweep.running:
-                remove_jobless(Path(Sweep.running))
-        if Sweep.running is None:
-            PROGRESS.close()  # so that the line is the last one
-        print(line, file=sys.stderr)
-        sys.exit(1 if diverged else 2)
-
-
-def _stopped(stop: KeyboardInterrupt, folder: str | None) -> Stopped:
-    """Return what a command is stopped with: what it said itself, or else whether it left files."""
-    if (line := str(stop)) in ("", "stopped"):
-        left = folder is not None and Path(folder).is_dir() and any(Path(folder).iterdir())
-        kept = f"what was written until then is in {folder}" if left else "nothing is kept"
-        line = f"stopped; {kept}, the same command begins anew"
-    return Stopped(line, getattr(stop, "signal", 2))
-
-
-@contextmanager
-def _stopped_in_words() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt as stopped:
-        listen(leave)
-        line = " ".join((str(stopped) or "stopped").split())
-        if Sweep.running:
-            line = f"stopped; the finished jobs are kept in {Sweep.running}, the same command goes on with the others"
-        print(line, file=sys.stderr)
-        sys.exit(128 + getattr(stopped, "signal", 2))
-
-
-def _leave_word(line: str) -> None:
-    """Remove the run folder if it is empty; else write the line into it. A job of a sweep always leaves its line.
-
-    A finished run stays as it is: what is wrong is the command, not the run.
-    """
-    if not HydraConfig.initialized():
-        return
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    swept, finished = HydraConfig.get().mode == RunMode.MULTIRUN, (folder / "metrics.json").is_file()
-    if not folder.is_dir() or folder.resolve() == Path.cwd() or (finished and not swept):
-        return  # who gave the command has read the line
-    if not swept and not any(folder.iterdir()):
-        remove_empty(folder)
-        return
-    file = _beside(folder) if finished else folder / "error.txt"
-    file.unlink(missing_ok=True)  # it may be a link in a run folder of others
-    write_text(file, line + "\n")
-    if swept:
-        note_end(file)
-
-
-def _beside(folder: Path) -> Path:
-    """Return where the line of a job lies that was refused because its folder holds a finished run."""
-    ending = ".error.txt"  # names have 255 bytes at most, and those of jobs begin with their number
-    return folder.with_name(os.fsdecode(os.fsencode(folder.name)[: 255 - len(ending)]) + ending)
-
-
-def remove_jobless(folder: Path) -> None:
-    """Remove the folder of a sweep of which no job began: it holds nothing but the settings that Hydra wrote."""
-    with suppress(OSError):
-        if [file.name for file in folder.iterdir()] == ["multirun.yaml"]:
-            (folder / "multirun.yaml").unlink()
-    remove_empty(folder)
-
-
-def remove_empty(folder: Path) -> None:
-    """Remove a run folder that holds nothing, as where `folder=` names another one, and runs/ if that was all in it."""
-    with suppress(OSError):  # another process may just have begun to use it
-        if folder.is_dir() and folder.resolve() != Path.cwd():
-            folder.rmdir()
-            if Path.cwd() in folder.resolve().parent.parents:
-                folder.parent.rmdir()

@@ -1,6 +1,5 @@
 """A user's mistake in one line: what was given, what is allowed, what to do."""
 
-import argparse
 import re
 import sys
 from collections.abc import Iterable
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import hydra
 import yaml
-from cli import CONF
+from cli import CONF, config_dir, group_options
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -29,12 +28,6 @@ EXTRAS = {
 """Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
 MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
 """What Hydra says of a key that is misspelt, or given with a + and there."""
-LOWERED = {
-    "train": "replay.capacity, planning.rollouts, planning.horizon or agent.hidden, or give shorter logs",
-    "identify": "excitation.duration, or the terms of the library, or give a shorter log or a larger data.dt",
-    "check": "grid, draws, points or seconds",
-}
-"""What takes less memory, by the command."""
 
 
 def mendable(error: BaseException) -> bool:
@@ -65,12 +58,12 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     if is_memory_error(error):
         wanted = memory_wanted(error)
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
-        lower = LOWERED.get(config_name, LOWERED["train"])
-        return f"memory ran out{said}; lower {lower}; or allow this command more (ulimit -v)"
+        lower = "lower counts and sizes, such as replay.capacity, planning.rollouts, agent.hidden or draws, or log less"
+        return f"memory ran out{said}; {lower}, or allow this command more (ulimit -v)"
     if isinstance(error, OSError) and error.strerror:
         # Of a connection, which is no file, the system names none.
         place = f"{error.filename}: " if error.filename is not None else ""
-        return f"{place}{error.strerror}; {'choose another' if place else 'check what the setting names'}"
+        return f"{place}{error.strerror}; choose another"
     if isinstance(error, yaml.MarkedYAMLError) and (mark := error.problem_mark) is not None:
         where = f"{mark.name}, line {mark.line + 1}"
         return f"{where}: {error.problem}; mend the file, in which blanks tell what belongs where"
@@ -90,20 +83,16 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         return f"'{text[23:]}' gives one value where a group of keys stands, or a group for one value; compare conf/"
     if text.startswith("Config group override must be"):
         for group, _, option in (word.partition("=") for word in sys.argv[1:]):
-            choices = {file.stem for file in (CONF / group).glob("[!_]*.yaml")} if option else ()
+            choices = group_options(group) if option else ()
             if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
                 return unknown(option, choices, group)
-    if several := re.match(r"Ambiguous value for argument '((.+?)=(.*?))' 1\. ", text):
-        try:  # Hydra says first that there are several values, which is no mistake in a command that sweeps
-            _compose(config_name, _words())
+    if text.startswith("Ambiguous value for argument"):
+        try:  # that there are several values is no mistake in a command that sweeps
+            compose(config_name, _words())
         except MENDABLE as wrong:
             return in_words(wrong, config_name, settings)
-        more = "add -m for a job with each of them" if config_name in ("train", "ablation") else "give one of them"
-        return f"{several[1]} gives several values; {more}, or write '{several[2]}=[{several[3]}]' for a list"
     if misspelt := MISSPELT.search(text):
         return _misspelt(misspelt[1], config_name) or f"{text}; replace the whole of a group's keys in a file"
-    if text == "No trials are completed yet.":  # Optuna's
-        return "no trial came to an end, so none of them is the best; error.txt in the folder of each says why"
     return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: _taken_from(key[0], settings) or key[0], text)
 
 
@@ -120,19 +109,15 @@ def _missing_package(error: BaseException) -> str:
 
 def _misspelt(key: str, config_name: str) -> str:
     """Return which keys stand where a misspelt one was given; '' if it exists."""
-    node = whole = _compose(config_name, [word for word in _words() if (CONF / word.partition("=")[0]).is_dir()])
-    if source := _taken_from(key, OmegaConf.to_container(whole)):
+    chosen = [word for word in _words() if (CONF / word.partition("=")[0]).is_dir()]
+    whole = OmegaConf.to_container(compose(config_name, chosen))
+    if source := _taken_from(key, whole):
         return f"'{key}' follows another key; give {source} instead"
-    *parents, name = key.split(".")
-    place: list[str] = []
-    for step in parents:
-        if not isinstance(node, DictConfig) or not isinstance(node._get_node(step), DictConfig):
-            name = ".".join([*parents[len(place) :], name])
-            break
-        node = node[step]
-        place.append(step)
-    names = [str(each) for each in node if not str(each).startswith("_")]
-    return "" if name in names else unknown(name, names, ".".join(place), _keys(OmegaConf.to_container(whole)))
+    keys, group = _keys(whole), key
+    while group not in ("", *keys):
+        group = group.rpartition(".")[0]
+    names = [each.rpartition(".")[2] for each in keys if each.rpartition(".")[0] == group]
+    return "" if group == key else unknown(key.removeprefix(f"{group}."), names, group, keys)
 
 
 def _words() -> list[str]:
@@ -143,10 +128,9 @@ def _words() -> list[str]:
     return [f"{o.get_key_element()}={next(o.sweep_string_iterator())}" if many else w for w, o, many in sweeping]
 
 
-def _compose(config_name: str, words: list[str]) -> DictConfig:
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--config-dir", "-cd")
-    own = parser.parse_known_args(sys.argv[1:])[0].config_dir
+def compose(config_name: str | None, words: list[str]) -> DictConfig:
+    """Return a config as Hydra composes it of settings, with the folder of the user's own as the command names it."""
+    own = config_dir(sys.argv[1:])
     folder = [f"hydra.searchpath=[file://{Path(own).absolute()}]"] if own else []
     GlobalHydra.instance().clear()
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
@@ -170,11 +154,10 @@ def _keys(node: object, parent: str = "") -> list[str]:
     if not isinstance(node, dict):
         return []
     own = {f"{parent}{step}": child for step, child in node.items() if not str(step).startswith("_")}
-    return sorted([*own, *(key for step, child in own.items() for key in _keys(child, f"{step}."))], key=_depth)
-
-
-def _depth(key: str) -> int:
-    return key.count(".")
+    return sorted(
+        [*own, *(key for step, child in own.items() for key in _keys(child, f"{step}."))],
+        key=lambda key: key.count("."),
+    )
 
 
 def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
@@ -186,9 +169,9 @@ def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str
         where: The group.
         elsewhere: All keys that exist, with their groups, of which one may be meant.
     """
-    names, word = sorted(names), name.rpartition(".")[2]
-    same = [key for key in elsewhere if key.rpartition(".")[2] == word]
-    meant = [key for key in same if _depth(key) == _depth(same[0])][:3] or get_close_matches(name, names, 1, 0.7)
+    names = sorted(names)
+    same = [key for key in elsewhere if key.rpartition(".")[2] == name.rpartition(".")[2]]
+    meant = [key for key in same if key.count(".") == same[0].count(".")][:3] or get_close_matches(name, names, 1, 0.7)
     hint = f"; did you mean {' or '.join(map(repr, meant))}?" if meant else ""
     place = f" in '{where}'" if where else ""
     return f"'{name}' does not exist{place}; allowed are {', '.join(names)}{hint}"

@@ -17,7 +17,6 @@ def main(cfg: DictConfig) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
     import torch
     from saved_run import load_config, load_policy, load_scenario, load_sensing
-    from settings import check
 
     from dynasindy.control.integral import IntegralAction
     from dynasindy.dyna.verdict import judge_control
@@ -38,7 +37,6 @@ def main(cfg: DictConfig) -> None:
         raise ValueError("run is not given; give run=PATH, a run folder that train.py printed")
     folder = Path(cfg.run)
     config = load_config(folder, cfg.plugins)
-    check(config, str(folder / "config.yaml"))
     env, policy = load_policy(config, folder)
     sensing = load_sensing(config, folder, env)
     name = name_by_planning(config.planning)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +21,8 @@ def main(cfg: DictConfig) -> None:
     import torch
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
-    from logged import loaded
-    from next_steps import listed, with_ends
+    from logged import load_data
+    from next_steps import next_steps
 
     from dynasindy.identification.before_fit import before_fit, plants_with
     from dynasindy.identification.identify import identify_source
@@ -40,7 +40,7 @@ def main(cfg: DictConfig) -> None:
         # refuses functions before the plant moves
         instantiate(cfg.world_model, _convert_="all")(signature=system.signature)
     report_progress("data")
-    source, added = loaded(cfg)
+    source, added = load_data(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
     before = before_fit(model, source)
     findings = [*added, *before.findings]
@@ -50,13 +50,12 @@ def main(cfg: DictConfig) -> None:
     source = found.source
     write_identification(found, source, folder, findings)
     draw(found, source, folder, list(cfg.formats))
-    steps = [following(cfg, found, known, before.missing.certain if found.predicts else before.missing.possible)]
-    steps += [with_ends(HydraConfig.get().overrides.task, source.ends)] if source.ends else []
-    say(to_words(found, source, width()), f"written to {folder}", listed(*steps))
+    rates = before.missing.certain if found.predicts else before.missing.possible
+    say(to_words(found, source, width()), f"written to {folder}", next_steps(*next_commands(cfg, found, known, rates)))
 
 
-def following(cfg: DictConfig, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> str:
-    """Return the command that comes next, which holds all that was given, and what comes of it.
+def next_commands(cfg: DictConfig, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> Iterator[str]:
+    """Yield the commands that come next, which hold all that was given, and what comes of them.
 
     Args:
         cfg: The settings.
@@ -64,34 +63,47 @@ def following(cfg: DictConfig, found: Identified, known: Sequence[str], rates: M
         known: Plants that are known by name and have the columns of the log.
         rates: Rate of each state, known or lacking.
     """
-    if found.quiet and not found.predicts:
-        return "a log in which the inputs move further, by the same command; this one tells too little to plan on"
     from hydra.core.hydra_config import HydraConfig
-    from next_steps import planning, with_plant, with_rates
+    from next_steps import command_line, without
     from omegaconf import OmegaConf
 
     from dynasindy.identification.period import closest_period
     from dynasindy.identification.targets import targets_like
+    from dynasindy.sentences import command_word
 
-    job, logged, told = HydraConfig.get(), found.source.logged, cfg.plant.get("known") or {}
+    source, job = found.source, HydraConfig.get()
     words, system = job.overrides.task, job.runtime.choices.system
-    if known and not found.predicts:
+    again = without(words, "folder", "hydra")
+    if found.quiet and not found.predicts:
+        yield "a log in which the inputs move further, by the same command; this one tells too little to plan on"
+    elif known and not found.predicts:
         others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
-        return f"{with_plant(words, known[0])}  # takes the functions of that plant{others}"
-    if set(rates) - set(told):
-        return f"{with_rates(words, rates)}  # identifies again, with the rates that the log lacks"
-    does = "plans a controller on the log" if logged else "excites, identifies and plans in one go"
-    keys = ("outputs", "low", "high")
-    given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-    period = closest_period(found.source)
-    if targets := targets_like(found.source, rates.values(), given, found.model, period):
-        units = dict(zip(found.source.signature.state_names, found.source.signature.state_units, strict=True))
-        named = [str(name) for name in given["outputs"] or targets["outputs"]]
-        asked = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")
-        does += "; put in its targets what you want to hold, within which limits" + (asked and f", {asked}")
-    if found.forecasts is not None and not found.predicts:
-        does += "; this model does not predict, so mend first what is said above"
-    return f"{planning(words, logged, system, targets)}  # {does}"
+        library = [f"system={known[0]}", *without(again, "system")]
+        yield command_line("identify", library, f"takes the functions of that plant{others}")
+    elif set(rates) - set(cfg.plant.get("known") or {}):
+        lacking = [*without(again, "plant.known"), command_word("plant.known", rates)]
+        yield command_line("identify", lacking, "identifies again, with the rates that the log lacks")
+    else:
+        does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
+        keys = ("outputs", "low", "high")
+        given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
+        if targets := targets_like(source, rates.values(), given, found.model, closest_period(source)):
+            units = dict(zip(source.signature.state_names, source.signature.state_units, strict=True))
+            named = [str(name) for name in given["outputs"] or targets["outputs"]]
+            asked = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")
+            does += "; put in its targets what you want to hold, within which limits" + (asked and f", {asked}")
+        if found.forecasts is not None and not found.predicts:
+            does += "; this model does not predict, so mend first what is said above"
+        of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
+        plan = without(again, "formats", "horizons", *of_data)
+        if not source.logged and system and not any(word.lstrip("+~").startswith("system=") for word in plan):
+            plan.insert(0, f"system={system}")
+        plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
+        yield command_line("train", plan, does)
+    if source.ends:
+        ends = [*without(again, "data.inputs"), command_word("data.inputs", source.ends)]
+        guess = "are these the ends of the actuators? They are guessed from the log; put in the true ones"
+        yield command_line("identify", ends, guess)
 
 
 def draw(found: Identified, source: Source, folder: Path, formats: list[str]) -> None:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from cli import CONF, IN_CLONE, called
+from cli import CONF, IN_CLONE, program
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from saved_run import load_config
-from settings import check
 from trust import packages
 
 from dynasindy.dyna.experiment import Recipe
@@ -25,27 +24,38 @@ class Done:
     """What came of a job.
 
     Attributes:
+        cfg: Its settings, the run's own where it went on with one.
         recipe: The experiment.
         metrics: What its `metrics.json` holds.
         before: Whether it had ended before.
-        enough: Whether the policy is better than the untrained one and controls the plant, if it is to; or need not.
-        trusting: Word of the command line that names the packages of the user's own parts; none where there are none.
+        plugins: Word of the command line that names the packages of the user's own parts; none where there are none.
     """
 
+    cfg: DictConfig
     recipe: Recipe
     metrics: dict[str, Any]
     before: bool
-    enough: bool
-    trusting: tuple[str, ...] = ()
+    plugins: tuple[str, ...]
 
 
 def run_job(cfg: DictConfig, progress: bool = True) -> Done:
-    """Build the experiment of a config and run it, unless it has ended before."""
-    if not isinstance(cfg.threads, int) or cfg.threads < 1:
-        raise ValueError(f"threads must be a whole number >= 1, got {cfg.threads}; 1 unless the cores are idle")
+    """Build the experiment of a config and run it, unless it has ended before.
+
+    Raises:
+        ValueError: The config names no plant, only a log of one, or settings that the run to resume does not have.
+    """
+    job = HydraConfig.get()
     if cfg.resume is not None:
-        cfg = _resumed(cfg)
-    provenance = Provenance(settings_of(cfg), command_and_commit(HydraConfig.get()))
+        cfg = _resumed(cfg, job)
+    if cfg.system is None:
+        raise ValueError(
+            f"system={job.runtime.choices.system} is no plant to train on, only a log of one; choose another, or fit a "
+            f"model to the log: {program('identify')} data=csv data.path=FILE"
+        )
+    folder = Path(cfg.folder)
+    begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
+    begun.resume, begun.finish = None, False
+    provenance = Provenance(OmegaConf.to_yaml(begun, resolve=True), command_and_commit(job))
     torch.set_num_threads(cfg.threads)
     names = [field.name for field in fields(Recipe) if field.name not in ("seed", "device")]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
@@ -57,57 +67,30 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
         cfg.get("tensorboard", False),
     )
     if progress:
-        print(f"Run folder: {cfg.folder}", flush=True)
-    known = result(Path(cfg.folder), recipe.train.episodes) is not None
+        print(f"Run folder: {folder}", flush=True)
+    before = result(folder, recipe.train.episodes) is not None
     own = packages(OmegaConf.to_container(cfg, resolve=True))
-    trusting = (f"plugins=[{','.join(own)}]",) if own else ()
-    saving = Saving(**cfg.checkpoint, again=" ".join([called("train"), *map(shlex.quote, trusting)]))
-    metrics = run(recipe, evaluating, Path(cfg.folder), provenance, saving, progress, cfg.finish)
-    usable = metrics["verdict"]["usable"] or not cfg.evaluation.must_improve
-    controlled = metrics["verdict"].get("controlled") is not False or not cfg.evaluation.get("must_control", False)
-    return Done(recipe, metrics, known, usable and controlled, trusting)
+    plugins = (f"plugins=[{','.join(own)}]",) if own else ()
+    saving = Saving(**cfg.checkpoint, again=" ".join([program("train"), *map(shlex.quote, plugins)]))
+    metrics = run(recipe, evaluating, folder, provenance, saving, progress, cfg.finish)
+    return Done(cfg, recipe, metrics, before, plugins)
 
 
-def _resumed(cfg: DictConfig) -> DictConfig:
-    """Return the config of the run to resume, in the folder where it is now.
-
-    Raises:
-        ValueError: Other settings were given, which the run does not have.
-    """
+def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:
+    """Return the config of the run to resume, in the folder where it is now."""
     own = ("resume=", "finish=", "threads=", "plugins=", "device=")
-    if others := [word for word in HydraConfig.get().overrides.task if not word.startswith(own)]:
+    if others := [word for word in job.overrides.task if not word.startswith(own)]:
         raise ValueError(f"resume={cfg.resume} goes on with the run's own settings; leave out {' '.join(others)}")
-    kept = load_config(Path(cfg.resume), cfg.plugins)
-    check(kept, f"{cfg.resume}/config.yaml")
     folder = Path(cfg.resume)
+    saved = load_config(folder, cfg.plugins)
     ended = (folder / "metrics.json").is_file() and not (folder / "checkpoints").is_dir()
-    if ended and result(folder, kept.train.episodes) is None:
+    if ended and result(folder, saved.train.episodes) is None:
         raise ValueError(
             f"{folder} holds results and no checkpoint, it cannot go on and would begin anew; give the folder of a "
             "stopped run, or restore its files"
         )
     given = {name: cfg[name] for name in ("resume", "finish", "threads", "device")}
-    return DictConfig({**kept, **given, "folder": str(Path(cfg.resume).absolute())})
-
-
-def settings_of(cfg: DictConfig) -> str:
-    """Return the resolved config as a run folder keeps it.
-
-    Raises:
-        ValueError: The config names no plant, only a log of one.
-    """
-    if cfg.system is None:
-        given = HydraConfig.get().runtime.choices.system
-        plants = sorted(
-            file.stem for file in (CONF / "system").glob("[a-z]*.yaml") if file.stem not in (given, "black_box")
-        )
-        raise ValueError(
-            f"system={given} is no plant to train on, only a log of one; choose one of {', '.join(plants)}, "
-            f"or fit a model to the log: {called('identify')} data=csv data.path=FILE"
-        )
-    begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
-    begun.resume, begun.finish = None, False
-    return OmegaConf.to_yaml(begun, resolve=True)
+    return DictConfig({**saved, **given, "folder": str(folder.absolute())})
 
 
 def command_and_commit(job: DictConfig) -> dict[str, str]:
@@ -117,10 +100,7 @@ def command_and_commit(job: DictConfig) -> dict[str, str]:
     """
     git = ["git", "-C", str(CONF.parent), "describe", "--always", "--dirty", "--exclude", "*"]
     try:
-        commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+        commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip() if IN_CLONE else ""
     except (OSError, subprocess.CalledProcessError):
         commit = ""
-    return {
-        "command": " ".join([called(job.job.config_name), *job.overrides.task]),
-        "commit": commit if IN_CLONE and commit else "unknown",
-    }
+    return {"command": " ".join([program(job.job.config_name), *job.overrides.task]), "commit": commit or "unknown"}

@@ -1,8 +1,7 @@
 """From a log to a controller: what `train.py data=csv` and `train.py model=PATH` do, without a plant."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
 from job import command_and_commit
-from next_steps import following, mending, planning_on
+from next_steps import command_line, improvements, next_steps, run_steps, without
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.control import save
@@ -30,7 +29,7 @@ from dynasindy.identification.targets import OUTER, in_words, logged_range, requ
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
-from dynasindy.sentences import line, lines
+from dynasindy.sentences import lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
@@ -38,7 +37,7 @@ from dynasindy.workbench import damped, forecast, plan, rates_of
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Preparation:
     """What a plan begins with, before anything is fitted.
 
     Attributes:
@@ -56,7 +55,7 @@ class Prepared:
     findings: Sequence[Finding]
 
 
-def loaded(cfg: DictConfig) -> tuple[Source, list[Finding]]:
+def load_data(cfg: DictConfig) -> tuple[Source, list[Finding]]:
     """Return the data of a config, and what was added to them.
 
     Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
@@ -75,48 +74,50 @@ def loaded(cfg: DictConfig) -> tuple[Source, list[Finding]]:
     return source, added
 
 
-def prepared(cfg: DictConfig) -> Prepared:
+def prepare(cfg: DictConfig) -> Preparation:
     """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
 
     Args:
         cfg: The settings. `plant.known` and `plant.rates` are written into them where nobody gave them.
     """
-    planning = _required(cfg)
-    source, findings = loaded(cfg) if cfg.get("data") is not None else (None, [])
+    planning = _planning_settings(cfg)
+    source, findings = load_data(cfg) if cfg.get("data") is not None else (None, [])
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))
     if "rates" not in cfg.plant:  # nor where they are to be given
         rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
         OmegaConf.update(cfg, "plant.rates", rates, force_add=True)
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
-    held = ""
-    if source is not None:
-        targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
-        parts["task"](signature=given.signature if given else source.signature)
-        if given is None:  # one that is given has its own library
-            parts["world_model"](signature=source.signature)
-        findings = [*findings, *low_signal_targets(source.training, source.signature, targets)]
-        require_radians(source, targets)
-        held = in_words(source.signature, targets)
-    return Prepared(planning, source, parts, held, findings)
+    if source is None:
+        return Preparation(planning, None, parts, "", findings)
+    targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
+    parts["task"](signature=given.signature if given else source.signature)
+    if given is None:  # one that is given has its own library
+        parts["world_model"](signature=source.signature)
+    findings = [*findings, *low_signal_targets(source.training, source.signature, targets)]
+    require_radians(source, targets)
+    return Preparation(planning, source, parts, in_words(source.signature, targets), findings)
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     """Identify, plan and forecast, write the folder, print what came of it, and return what is forecast."""
     torch.set_num_threads(cfg.threads)
-    begun = prepared(cfg)
+    begun = prepare(cfg)
     source, parts = begun.source, begun.parts
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     figures = output_folder(folder, "figures")
-    swept = HydraConfig.get().mode == RunMode.MULTIRUN
+    swept, words = HydraConfig.get().mode == RunMode.MULTIRUN, HydraConfig.get().overrides.task
     read = {"read": _digests(cfg)}
     if swept and (before := _finished(folder, settings, read)) is not None:
         say(f"finished before: {folder}")
         return before
-    dt, why = _asked(cfg, source)
+    dt, why = None, []
+    if cfg.env.dt != PERIOD or any(word.lstrip("+").startswith("env.dt=") for word in words):
+        dt = closest_period(source, cfg.env.dt)
+        if source is not None and dt != cfg.env.dt:
+            why = [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
     say(f"Run folder: {folder}", *filter(None, [begun.targets]), *lines([*begun.findings, *why]))
-    with _stopped_in_words(f"the fit was not finished and nothing is kept in {folder}; the same command begins anew"):
-        model = model_of(source, parts["world_model"], cfg.model)
+    model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
@@ -125,44 +126,28 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if dt is None:
         period = suited_period(model, task, source)
         dt = period.seconds
-        if period.why:
-            say(line(period.why))
+        say(*lines([period.why] if period.why else []))
     within = cfg.evaluation.get("within", WITHIN)
-    again = planning_on(folder / "model.json", HydraConfig.get().overrides.task)
-    kept = f"the equations are kept in {folder / 'model.json'}, but no controller yet; plan on them without a new fit:"
-    with _stopped_in_words(f"{kept} {again}"):
+    try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **begun.planning)
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
         prediction = forecast(controller, model, source, scenario, cfg.seed, within)
+    except KeyboardInterrupt as stop:
+        file = folder / "model.json"
+        again = command_line("train", [*without(words, "model"), f"model={file}"])
+        line = (
+            f"stopped; the equations are kept in {file}, but no controller yet; plan on them without a new fit: {again}"
+        )
+        raise Stopped(line, getattr(stop, "signal", 2)) from stop
     save(controller, folder / NAME)
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     if prediction.shown:
         draw_evaluation(prediction.shown, figures, controller_name("gradient"), place=prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
-        words = HydraConfig.get().overrides.task
-        say(following(folder, "check", "export") if prediction.controlled else mending(folder, words))
+        steps = next_steps(*run_steps(folder, "check", "export"))
+        say(steps if prediction.controlled else improvements(folder, words))
     return prediction.record()
-
-
-def _asked(cfg: DictConfig, source: Source | None) -> tuple[float | None, list[Finding]]:
-    """Return the control period that was asked for, if any, and why it is another one, if it is."""
-    words = HydraConfig.get().overrides.task
-    if cfg.env.dt == PERIOD and not any(word.lstrip("+").startswith("env.dt=") for word in words):
-        return None, []
-    dt = closest_period(source, cfg.env.dt)
-    if source is None or dt == cfg.env.dt:
-        return dt, []
-    return dt, [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
-
-
-@contextmanager
-def _stopped_in_words(kept: str) -> Iterator[None]:
-    """Say what is kept of a run that is stopped meanwhile, and how it goes on."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        raise Stopped(f"stopped; {kept}", getattr(stop, "signal", 2)) from stop
 
 
 def _digests(cfg: DictConfig) -> dict[str, str]:
@@ -178,36 +163,31 @@ def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> dict[str,
     kept, origin, metrics = (folder / name for name in ("config.yaml", "origin.json", "metrics.json"))
     if not (all(file.is_file() for file in (kept, origin, metrics)) and kept.read_text() == settings):
         return None
+    if read_json(origin).get("read") != read["read"]:
+        return None
     with reading(metrics):
-        if read_json(origin).get("read") != read["read"]:
-            return None
-        found = read_json(metrics)["prediction"]
-        return {"controlled": bool(found["controlled"]), "score": found["score"]}
+        found: dict[str, Any] = read_json(metrics)["prediction"]
+        return {name: found[name] for name in ("controlled", "score")}
 
 
-def _ends_of_log(cfg: DictConfig, missing: Sequence[str]) -> str:
-    """Say that ends of the targets are not given, and which the log has of the outputs, as words to copy."""
-    source, _ = loaded(cfg)
-    ends = [logged_range(source, name) for name in cfg.plant.outputs]
-    sides = {"low": [low for low, _ in ends], "high": [high for _, high in ends]}
-    words = " ".join(f"plant.{side}=[{','.join(sides[side])}]" for side in missing)
-    outputs, share = ", ".join(cfg.plant.outputs), f"{100 * OUTER:g} %"
-    return (
-        f"plant.{missing[0]} is not given; say within which targets {outputs} is to be held. But for the lowest and "
-        f"the highest {share} of its samples the log lies within {words}: give that, or less"
-    )
-
-
-def _required(cfg: DictConfig) -> dict[str, object]:
+def _planning_settings(cfg: DictConfig) -> dict[str, object]:
     """Return the settings of the planning, where the config says what is to be tracked and how to plan from a log."""
     if cfg.model is not None and cfg.get("data") is None and cfg.system is not None:
         raise ValueError(
             "model=PATH plans without a plant, and system names one; leave system out, and give plant.outputs, "
             "plant.low and plant.high"
         )
-    if missing := [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]:
-        if cfg.get("data") is not None and "outputs" not in missing:
-            raise ValueError(_ends_of_log(cfg, missing))
+    missing = [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]
+    if missing and cfg.get("data") is not None and "outputs" not in missing:
+        source, _ = load_data(cfg)
+        low, high = zip(*(logged_range(source, name) for name in cfg.plant.outputs), strict=True)
+        words = " ".join(f"plant.{side}=[{','.join({'low': low, 'high': high}[side])}]" for side in missing)
+        raise ValueError(
+            f"plant.{missing[0]} is not given; say within which targets {', '.join(cfg.plant.outputs)} is to be held. "
+            f"But for the lowest and the highest {100 * OUTER:g} % of its samples the log lies within {words}: give "
+            "that, or less"
+        )
+    if missing:
         raise ValueError(
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"

@@ -21,7 +21,7 @@ def main(cfg: DictConfig) -> None:
     import torch
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
-    from next_steps import after_flights
+    from next_steps import command_line, next_steps, run_steps, without
     from omegaconf import OmegaConf
 
     from dynasindy import load
@@ -77,7 +77,16 @@ def main(cfg: DictConfig) -> None:
         print(f"Mend what ended the flight; {again(cfg.folder)}")
         sys.exit(1)
     if given is None:
-        say(after_flights(cfg.folder, words))
+        own = [word for word in words if word.partition("=")[0].partition(".")[0] in ("system", "plant")]
+        log = [*own, "data=csv", f"data.path={cfg.folder}/excitation.csv"]
+        more = [*without(words, "folder"), f"folder={cfg.folder}"]
+        say(
+            next_steps(
+                command_line("identify", log, "draws equations against the log"),
+                *run_steps(cfg.folder, "check", "export"),
+                command_line("rig", more, "learns from all logs in the folder and flies again"),
+            )
+        )
 
 
 def kept(folder: Path) -> str:

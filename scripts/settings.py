@@ -5,22 +5,12 @@ import math
 import os
 import pkgutil
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
+from itertools import chain
 from types import NoneType, UnionType
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    NotRequired,
-    Required,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-    is_typeddict,
-)
+from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from errors import unknown
 from omegaconf import DictConfig, OmegaConf
@@ -29,11 +19,13 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     ConfigDict,
+    Field,
     PlainValidator,
     StrictBool,
     TypeAdapter,
     ValidationError,
 )
+from trust import nodes
 from typing_extensions import TypedDict
 
 from dynasindy.dyna.experiment import Recipe
@@ -51,29 +43,28 @@ GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "r
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
 LARGEST = 1e19
 """Squares of larger numbers, and of numbers smaller than its inverse, are no float32."""
-PLANT: dict[str, Any] = {
-    **{"outputs": list[str], "rates": list[str | None], "low": list[float], "high": list[float]},
-    **{"start": dict[str, float | list[float]] | None, "bounds": dict[str, float | list[float]]},
-    **{"known": dict[str, str] | None, "initial": dict[str, dict[str, float]] | None},
-    **{"gain": list[list[float]] | None},
-    **{"libraries": dict[Literal["simulated", "logged"], str], "first": float},
-    **{"amplitude": float | list[float], "offset": float | list[float]},
-    **{"sensors": dict[str, dict[str, float]], "noise": dict[str, float] | None, "functions": dict[str, str] | None},
-}
-"""Keys of `plant`, from which other groups copy; a mistake is named here rather than where it was copied to."""
-SIGNALS: dict[str, Any] = {"step": list[list[float]], "sine": Signal, "square": Signal}
-FIGURES = Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]
 THREADS = range(1, 8 * (os.cpu_count() or 1) + 1)
+PLANT: dict[str, Any] = {
+    **{"plant.outputs": list[str], "plant.rates": list[str | None], "plant.low": list[float]},
+    **{"plant.high": list[float], "plant.start": dict[str, float | list[float]] | None},
+    **{"plant.bounds": dict[str, float | list[float]], "plant.known": dict[str, str] | None},
+    **{"plant.initial": dict[str, dict[str, float]] | None, "plant.gain": list[list[float]] | None},
+    **{"plant.libraries": dict[Literal["simulated", "logged"], str], "plant.first": float},
+    **{"plant.amplitude": float | list[float], "plant.offset": float | list[float]},
+    **{"plant.sensors": dict[str, dict[str, float]], "plant.noise": dict[str, float] | None},
+    **{"plant.functions": dict[str, str] | None, "plant.signals.step": list[list[float]]},
+    **{"plant.signals.sine": Signal, "plant.signals.square": Signal},
+}
+"""Keys of the plant, from which other groups copy; a mistake is named here rather than where it was copied to."""
 TOP: dict[str, Any] = {
     **get_type_hints(Recipe),
-    **{
-        "seed": Annotated[int, range(2**63)],
-        "system": System | None,
-        "threads": Annotated[int, THREADS, "eight for each core"],
-    },
+    "seed": Annotated[int, range(2**63)],
+    "system": System | None,
+    "threads": Annotated[int, THREADS, "eight for each core"],
     **{"folder": str, "run": str | None, "resume": str | None, "results": str, "output": str, "controller": str | None},
     **{"save": str | None, "name": str | None, "settings": list[str], "slim": list[str], "scenarios": list[str]},
-    **{"plugins": list[str], "formats": list[FIGURES]},
+    "plugins": list[str],
+    "formats": list[Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]],
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard", "any_commit"), bool),
     **{"refinement": str, "error_shape": str, "source": Literal["simulated", "logged"]},
     **{"longest_delay": Annotated[float, range(1001)] | None, "horizons": list[float] | None},
@@ -106,74 +97,67 @@ def check(cfg: DictConfig, file: str = "") -> None:
         ValueError: A value is not what its key allows, or an argument does not exist or is not given.
     """
     try:
-        if not OmegaConf.is_dict(cfg) or not isinstance(plant := cfg.get("plant", {}), DictConfig | dict):
-            chosen = f"; a plant is chosen by system={plant}" if OmegaConf.is_dict(cfg) else ""
-            raise ValueError(f"plant is no group of keys; give them as conf/ does{chosen}")
-        if (tree := _resolved(cfg)) is None:
-            return
+        tree: Any = OmegaConf.to_container(cfg, resolve=True)
         for name in sorted(get_type_hints(Recipe).keys() - tree.keys() - {"sensors"}) if file else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
-        keys = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
+        hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
         if "train" not in tree and not file:  # a plant has words for the task of an experiment, which is not built
-            keys = {name: hint for name, hint in keys.items() if name not in EXPERIMENT}
-        found: dict[str, Any] = {}
-        _check_group(tree.get("plant", {}), PLANT, "plant", found)
-        _check_group((tree.get("plant") or {}).get("signals") or {}, SIGNALS, "plant.signals", found)
-        _check_nodes(tree, "", found)
-        for parent in {"", *(name.partition(".")[0] for name in keys if "." in name)}:
-            place, prefix = (tree.get(parent), f"{parent}.") if parent else (tree, "")
-            hints = {name[len(prefix) :]: hint for name, hint in keys.items() if name.startswith(prefix)}
-            _check_group(place, {name: hint for name, hint in hints.items() if "." not in name}, parent, found)
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}" if file else str(error)) from error
-    for key, value in found.items():
-        OmegaConf.update(cfg, key, value, merge=False)
-    register_functions(tree)
-
-
-def register_functions(tree: Any) -> None:
-    """Register the functions of the user's own that the library of the plant is made of."""
-    given = (tree.get("plant") or {}).get("functions") or {}
-    if not isinstance(given, Mapping):
-        raise ValueError(f"plant.functions is {_shown(given)}; give names with formulas, such as {{softened: '...'}}")
-    for name, formula in given.items():
-        register_formula(name, formula)
-
-
-def _resolved(cfg: DictConfig) -> dict[Any, Any] | None:
-    """Return a config as plain containers; None where it is a log's, which names no plant yet."""
-    try:
-        return OmegaConf.to_container(cfg, resolve=True)  # type: ignore[return-value]
-    except InterpolationToMissingValueError:  # the command says which plants there are
-        return None
+            hints = {key: hint for key, hint in hints.items() if key not in EXPERIMENT}
+        for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, hints)):
+            fit = _fit(value, hint, key)
+            if repr(fit) != repr(value):  # 10 equals 10.0
+                OmegaConf.update(cfg, key, fit, merge=False)
+        register_functions(tree)
+    except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
+        return
     except InterpolationResolutionError as error:
         taken: Any = OmegaConf.to_container(cfg, resolve=False)
         for part in str(error.full_key).split("."):
             taken = taken[part]
-        raise ValueError(
-            f"{error.full_key} is taken from {str(taken).strip('${}')}, which is not given, or where a single value "
-            "stands for a group of keys; give the keys as conf/ and docs/examples/conf do"
-        ) from error
+        what = f"{error.full_key} is taken from {str(taken).strip('${}')}"
+        raise ValueError(f"{what}, which is not given, or no group of keys; give the keys as conf/ does") from error
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}" if file else str(error)) from error
 
 
-def _check_nodes(tree: Any, key: str, found: dict[str, Any]) -> None:
-    """Check the arguments of all groups with `_target_`, wherever they stand, by the annotations of what they build."""
-    if isinstance(tree, list):
-        for place, child in enumerate(tree):
-            _check_nodes(child, f"{key}[{place}]", found)
-    elif isinstance(tree, dict):
-        if "_target_" in tree:
-            hints, required, free = _arguments(_builder(tree, key))
-            given = {name: value for name, value in tree.items() if name not in HYDRA}
-            for name in () if free else given.keys() - hints.keys():
-                raise ValueError(unknown(str(name), hints.keys() - GIVEN, key))
-            _check_group(given, hints, key, found, required - (GIVEN if tree.get("_partial_") else set()))
-        for name, child in tree.items():
-            _check_nodes(child, f"{key}.{name}".lstrip("."), found)
+def register_functions(tree: Mapping[str, Any]) -> None:
+    """Register the functions of the user's own that the library of the plant is made of."""
+    for name, formula in ((tree.get("plant") or {}).get("functions") or {}).items():
+        register_formula(name, formula)
+
+
+def _values(tree: Any, hints: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the keys that are given, each with its value and what it allows."""
+    for key, hint in hints.items():
+        *groups, name = key.split(".")
+        node = tree
+        for place, group in enumerate(groups):
+            node = node.get(group) or {}
+            if not isinstance(node, dict):
+                where = ".".join(groups[: place + 1])
+                raise ValueError(f"{where} is {_shown(node)}; allowed is a group of keys: correct it")
+        if node.get(name, "???") != "???":
+            yield key, node[name], hint
+
+
+def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the arguments of all groups with `_target_`, wherever they stand, by the annotations of what they build."""
+    for group, node in nodes(tree):
+        if "_target_" not in node:
+            continue
+        hints, required, free = _parameters(_builder(node, group))
+        given = {name: value for name, value in node.items() if name not in HYDRA}
+        for name in () if free else given.keys() - hints.keys():
+            raise ValueError(unknown(str(name), hints.keys() - GIVEN, group))
+        for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
+            raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
+        for name, value in given.items():
+            if value != "???":
+                yield f"{group}.{name}", value, hints.get(name, Any)
 
 
 @cache
-def _arguments(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
+def _parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
     """Return the annotations of a class or function by argument, which it needs, and whether it takes others."""
     function = builder.__init__ if isinstance(builder, type) else builder  # a class may hide its own in a metaclass
     try:
@@ -191,32 +175,30 @@ def _arguments(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
     return found, {p.name for p in named if p.default is p.empty}, free
 
 
-def _check_group(
-    given: Any, hints: Mapping[str, Any], key: str, found: dict[str, Any], required: Collection[str] = ()
-) -> None:
-    """Check the values of a group by annotations, and note those that become other ones."""
-    if given is None:
-        return
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{key} is {_shown(given)}; allowed is a group of keys: correct it")
+def _fit(value: Any, hint: Any, key: str) -> Any:
+    """Return a value as an annotation wants it; one that is wrong is named, with what is allowed, in one line."""
     try:
-        asked = {name for name in hints if given.get(name, "???") != "???"} | {*required}
-        adapter = _adapter(tuple((name, hint) for name, hint in hints.items() if name in asked), frozenset(required))
-        values = adapter.validate_python(given)
+        fit = _adapter(hint).validate_python(value)
+        return list(fit) if isinstance(fit, tuple) else fit
     except ValidationError as error:
-        raise ValueError(_in_words(error, given, key)) from None
-    for name, fit in values.items():
-        value = list(fit) if isinstance(fit, tuple) else fit
-        if repr(value) != repr(given[name]):  # 10 equals 10.0
-            found[f"{key}.{name}".lstrip(".")] = value
+        found: dict[tuple[Any, ...], tuple[Any, list[str]]] = {}
+        for each in error.errors(include_url=False):
+            place, at = (), value
+            for step in each["loc"]:  # among them are the options of a union, which are no keys
+                if step in at if isinstance(at, Mapping) else isinstance(at, list) and step in range(len(at)):
+                    place, at = (*place, step), at[step]
+            words = {"extra_forbidden": "no such key", "missing": "one value more"}.get(each["type"])
+            words = words or re.sub(r"^(Value error, )?(Input should be )?", "", each["msg"])
+            found.setdefault(place, (at, []))[1].append(words)
+        place, (at, allowed) = max(found.items(), key=lambda item: len(item[0]))
+        where = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
+        options = " or ".join(dict.fromkeys(allowed))
+        raise ValueError(f"{where} is {_shown(at)}; allowed is {options}: correct it") from None
 
 
 @cache
-def _adapter(hints: tuple[tuple[str, Any], ...], required: frozenset[str]) -> TypeAdapter[dict[str, Any]]:
-    fields = {name: (Required if name in required else NotRequired)[_checked(hint)] for name, hint in hints}
-    group = TypedDict("group", fields)  # type: ignore[operator]
-    group.__pydantic_config__ = ConfigDict(extra="ignore", coerce_numbers_to_str=True)
-    return TypeAdapter(group)
+def _adapter(hint: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(_checked(hint))
 
 
 def _checked(hint: Any) -> Any:
@@ -231,17 +213,16 @@ def _checked(hint: Any) -> Any:
         return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
     if kind in (Union, UnionType):
         return Union[tuple(map(_checked, options))]  # noqa: UP007
-    if kind in (dict, Mapping) and options:
-        return dict[_checked(options[0]), _checked(options[1])]  # type: ignore[misc]
-    if kind in (list, Sequence, Collection, Iterable):
-        return list[_checked(options[0])] if options else list  # type: ignore[misc]
-    if kind is tuple:
-        return tuple[tuple(option if option is Ellipsis else _checked(option) for option in options)]
+    kind = {Mapping: dict, Sequence: list, Collection: list, Iterable: list}.get(kind, kind)
+    if kind in (dict, list, tuple):
+        return kind[tuple(each if each is Ellipsis else _checked(each) for each in options)] if options else kind
     if is_typeddict(kind):
         made = TypedDict("group", {k: NotRequired[_checked(h)] for k, h in get_type_hints(kind).items()})  # type: ignore[operator]
         made.__pydantic_config__ = ConfigDict(extra="forbid")
         return made
-    if kind in (bool, str, NoneType, Any, Literal, dict, object):
+    if kind is str:
+        return Annotated[str, Field(coerce_numbers_to_str=True)]
+    if kind in (bool, NoneType, Any, Literal, object):
         return StrictBool if kind is bool else hint
     return Annotated[Any, PlainValidator(partial(_require_builder, hint))]
 
@@ -283,41 +264,16 @@ def _require_builder(hint: Any, value: Any) -> Any:
 
 def _builder(node: Mapping[str, Any], key: str) -> Any:
     """Return the class or function that a group names."""
-    target = node["_target_"]
     try:
-        if callable(found := pkgutil.resolve_name(target)):
+        if callable(found := pkgutil.resolve_name(node["_target_"])):
             return found
         raise TypeError("it is nothing that can be called")
     except Exception as error:  # importing runs whatever module is named
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ValueError(
-            f"{key}._target_ is {_shown(target)}, which cannot be imported ({reason}); allowed is the dotted path of "
-            "a class or function: correct it, or install the package that it is in, or name its folder by PYTHONPATH"
+            f"{key}._target_ is {_shown(node['_target_'])}, which cannot be imported ({reason}); allowed is the dotted "
+            "path of a class or function: correct it, or install its package, or name its folder by PYTHONPATH"
         ) from error
-
-
-def _in_words(error: ValidationError, given: Any, key: str) -> str:
-    """Return the first place that is wrong, what stands there, and what is allowed, in one line."""
-    found: dict[str, tuple[int, Any, list[str]]] = {}
-    for each in error.errors(include_url=False):
-        place, value, depth = key, given, 0
-        for step in each["loc"]:  # among them are the options of a union, which are no keys
-            if step in value if isinstance(value, Mapping) else isinstance(value, list) and isinstance(step, int):
-                value, depth = value[step], depth + 1
-                place = f"{place}[{step}]" if isinstance(step, int) else f"{place}.{step}".lstrip(".")
-        if each["type"] == "missing" and depth < len(each["loc"]):
-            return f"{place}.{each['loc'][-1]} is not given; give it, as conf/ does"
-        if each["type"] == "extra_forbidden":
-            return f"{place} does not exist; leave it out"
-        words = re.sub(r"^(Value error, )?(Input should be )?", "", each["msg"])
-        found.setdefault(place, (depth, value, []))[2].append(words)
-    first = error.errors(include_url=False)[0]["loc"][0]
-    own = {place: each for place, each in found.items() if re.match(rf"{re.escape(key)}\.?{first}\b", place)} or found
-    place = max(own, key=lambda name: own[name][0])
-    _, value, allowed = own[place]
-    copied = isinstance(value, str) and re.fullmatch(r"[A-Z]{2,}", value)
-    mend = f"{value} stands for a value of yours, so write that in its place" if copied else "correct it"
-    return f"{place} is {_shown(value)}; allowed is {' or '.join(dict.fromkeys(allowed))}: {mend}"
 
 
 def _shown(value: Any) -> str:

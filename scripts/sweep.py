@@ -9,11 +9,9 @@ import time
 import traceback
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import ClassVar
 
-from cli import called
-from errors import in_words, mendable
+from cli import program, require_writable
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -42,31 +40,29 @@ class Sweep(Callback):
     """Whether a command was started in this process; a worker of a launcher has none."""
     running: ClassVar[str | None] = None
     """Folder of the sweep that is under way."""
-    wrong: ClassVar[list[str]] = []
-    """What is told as an error when all is over, a line each."""
+    failed: ClassVar[list[str]] = []
+    """Files that say why jobs failed."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Find mistakes, which cost one line and exit code 2, and show how many of the jobs are done."""
-        from command import remove_jobless, show
+        from command import one_line, show
 
         folder = Path(config.hydra.sweep.dir)
         Sweep.running = str(folder)
         for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
             logging.getLogger(name).setLevel(logging.WARNING)
-        if needs_score(config.hydra):
-            _quiet_search()
+        if needs_score(config.hydra):  # why a trial failed stands in its own line
+            logging.getLogger("hydra_plugins.hydra_optuna_sweeper").setLevel(logging.CRITICAL)
+            with suppress(ImportError):  # it need not be installed, and another sweeper may want scores, too
+                import optuna  # first, as its import sets what it says
+
+                optuna.logging.set_verbosity(optuna.logging.WARNING)
         show()
-        try:
+        with one_line(config.hydra.job.config_name):
             for file in (folder / "multirun.yaml", folder / "optimization_results.yaml"):
                 if file.is_symlink():  # Hydra and Optuna would write through it
                     raise LinkError(file)
             _check(config.copy())
-        except Exception as error:
-            if not mendable(error):
-                raise
-            remove_jobless(folder)
-            print(f"error: {in_words(error, config.hydra.job.config_name)}", file=sys.stderr)
-            sys.exit(2)  # Hydra makes warnings of other exceptions
         os.environ[JOBS] = str(number_of_jobs(config.hydra))
         os.environ[SWEPT] = " ".join(swept(config.hydra))
         os.environ[LIST] = str((folder / f".jobs_{os.getpid()}_{time.time_ns()}").absolute())
@@ -82,11 +78,9 @@ class Sweep(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Say where the results are, which are best, and which jobs failed."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
-        done, reasons = ended()
+        done, Sweep.failed = ended()
         if LIST in os.environ:
             Path(os.environ.pop(LIST)).unlink(missing_ok=True)
-        if reasons:
-            Sweep.wrong.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(sorted(reasons))}")
         print(f"Sweep: {folder}")
         if (found := folder / "optimization_results.yaml").is_file():
             best = OmegaConf.load(found)
@@ -96,28 +90,30 @@ class Sweep(Callback):
                 score = f"{best.best_value:.4g}"
                 print(f"Best trial: {values}, score {score}; plan with these words, and judge on another log")
         if done and config.hydra.job.get("config_name") == "train":
-            say(f"next:\n  {called('table')} {folder}  # the table of its jobs")
+            say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
 
 
 class Gathering(Callback):
     """When every job of an ablation is done, make the tables and figures of all finished runs."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Gather what lies in the folder of the sweep; what is in the way is told as an error when all is over."""
+        """Gather what lies in the folder of the sweep."""
+        from command import one_line
+
         from dynasindy.evaluation.ablation import gather
         from dynasindy.viz.learning import draw_ablation
 
         root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
         try:
-            if not gather(root, results, level):
-                print(f"No run in {root} has finished, so there are no tables and figures.")
-                return
-            draw_ablation(results, level.error, share=level.share)
-            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
-            if not mendable(error):
-                traceback.print_exc()
-            Sweep.wrong.append(in_words(error, "ablation"))
+            with one_line("ablation"):
+                if not gather(root, results, level):
+                    print(f"No run in {root} has finished, so there are no tables and figures.")
+                    return
+                draw_ablation(results, level.error, share=level.share)
+                say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+        except Exception:  # Hydra would make a warning of it, and the command would end with code 0
+            traceback.print_exc()
+            sys.exit(1)
 
 
 def note_end(reason: Path | None) -> None:
@@ -150,15 +146,6 @@ def needs_score(hydra: DictConfig) -> bool:
     return "n_trials" in hydra.sweeper
 
 
-def _quiet_search() -> None:
-    """Let Optuna say nothing of its own: that a search begins is known, and why a trial failed stands in its line."""
-    logging.getLogger("hydra_plugins.hydra_optuna_sweeper").setLevel(logging.CRITICAL)
-    with suppress(ImportError):  # it need not be installed, and another sweeper may want scores, too
-        import optuna  # first, as its import sets what it says
-
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
-
-
 def number_of_jobs(hydra: DictConfig) -> int:
     """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
     if needs_score(hydra):
@@ -179,37 +166,12 @@ def _overrides(hydra: DictConfig) -> list[Override]:
     return OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
 
 
-def require_sweep(hydra: DictConfig) -> None:
-    """Refuse a launcher or a sweeper where there is one job.
-
-    Raises:
-        ValueError: One was chosen, and no sweep was asked for.
-    """
-    for group in ("hydra/sweeper", "hydra/launcher"):
-        if (choice := hydra.runtime.choices.get(group, "basic")) != "basic":
-            raise ValueError(
-                f"{group}={choice} is for many jobs, and this command is one; add -m, and give several values or a "
-                "range, such as seed=0,1"
-            )
-
-
-def require_targets(cfg: DictConfig, hydra: DictConfig) -> None:
-    """Refuse a task without targets, before a search spends runs on scores that are all the same.
-
-    Raises:
-        ValueError: The task tracks no output.
-    """
-    task = instantiate(cfg.task, _convert_="all")(signature=instantiate(cfg.system, _convert_="all").signature)
-    if task.n_r == 0:
-        raise ValueError(
-            f"task={hydra.runtime.choices.get('task', 'own')} has no targets, so its jobs have no score by which the "
-            "sweeper could choose the next; take a task that tracks plant.outputs, such as task=random_step, or "
-            "hydra/sweeper=basic"
-        )
-
-
 def _check(config: DictConfig) -> None:
-    """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
+    """Check the config of a sweep, its launcher, its log and where the results of an ablation go.
+
+    Raises:
+        ValueError: There is nothing to run, or the score of the jobs would be the same for all.
+    """
     from settings import check  # it imports torch, and this module is imported before anything is shown
 
     from dynasindy.limits import device
@@ -217,10 +179,7 @@ def _check(config: DictConfig) -> None:
     hydra = config.hydra
     launcher = hydra.launcher._target_.rpartition(".")[2]
     if launcher == "SlurmLauncher" and shutil.which("srun") is None:
-        raise ValueError(
-            "hydra/launcher=submitit_slurm found no srun; it needs a machine that submits to SLURM: choose "
-            "hydra/launcher=joblib, or submitit_local"
-        )
+        raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
     if not needs_score(hydra) and not number_of_jobs(hydra):
         raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
     different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept(hydra)}
@@ -234,19 +193,21 @@ def _check(config: DictConfig) -> None:
         device(config.device)
     if config.get("data") is not None or config.get("model") is not None:
         if different <= LOGGED and config.get("resume") is None:
-            from logged import prepared
+            from logged import prepare
 
-            prepared(config)
+            prepare(config)
     elif None not in map(config.get, ("system", "task")) and config.resume is None and not different & TASK:
-        if needs_score(hydra):
-            require_targets(config, hydra)
-        instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
+        task = instantiate(config.task, _convert_="all")(
+            signature=instantiate(config.system, _convert_="all").signature
+        )
+        if needs_score(hydra) and task.n_r == 0:
+            raise ValueError(
+                "the task has no targets, so its jobs have no score by which the sweeper could choose the next; take "
+                "one that tracks plant.outputs, such as task=random_step, or hydra/sweeper=basic"
+            )
     if "level" in config:
         from dynasindy.evaluation.ablation import read_tables
 
         instantiate(config.level)
-        results = Path(config.results)
-        results.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=results):  # permissions alone do not tell
-            pass
-        read_tables(results)  # one that is damaged is told now, and not after hours of runs
+        require_writable(Path(config.results))
+        read_tables(Path(config.results))  # one that is damaged is told now, and not after hours of runs

@@ -3,18 +3,18 @@
 import sys
 from pathlib import Path
 
-from cli import HELP, called, purpose, refuse, while_read
+from cli import HELP, pipe_guard, program, purpose, refuse
 
 
 def main() -> None:
     """Print the table of the folder that the command line names."""
-    with while_read():
+    with pipe_guard():
         try:
             if set(HELP) & set(sys.argv):
                 print(purpose("table"))
                 return
             if len(sys.argv) != 2:
-                raise ValueError(f"give one folder, that of a sweep: {called('table')} runs/SWEEP")
+                raise ValueError(f"give one folder, that of a sweep: {program('table')} runs/SWEEP")
             from dynasindy.evaluation.statistics import sweep_table
             from dynasindy.progress import say
 

@@ -21,7 +21,7 @@ import yaml
 
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
-from cli import _heading as heading  # noqa: E402
+from cli import heading  # noqa: E402
 from settings import CHECKING, EXPORTING, LARGEST, TOP  # noqa: E402
 
 CONF = REPOSITORY / "conf"

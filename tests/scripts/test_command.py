@@ -22,9 +22,7 @@ def completed(monkeypatch):
     import command
 
     def complete(*words):
-        line = ["scripts/train.py", *words]
-        command.complete(line)
-        return line[1:]
+        return command.complete([*words])
 
     return complete
 

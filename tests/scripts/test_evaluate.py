@@ -97,10 +97,14 @@ def short_of(config: DictConfig) -> tuple[DictConfig, ControlEnv]:
     return config, instantiate(config.env)(system=system, task=task)
 
 
-@pytest.mark.parametrize("run", ["tras_dyna_rollouts_800", "xi_dyna_rollouts_800"])
-def test_a_run_of_an_earlier_version_is_flown_in_the_waves_and_the_noise_of_the_paper(run: str, saved_run) -> None:
-    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / run))
-    assert "signals" not in config.plant
+def run_of(plant: str) -> tuple[DictConfig, ControlEnv]:
+    with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
+        return short_of(compose("train", ["folder=x", f"system={plant}"]))
+
+
+@pytest.mark.parametrize("plant", ["tras", "xi"])
+def test_a_twin_rotor_is_flown_in_the_waves_and_the_noise_of_the_paper(plant: str, saved_run) -> None:
+    config, env = run_of(plant)
     printed = {"sine": ([0.35, 0.25], 0.015, 100.0), "square": ([0.4, -0.5], 0.01, 200.0)}
     for shape, (amplitude, frequency, seconds) in printed.items():
         scenario = saved_run.load_scenario(shape, config, env)
@@ -112,7 +116,7 @@ def test_a_run_of_an_earlier_version_is_flown_in_the_waves_and_the_noise_of_the_
 
 
 def test_what_a_run_says_of_a_twin_rotor_counts_as_a_whole(saved_run) -> None:
-    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / "tras_gradient"))
+    config, env = run_of("tras")
     config.plant.noise = {"alpha_a": 0.01}
     (noise,) = saved_run.load_scenario("noise", config, env).wrappers
     assert noise(lambda td: td, env).std.tolist() == pytest.approx([0.01, 0, 0, 0, 0, 0])
@@ -126,14 +130,6 @@ def test_what_a_run_says_of_a_twin_rotor_counts_as_a_whole(saved_run) -> None:
     config.plant.noise = None
     (noise,) = saved_run.load_scenario("noise", config, env).wrappers
     assert noise(lambda td: td, env).std[4:].tolist() == [20.0, 20.0]  # of its tachometers [rpm]
-
-
-def test_a_rotor_of_ones_own_gets_nothing_of_the_packaged_ones(saved_run) -> None:
-    config, env = short_of(saved_run.load_config(REPOSITORY / "docs" / "results" / "runs" / "tras_dyna_rollouts_800"))
-    config.system = {"_target_": "my_rotor.Rotor"}  # which has the outputs of the packaged ones, and other states
-    (noise,) = saved_run.load_scenario("noise", config, env).wrappers
-    assert noise.keywords["std"] is None and noise.keywords["sensors"] is None
-    assert saved_run.load_scenario("sine", config, env).length(env) == pytest.approx(1.5 * env.task.max_steps * env.dt)
 
 
 def test_scenarios_follow_a_plant_with_one_output_and_its_sensors(saved_run) -> None:

@@ -3,19 +3,10 @@
 import importlib
 from pathlib import Path
 
-import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 REPOSITORY = Path(__file__).parents[2]
-
-
-@pytest.fixture
-def saved_run(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
-    import saved_run
-
-    return saved_run
 
 
 def test_no_admitted_class_takes_a_file(monkeypatch):
@@ -30,18 +21,19 @@ def test_no_admitted_class_takes_a_file(monkeypatch):
     seen = 0
     for found in pkgutil.walk_packages(dynasindy.__path__, "dynasindy."):
         for part in vars(importlib.import_module(found.name)).values():
-            if inspect.isclass(part) and part.__module__ == found.name and trust._is_part(part, "dynasindy"):
+            if inspect.isclass(part) and part.__module__ == found.name and trust.is_part(part, "dynasindy"):
                 seen += 1
                 given = set(inspect.signature(part.__init__).parameters)
                 assert not given & {"path", "file", "folder", "root", "command", "filename"}, part
     assert seen > 50
 
 
-def test_every_part_of_the_groups_and_every_saved_run_is_admitted(saved_run):
-    from trust import check
+def test_every_part_of_the_groups_and_every_saved_run_is_admitted(monkeypatch):
+    monkeypatch.syspath_prepend(REPOSITORY / "scripts")
+    from trust import read_config, require_trusted
 
     for folder in sorted((REPOSITORY / "docs" / "results" / "runs").iterdir()):
-        assert saved_run.load_config(folder).seed == 0
+        require_trusted(OmegaConf.to_container(read_config(folder / "config.yaml")))
     groups = ("system", "task", "excitation", "world_model", "agent", "planning", "scenario")
     for group in groups:
         for file in (REPOSITORY / "conf" / group).glob("[a-z]*.yaml"):
@@ -49,4 +41,4 @@ def test_every_part_of_the_groups_and_every_saved_run_is_admitted(saved_run):
                 continue
             with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
                 config = compose("train", [f"{group}={file.stem}", "folder=x"])
-            check(OmegaConf.to_container(config, resolve=True))
+            require_trusted(OmegaConf.to_container(config, resolve=True))

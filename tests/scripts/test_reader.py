@@ -39,18 +39,18 @@ def test_a_command_ends_without_a_word(lines, tmp_path):
 
 
 def test_so_does_a_script_that_exits(tmp_path):
-    code = "import sys\nfrom cli import while_read\nwith while_read():\n    print('read me')\n    sys.exit(0)"
+    code = "import sys\nfrom cli import pipe_guard\nwith pipe_guard():\n    print('read me')\n    sys.exit(0)"
     assert unread("-c", code, cwd=tmp_path) == (141, "")
 
 
 def test_an_error_is_told_though_nobody_reads_the_output(tmp_path):
-    code = "from cli import while_read\nwith while_read():\n    raise RuntimeError('the plant')"
+    code = "from cli import pipe_guard\nwith pipe_guard():\n    raise RuntimeError('the plant')"
     status, error = unread("-c", code, cwd=tmp_path)
     assert status == 1 and "RuntimeError: the plant" in error
 
 
 def test_a_pipe_that_is_not_the_output_breaks_loudly(tmp_path):
-    code = "from cli import while_read\nwith while_read():\n    raise BrokenPipeError('a worker died')"
+    code = "from cli import pipe_guard\nwith pipe_guard():\n    raise BrokenPipeError('a worker died')"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(SCRIPTS)}
     )

@@ -64,7 +64,7 @@ def test_a_plain_sweep_needs_no_task_with_a_score_and_each_of_its_jobs_leaves_it
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["task=own", "seed=0,1"], "task=own has no targets, so its jobs have no score"),
+        (["task=own", "seed=0,1"], "the task has no targets, so its jobs have no score"),
         (["seed=3"], "nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'"),
     ],
 )
@@ -76,15 +76,8 @@ def test_a_search_that_cannot_find_anything_costs_one_line_and_leaves_nothing(tm
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [
-        ("hydra/launcher=joblib", "hydra/launcher=joblib is for many jobs, and this command is one; add -m, "),
-        ("seed=0,1", "seed=0,1 gives several values; add -m for a job with each of them, or write 'seed=[0,1]' for"),
-    ],
-)
-def test_what_is_for_a_sweep_says_how_to_ask_for_one(tmp_path, word, said):
-    done = run("experiment=smoke", word, cwd=tmp_path)
+def test_several_values_without_a_sweep_say_how_to_ask_for_one(tmp_path):
+    done = run("experiment=smoke", "seed=0,1", cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith(f"error: {said}") and done.stderr.count("\n") == 1
+    assert "'seed=0,1'" in done.stderr and "--multirun" in done.stderr and done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
