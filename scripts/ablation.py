@@ -1,18 +1,13 @@
 """Compare settings over seeds: `python scripts/ablation.py [system=tras] [setting=direct,oracle] ['seed=range(5)']`."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from cli import command
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
 
 @command("ablation")
-def main(cfg: DictConfig) -> None:
+def main(cfg: Any) -> None:
     """Run one job, unless it is finished."""
     from job import run_job
 

@@ -339,14 +339,9 @@ def heading(file: Path) -> str:
 
 
 def _setting_lines(settings: dict[str, tuple[str, str]]) -> list[str]:
-    """Return each setting and what is said of it; one of which nothing is said stands beside its neighbour."""
-    found: list[tuple[str, str]] = []
-    for key, (value, said) in settings.items():
-        if said or not found or not key.startswith(found[-1][0].partition("=")[0].rpartition(".")[0]):
-            found.append((f"{key}={value}", said))
-        else:
-            found[-1] = (f"{found[-1][0]}  {key}={value}", found[-1][1])
-    return [line for setting, said in found for line in (f"  {setting}", *_wrapped(said, "      "))]
+    """Return each setting, and what is said of it below."""
+    pairs = settings.items()
+    return [line for key, (value, said) in pairs for line in (f"  {key}={value}", *_wrapped(said, "      "))]
 
 
 def _joined(comment: Iterable[str]) -> str:

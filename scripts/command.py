@@ -57,9 +57,11 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         output, swept = Path(HydraConfig.get().runtime.output_dir), HydraConfig.get().mode == RunMode.MULTIRUN
         with suppress(SystemExit) if swept else nullcontext(), pipe_guard(), one_line(config_name, cfg):
             try:
-                from settings import check  # it imports torch, which a misspelt key does without
+                import torch  # here, as a misspelt key does without it
+                from settings import check
 
                 check(cfg)
+                torch.set_num_threads(cfg.threads)
                 if swept:  # an earlier refusal no longer holds
                     _beside(output).unlink(missing_ok=True)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):

@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from dynasindy.limits import is_memory_error, memory_wanted
 
@@ -77,6 +77,8 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return unknown(option, (choice for choice in error.options if not choice.startswith("_")), group)
+    if isinstance(error, MissingMandatoryValue):
+        return f"{error.full_key} is not given; give {error.full_key}=VALUE, of which --help says more"
     if part and not isinstance(error, ValueError):
         return f"{part} got a setting of the wrong type or name ({text}); compare it with conf/"
     if text.startswith("Error merging override "):

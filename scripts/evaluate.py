@@ -1,21 +1,15 @@
 """Evaluate a policy: `python scripts/evaluate.py run=PATH 'scenarios=[step,sine,noise]' [animate=true]`."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from cli import command
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
 
 @command("evaluate")
-def main(cfg: DictConfig) -> None:
+def main(cfg: Any) -> None:
     """Run the policy in each scenario, print its table and write its figures."""
-    import torch
     from saved_run import load_config, load_policy, load_scenario, load_sensing
 
     from dynasindy.control.integral import IntegralAction
@@ -32,9 +26,6 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.viz.controllers import name_by_planning
     from dynasindy.viz.response import draw_evaluation
 
-    torch.set_num_threads(cfg.threads)
-    if cfg.run is None:
-        raise ValueError("run is not given; give run=PATH, a run folder that train.py printed")
     folder = Path(cfg.run)
     config = load_config(folder, cfg.plugins)
     env, policy = load_policy(config, folder)

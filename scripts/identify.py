@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cli import command
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from dynasindy.identification.identify import Identified
     from dynasindy.identification.source import Source
 
 
 @command("identify")
-def main(cfg: DictConfig) -> None:
+def main(cfg: Any) -> None:
     """Load data, fit, judge, write everything and print it."""
-    import torch
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
     from logged import load_data
@@ -30,7 +27,6 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.progress import report_progress, say, width
     from dynasindy.sentences import lines
 
-    torch.set_num_threads(cfg.threads)
     if cfg.data.get("path") and cfg.get("sensors") is not None:
         raise ValueError(
             f"sensors={HydraConfig.get().runtime.choices.sensors} makes a simulated plant measured, and data.path is a "
@@ -54,7 +50,7 @@ def main(cfg: DictConfig) -> None:
     say(to_words(found, source, width()), f"written to {folder}", next_steps(*next_commands(cfg, found, known, rates)))
 
 
-def next_commands(cfg: DictConfig, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> Iterator[str]:
+def next_commands(cfg: Any, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> Iterator[str]:
     """Yield the commands that come next, which hold all that was given, and what comes of them.
 
     Args:

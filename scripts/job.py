@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import torch
 from cli import CONF, IN_CLONE, program
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
@@ -56,7 +55,6 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
     begun.resume, begun.finish = None, False
     provenance = Provenance(OmegaConf.to_yaml(begun, resolve=True), command_and_commit(job))
-    torch.set_num_threads(cfg.threads)
     names = [field.name for field in fields(Recipe) if field.name not in ("seed", "device")]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed, device=cfg.get("device", "cpu"))

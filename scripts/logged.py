@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
@@ -101,7 +100,6 @@ def prepare(cfg: DictConfig) -> Preparation:
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     """Identify, plan and forecast, write the folder, print what came of it, and return what is forecast."""
-    torch.set_num_threads(cfg.threads)
     begun = prepare(cfg)
     source, parts = begun.source, begun.parts
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)

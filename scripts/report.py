@@ -1,27 +1,20 @@
 """The paper's figures and tables beside ours: `python scripts/report.py [save=runs/ablation | save=RUN name=NAME]`."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from cli import command
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
 
 @command("report")
-def main(cfg: DictConfig) -> None:
+def main(cfg: Any) -> None:
     """Save runs if asked to, then build the report from all that is saved."""
-    import torch
     from omegaconf import OmegaConf
     from trust import read_config
 
     from dynasindy.progress import say
     from dynasindy.viz.report import Results, build
 
-    torch.set_num_threads(cfg.threads)
     results = Path(cfg.results)
     kept = [] if cfg.save is None else keep(cfg, results / "runs")
     configs = {file.parent.name: read_config(file) for file in sorted(results.glob("runs/*/config.yaml"))}
@@ -40,7 +33,7 @@ def main(cfg: DictConfig) -> None:
             say(f"note: no section of the report reads a run called {name}; it reads {read}")
 
 
-def keep(cfg: DictConfig, target: Path) -> list[str]:
+def keep(cfg: Any, target: Path) -> list[str]:
     """Evaluate and save the runs that are asked for, and return the names of their copies."""
     from dynasindy.evaluation.saved import check_copy, keep_run, to_save
 

@@ -5,20 +5,17 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cli import command
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
     from dynasindy.rig.session import Session
 
 
 @command("rig", progress=False)  # a clock of its own keeps the time
-def main(cfg: DictConfig) -> None:
+def main(cfg: Any) -> None:
     """Excite, identify, plan while the rig rests, fly; or fly a controller that is there."""
-    import torch
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
     from next_steps import command_line, next_steps, run_steps, without
@@ -31,7 +28,6 @@ def main(cfg: DictConfig) -> None:
     from dynasindy.rig.session import Knowledge, Session, targets_within
     from dynasindy.safe_io import output_folder, write_text
 
-    torch.set_num_threads(cfg.threads)
     output_folder(Path(cfg.folder), "figures")  # refuses links in it before anything moves
     system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
     if not system.known:
@@ -57,6 +53,7 @@ def main(cfg: DictConfig) -> None:
         knowledge.require_of(system.signature)
     print(guard.summary(wiring), flush=True)
     words = HydraConfig.get().overrides.task
+    again = f"the same command with folder={cfg.folder} goes on and learns from all logs in it"
     with instantiate(cfg.rig, _convert_="all")(system=system, dt=cfg.dt) as rig:
         write_text(Path(cfg.folder) / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))  # targets, for check.py
         session = Session(rig, wiring, guard, Path(cfg.folder), tell=partial(print, flush=True))
@@ -69,12 +66,12 @@ def main(cfg: DictConfig) -> None:
                         controller = given or session.learn(knowledge, cfg.seed)
                     session.run_flight(controller, wanted, cfg.seconds)
         except KeyboardInterrupt as stop:
-            told = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again(cfg.folder)}"
+            told = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again}"
             raise Stopped(told, getattr(stop, "signal", 2)) from stop
     draw(session)
-    print(f"{kept(Path(cfg.folder))}: {cfg.folder}")
+    print(f"Logs and what came of them: {cfg.folder}")
     if session.failed:
-        print(f"Mend what ended the flight; {again(cfg.folder)}")
+        print(f"Mend what ended the flight; {again}")
         sys.exit(1)
     if given is None:
         own = [word for word in words if word.partition("=")[0].partition(".")[0] in ("system", "plant")]
@@ -87,18 +84,6 @@ def main(cfg: DictConfig) -> None:
                 command_line("rig", more, "learns from all logs in the folder and flies again"),
             )
         )
-
-
-def kept(folder: Path) -> str:
-    """Say what a session has left in its folder."""
-    left = {"model": "model.json", "controller": "controller.json", "figures": "figures"}
-    first, *others = ["logs", *(what for what, name in left.items() if (folder / name).exists())]
-    return " and ".join(filter(None, [", ".join([first, *others[:-1]]), *others[-1:]])).capitalize()
-
-
-def again(folder: str) -> str:
-    """Say how a session goes on."""
-    return f"the same command with folder={folder} goes on and learns from all logs in it"
 
 
 def draw(session: Session) -> None:

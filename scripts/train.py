@@ -1,20 +1,15 @@
 """Train a controller: `python scripts/train.py [system=xi] [-m seed=0,1]`, or from a log alone: `data=csv`."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from cli import command
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
 
 @command("train")
-def main(cfg: DictConfig) -> float:
+def main(cfg: Any) -> float:
     """Build the experiment, run it, draw its figures, print what came of it and return its score."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode

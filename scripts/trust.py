@@ -16,8 +16,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.safe_io import read_text, reading
 
-LARGEST = 250_000
-"""Size [bytes] that a config.yaml may have; those of runs have 3000."""
+LARGEST, DEEPEST = 250_000, 20
+"""Size [bytes] and depth that a config.yaml may have; those of runs have 3000 and 6."""
 CLASSES = (
     *("systems", "tasks", "envs", "excitation", "sindy", "planning", "agents", "sensing"),
     *("evaluation.scenarios", "evaluation.disturbances", "evaluation.ablation", "dyna.components"),
@@ -40,12 +40,14 @@ def read_config(file: Path) -> DictConfig:
         FileNotFoundError: It does not exist.
         DamagedFileError: It is no plain YAML: too large or deep, with tags, aliases or interpolations, or not YAML.
     """
-    text = read_text(file, LARGEST)
+    text, depth = read_text(file, LARGEST), 0
     with reading(file):
         try:
             for event in yaml.parse(text, Loader=yaml.SafeLoader):
+                depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
                 named = isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None)
-                if named or getattr(event, "tag", None) or "${" in (getattr(event, "value", None) or ""):
+                odd = named or getattr(event, "tag", None) or "${" in (getattr(event, "value", None) or "")
+                if odd or depth > DEEPEST:
                     raise ValueError(
                         f"line {event.start_mark.line + 1} is no plain key and value, as a run writes them"
                     )
@@ -82,7 +84,7 @@ def packages(tree: Any) -> list[str]:
     Args:
         tree: Settings as plain containers.
     """
-    built = [node for _, node in nodes(tree) if "_target_" in node and not _is_dtype(node)]
+    built = [node for _, node in nodes(tree) if "_target_" in node]
     named = [str(node["_target_"]) for node in built] + [_module(node) for node in built if _module(node)]
     return sorted({name.partition(".")[0] for name in named} - {"dynasindy"})
 
@@ -103,7 +105,7 @@ def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config
             raise ValueError(f"{where} has {words[0]} in '{key}', which no run writes: remove it")
         if not isinstance(node.get("_partial_", False), bool):
             raise ValueError(f"{where} has _partial_: {node['_partial_']!r}; allowed are true and false: correct it")
-        if "_target_" not in node or _is_dtype(node):
+        if "_target_" not in node:
             continue
         if why := _distrust(node["_target_"], plugins):
             raise ValueError(
@@ -129,16 +131,6 @@ def _module(node: Mapping[Any, Any]) -> str:
     """Return the module that Gymnasium imports for an environment, as `gymnasium.make("module:Name-v0")` does."""
     module, colon, _ = str(node.get("id")).partition(":")
     return module if colon and _is_foreign(node) else ""
-
-
-def _is_dtype(node: Mapping[Any, Any]) -> bool:
-    """Return whether a node is the one helper of Hydra's that conf/ uses: a number type of torch, by name."""
-    if set(node) != {"_target_", "path"} or node["_target_"] != "hydra.utils.get_object":
-        return False
-    import torch
-
-    package, _, name = str(node["path"]).partition(".")
-    return package == "torch" and isinstance(getattr(torch, name, None), torch.dtype)
 
 
 def _distrust(target: Any, plugins: Sequence[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -38,8 +38,8 @@ class ControlEnv(EnvBase):
         dt: Control period [s] (paper: 0.05).
         substeps: Runge-Kutta steps, and logged samples, per control period.
         batch_size: Default batch; a caller's tensordict may have any other.
-        dtype: Floating type of states, samples and references; observation, action and reward are float32,
-            the type of policies, so that a plant may move in float64 while agents stay fast.
+        dtype: Floating type of states, samples and references, or its name; observation, action and reward are
+            float32, the type of policies, so that a plant may move in float64 while agents stay fast.
         seed: Seed of the environment's own generator.
 
     Raises:
@@ -61,9 +61,10 @@ class ControlEnv(EnvBase):
         substeps: Count = 5,
         *,
         batch_size: tuple[int, ...] = (),
-        dtype: torch.dtype = torch.float32,
+        dtype: torch.dtype | Literal["float32", "float64"] = torch.float32,
         seed: int = 0,
     ) -> None:
+        dtype = getattr(torch, dtype) if isinstance(dtype, str) else dtype
         if not dt > 0 or substeps < 1:
             raise ValueError(
                 f"need dt > 0 s and substeps >= 1, got dt={dt}, substeps={substeps}; mend env, the paper has 0.05 s"

@@ -16,4 +16,4 @@ def test_unknown_benchmark_gets_one_line_that_names_the_known_ones(argv):
     assert len(done.stderr.strip().splitlines()) == 1
     assert "bench_surrogate, " in done.stderr
     assert "rigs" in done.stderr and "common" not in done.stderr
-    assert (argv[0] if argv else "no benchmark given") in done.stderr
+    assert (argv[0] if argv else "none") in done.stderr

@@ -28,12 +28,10 @@ def test_no_admitted_class_takes_a_file(monkeypatch):
     assert seen > 50
 
 
-def test_every_part_of_the_groups_and_every_saved_run_is_admitted(monkeypatch):
+def test_every_part_of_the_groups_is_admitted(monkeypatch):
     monkeypatch.syspath_prepend(REPOSITORY / "scripts")
-    from trust import read_config, require_trusted
+    from trust import require_trusted
 
-    for folder in sorted((REPOSITORY / "docs" / "results" / "runs").iterdir()):
-        require_trusted(OmegaConf.to_container(read_config(folder / "config.yaml")))
     groups = ("system", "task", "excitation", "world_model", "agent", "planning", "scenario")
     for group in groups:
         for file in (REPOSITORY / "conf" / group).glob("[a-z]*.yaml"):
