@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import argparse
 import ast
-import errno
 import os
+import re
 import select
 import shutil
 import signal
@@ -148,22 +148,15 @@ def main() -> None:
         refuse(f"'{name}' is no command; there are {', '.join(COMMANDS)}{did_you_mean(name, COMMANDS)}")
 
 
-def require_writable(path: Path) -> None:
-    """Make sure, before the work that fills it, that a folder can be made and written.
+def require_writable(folder: Path) -> None:
+    """Make a folder, before the work that fills it, and make sure that it can be written.
 
     Raises:
         OSError: It cannot.
     """
-    place = path.absolute()
-    while not place.exists():
-        place = place.parent
-    if not place.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
-    try:
-        with TemporaryFile(dir=place):  # permissions alone do not tell
-            pass
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryFile(dir=folder):  # permissions alone do not tell
+        pass
 
 
 def refuse(line: str) -> None:
@@ -302,33 +295,51 @@ def _settings(file: Path) -> dict[str, tuple[str, str]]:
     """
     import yaml
 
-    text = file.read_text()
-    lines, found = text.splitlines(), {}
-    for entry in (yaml.safe_load(text) or {}).get("defaults", ()):
+    found: dict[str, tuple[str, str]] = {}
+    for entry in (yaml.safe_load(file.read_text()) or {}).get("defaults", ()):
         if isinstance(entry, str) and (base := file.parent / f"{entry}.yaml").is_file():
             found |= _settings(base)
+    prefix, above, parts = "" if _is_global(file) else f"{file.parent.name}.", "", "-"
+    for name, value, comment in entries(file):
+        if re.match(r"(defaults|hydra)\b|(.*\.)?_", name) or name.startswith(parts):
+            continue
+        said = f"{above} {comment}".strip()
+        above = said if value is None else ""
+        parts = f"{name}." if value == "" else "-"  # of a list, which a command line gives as a whole
+        if value is not None:
+            written = value.replace("${hydra:runtime.output_dir}", "runs/DATE_TIME")
+            shown = written if written and "\n" not in written else "[...]"
+            found[prefix + name] = (shown, said or found.get(prefix + name, ("", ""))[1])
+    return found
 
-    def walk(node: yaml.Node | None, prefix: str, above: str) -> None:
+
+def entries(file: Path) -> Iterator[tuple[str, str | None, str]]:
+    """Yield the keys of a file as a command line has them, each with its value as it is written and what is said above.
+
+    The value of a group, whose keys follow, is None, that of a list whose parts stand below it empty.
+    """
+    import yaml
+
+    text = file.read_text()
+    lines = text.splitlines()
+
+    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str | None, str]]:
+        if isinstance(node, yaml.SequenceNode):
+            for part in node.value:
+                yield from () if getattr(part, "flow_style", True) else walk(part, prefix)
         for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
-            name = f"{prefix}{key.value}"
-            if key.value.startswith("_") or name in ("defaults", "hydra"):
-                continue
-            start = key.start_mark.line
+            below = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
+            written = "" if below else text[value.start_mark.index : value.end_mark.index].rstrip()
+            group = below and isinstance(value, yaml.MappingNode)
+            start = end = key.start_mark.line
             while start and lines[start - 1].lstrip().startswith("#"):
                 start -= 1
-            said = f"{above} {_joined(lines[start : key.start_mark.line]) if start else ''}".strip()
-            above = ""
-            if isinstance(value, yaml.MappingNode) and value.value and not value.flow_style:
-                walk(value, f"{name}.", said)
-            else:
-                written = text[value.start_mark.index : value.end_mark.index].rstrip()
-                written = (
-                    "[...]" if "\n" in written else written.replace("${hydra:runtime.output_dir}", "runs/DATE_TIME")
-                )
-                found[name] = (written, said or found.get(name, ("", ""))[1])
+            # A comment that begins at the top of the file is the file's own.
+            yield f"{prefix}{key.value}", None if group else written, _joined(lines[start:end]) if start else ""
+            if below:
+                yield from walk(value, f"{prefix}{key.value}.")
 
-    walk(yaml.compose(text, Loader=yaml.SafeLoader), "" if _is_global(file) else f"{file.parent.name}.", "")
-    return found
+    yield from walk(yaml.compose(text, Loader=yaml.SafeLoader), "")
 
 
 def heading(file: Path) -> str:

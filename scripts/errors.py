@@ -3,7 +3,6 @@
 import re
 import sys
 from collections.abc import Iterable
-from difflib import get_close_matches
 from pathlib import Path
 
 import hydra
@@ -14,8 +13,10 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from trust import nodes
 
 from dynasindy.limits import is_memory_error, memory_wanted
+from dynasindy.text import did_you_mean
 
 MENDABLE = (
     *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
@@ -115,7 +116,8 @@ def _misspelt(key: str, config_name: str) -> str:
     whole = OmegaConf.to_container(compose(config_name, chosen))
     if source := _taken_from(key, whole):
         return f"'{key}' follows another key; give {source} instead"
-    keys, group = _keys(whole), key
+    names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node if str(name)[0] != "_"]
+    keys, group = sorted((name for name in names if "[" not in name), key=lambda name: name.count(".")), key
     while group not in ("", *keys):
         group = group.rpartition(".")[0]
     names = [each.rpartition(".")[2] for each in keys if each.rpartition(".")[0] == group]
@@ -151,17 +153,6 @@ def _taken_from(key: str, node: object) -> str:
     return ""
 
 
-def _keys(node: object, parent: str = "") -> list[str]:
-    """Return all keys of a config with the groups that they stand in, the shallowest first."""
-    if not isinstance(node, dict):
-        return []
-    own = {f"{parent}{step}": child for step, child in node.items() if not str(step).startswith("_")}
-    return sorted(
-        [*own, *(key for step, child in own.items() for key in _keys(child, f"{step}."))],
-        key=lambda key: key.count("."),
-    )
-
-
 def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
     """Return which names are allowed instead of one that does not exist in a group.
 
@@ -173,7 +164,7 @@ def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str
     """
     names = sorted(names)
     same = [key for key in elsewhere if key.rpartition(".")[2] == name.rpartition(".")[2]]
-    meant = [key for key in same if key.count(".") == same[0].count(".")][:3] or get_close_matches(name, names, 1, 0.7)
-    hint = f"; did you mean {' or '.join(map(repr, meant))}?" if meant else ""
+    meant = [repr(key) for key in same if key.count(".") == same[0].count(".")][:3]
+    hint = f"; did you mean {' or '.join(meant)}?" if meant else did_you_mean(name, names)
     place = f" in '{where}'" if where else ""
     return f"'{name}' does not exist{place}; allowed are {', '.join(names)}{hint}"

@@ -21,7 +21,7 @@ import yaml
 
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
-from cli import heading  # noqa: E402
+from cli import entries, heading  # noqa: E402
 from settings import CHECKING, EXPORTING, LARGEST, TOP  # noqa: E402
 
 CONF = REPOSITORY / "conf"
@@ -158,7 +158,7 @@ def _allowed(key: Key, file: Path) -> str:
     hints = _hints(key.target) if key.target else _top(file.stem)
     if group and not key.target:
         hints = _typed(hints.get(group))
-    hint = hints.get(name)
+    hint = hints.get(name) or hints.get(key.name)
     allowed = "" if hint in (None, Any) else words(hint)
     return re.sub(r"\d+ to \d+, (?=eight for)", "up to ", allowed.replace(f" up to {1e19:g}", ""))
 
@@ -183,37 +183,6 @@ def words(hint: Any) -> str:
     return names.get(kind) or (
         "null" if kind is NoneType else f"a group with _target_, a {getattr(kind, '__name__', kind)}"
     )
-
-
-def entries(file: Path) -> Iterator[tuple[str, str | None, str]]:
-    """Yield the keys of a file as a command line has them, each with its value as it is written and what is said above.
-
-    The value of a group, whose keys follow, is None, that of a list whose parts stand below it empty.
-    """
-    text = file.read_text()
-    lines = text.splitlines()
-
-    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str | None, str]]:
-        if isinstance(node, yaml.SequenceNode):
-            for part in node.value:
-                yield from () if getattr(part, "flow_style", True) else walk(part, prefix)
-        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
-            below = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
-            written = "" if below else text[value.start_mark.index : value.end_mark.index].rstrip()
-            group = below and isinstance(value, yaml.MappingNode)
-            yield f"{prefix}{key.value}", None if group else written, _comment(lines, key.start_mark.line)
-            if below:
-                yield from walk(value, f"{prefix}{key.value}.")
-
-    yield from walk(yaml.compose(text, Loader=yaml.SafeLoader), "")
-
-
-def _comment(lines: list[str], end: int) -> str:
-    """Return the comment that ends above a line; one that begins at the top of the file is the file's own."""
-    start = end
-    while start and lines[start - 1].lstrip().startswith("#"):
-        start -= 1
-    return " ".join(" ".join(line.strip().lstrip("#") for line in lines[start:end]).split()) if start else ""
 
 
 def _top(command: str) -> Mapping[str, Any]:
