@@ -78,7 +78,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
                     line = f"stopped; {kept}, the same command begins anew"
                 raise Stopped(line, getattr(end, "signal", 2)) from end
             finally:
-                for folder in () if swept else (output, cfg.get("folder")):
+                for folder in () if swept else (output, cfg.get("folder"), cfg.get("output")):
                     remove_empty(folder)
         return None  # a job of a sweep that failed
 
