@@ -258,11 +258,22 @@ def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], sta
     return f"{path} gives {count} {what}; allowed are {least} or more: log longer. What was decided of it: {more}"
 
 
-def _mismatch(state: str, rate: str, factor: float, cause: str, guessed: bool) -> str:
-    text = (
-        f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}; {cause}? Correct the "
-        "column, or give it a scale in <data.states>"
-    )
+def _rate_units(
+    state: str,
+    rate: str,
+    factor: float,
+    cause: str,
+    guessed: bool,
+    unit: str = "",
+    states: Mapping[str, Any] | None = None,
+) -> str:
+    slope = f"{state}, whose slope over time is {factor:.3g} times {rate}"
+    if states is not None:
+        return (
+            f"{rate} was given as the rate of {slope} ({cause}?); allowed is a rate in {unit}, for its equation is "
+            f"taken as exact: give {setting('data.states', states)}, or correct the column"
+        )
+    text = f"{rate} does not fit {slope}; {cause}? Correct the column, or give it a scale in <data.states>"
     if not guessed:
         return text
     return (
@@ -951,7 +962,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "samples",
     "log.closed_loop": "a controller made {inputs:and} out of the measured states (closed loop)",
     "log.low_signal": _quiet,
-    "log.unit_of_rate": _mismatch,
     "log.touched_stop": "{count} samples that touched a stop were left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, and the log contradicts it: {state} does not "
     "move by the integral of {rate} (correlation {correlation:.2f}); correct <plant.known> or the columns, for this "
@@ -996,9 +1006,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "out of <data.inputs>",
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
-    "log.rate_units": "{rate} was given as the rate of {state}, whose slope over time is {factor:.3g} times {rate} "
-    "({cause}?); allowed is a rate in {unit}, for its equation is taken as exact: give {states:data.states}, or "
-    "correct the column",
+    "log.rate_units": _rate_units,
     "log.low_signal_targets": _beyond_quiet,
     "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
     "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "

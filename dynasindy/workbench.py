@@ -39,20 +39,21 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
-from dynasindy.data.rates import Mismatch, require_consistent_rates, unit_of_rate
+from dynasindy.data.columns import Column
+from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding
-from dynasindy.identification.before_fit import missing_rates, review_rates, with_missing_rates, wrong_units
+from dynasindy.identification.before_fit import missing_rates, review_rates, with_missing_rates
 from dynasindy.identification.forecast_errors import forecast_errors
 from dynasindy.identification.identify import LoggedData
 from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.period import as_planned, other_period, suited_period
 from dynasindy.identification.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.identification.signal_resolution import low_signal_states, resolved_errors
-from dynasindy.identification.source import VALIDATION_SHARE, Source
+from dynasindy.identification.source import VALIDATION_SHARE, Source, rates_of
 from dynasindy.identification.targets import require_radians
 from dynasindy.identification.verdict import (
     inputs_beyond_log,
@@ -71,7 +72,6 @@ from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
-from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -157,9 +157,14 @@ def identify(
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
     source, rates, added = with_missing_rates(build, log, known)
     source = source.with_rates(rates)
-    require_consistent_rates(source.training, source.signature, rates, partial(_read_scaled, log.signature))
+    columns = {name: Column(name) for name in log.signature.state_names}
+    require_consistent_rates(source.training, source.signature, rates, columns)
     model = build(signature=source.signature, known=rates)
-    before = (*added, *wrong_units(model, source), *missing_rates(model, review_rates(model, source)))
+    before = (
+        *added,
+        *check_rates(source.training, source.signature, rates),
+        *missing_rates(model, review_rates(model, source)),
+    )
     for each in before:
         warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source)
@@ -344,14 +349,6 @@ def tracking_task(model: SindyModel, targets: Mapping[str, tuple[float, float]])
     return Tracking(model.signature, RandomStep(low, high), list(targets), rates, reward, low=low, high=high)
 
 
-def _read_scaled(signature: Signature, wrong: Mismatch) -> dict[str, Any]:
-    """Return the column map that reads a rate in the unit of its state."""
-    unit = unit_of_rate(signature.state_units[signature.state_index(wrong.state)])
-    columns: dict[str, Any] = {name: name for name in signature.state_names}
-    columns[wrong.rate] = {"name": wrong.rate, "unit": unit, "scale": float(f"{wrong.likely:.7g}")}
-    return columns
-
-
 def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:
     """Return the rates of the outputs, whose changes cost; none where not every output has one that is known.
 
@@ -361,12 +358,6 @@ def damped(outputs: Sequence[str], known: Mapping[str, str]) -> list[str]:
     """
     rates = [known[name] for name in outputs if name in known]
     return rates if len(rates) == len(outputs) else []
-
-
-def rates_of(model: SindyModel) -> dict[str, str]:
-    """Return the name of each state whose rate is known to be another state, and that state's name."""
-    names = model.signature.state_names
-    return {names[state]: names[rate] for rate, state in rate_states(model.library, model.constraints).items()}
 
 
 def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:

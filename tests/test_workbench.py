@@ -381,7 +381,7 @@ def test_a_rate_in_other_units_is_refused_where_it_is_known_and_else_told(exact)
     mixed = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
     with pytest.warns(UserWarning, match=r"degrees beside rad/s\?"):
         told = dynasindy.identify(mixed, WORDS, {}, "one_step").findings[0]
-    assert (told.code, told.severity) == ("log.unit_of_rate", "weak")
+    assert (told.code, told.severity) == ("log.rate_units", "weak")
     assert told.values["factor"] == pytest.approx(180 / math.pi, rel=1e-3)
     with pytest.raises(LogError) as error:
         dynasindy.identify(mixed, WORDS, {"theta": "Omega"}, "one_step")

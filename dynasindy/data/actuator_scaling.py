@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.columns import Column, columns_of
+from dynasindy.data.columns import Column
 from dynasindy.data.headings import split_unit, units_of
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
@@ -79,23 +79,20 @@ def reaches(
     return list(found.values()), words if sided or of_log else None
 
 
-def with_actuator_ranges(
-    inputs: Mapping[str, Column | Mapping[str, object] | str], headings: Sequence[str], plant: Signature
-) -> dict[str, Column]:
+def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], plant: Signature) -> dict[str, Column]:
     """Return columns of inputs with the ends that a plant says of its actuators.
 
     A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
 
     Args:
-        inputs: Columns by name, as they were given.
+        inputs: Columns by name.
         headings: Headings of the file.
         plant: Names, ends and units of the inputs.
 
     Raises:
         ValueError: Other ends, or another unit, were given of an input.
     """
-    columns = columns_of(inputs, may_be_rates=False)
-    inside = units_of(headings)
+    columns, inside = dict(inputs), units_of(headings)
     for place, (name, own) in enumerate(zip(plant.input_names, _units(plant), strict=True)):
         column, reach = columns.get(name), _reach_of(plant, place)
         if column is None or reach == PLAIN:
@@ -123,14 +120,6 @@ def _require_same(name: str, given: ActuatorScaling, plant: ActuatorScaling) -> 
             f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in data.inputs, and "
             f"from {plant.low:g} to {plant.high:g} and at {plant.rest:g} in system.inputs; give the ends once"
         )
-
-
-def acting_as(log: Signature, plant: Signature) -> Signature:
-    """Return what a log has, with the ends and limits of a plant's actuators where the plant says any."""
-    if log.input_names != plant.input_names or not (plant.input_ends or plant.input_limits):
-        return log
-    units = plant.input_units or log.input_units
-    return replace(log, input_ends=plant.input_ends, input_limits=plant.input_limits, input_units=units)
 
 
 def _units(plant: Signature) -> tuple[str, ...]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
-from dynasindy.data.headings import named_by, parts_of, split_unit
+from dynasindy.data.headings import PER_MINUTE, in_radians, is_rate_of, named_by, parts_of, split_unit, units_of
 from dynasindy.data.table import (
     REGULAR,
     ColumnSummary,
@@ -23,7 +23,6 @@ from dynasindy.data.table import (
     read_columns,
     summarise_columns,
 )
-from dynasindy.data.units import with_units
 from dynasindy.findings import Finding, LogError, note
 
 Array = NDArray[np.float64]
@@ -51,6 +50,74 @@ class Column:
     low: float | None = None
     high: float | None = None
     rest: float | None = None
+
+
+def with_units(
+    columns: Mapping[str, Column], headings: Iterable[str], states: bool, known: Mapping[str, str] | None = None
+) -> dict[str, Column]:
+    """Return columns with the units of their headings; degrees of states become rad.
+
+    A column keeps what was given of it: a scale, and a unit that is none of the two. States in turns per minute of
+    which nobody says that they are the rate of an angle have no unit yet: the log has still to tell.
+
+    Args:
+        columns: Columns by name.
+        headings: Headings of the file.
+        states: Whether they are states; inputs stay in the units of their actuators.
+        known: The rate of each state, as far as it is known.
+    """
+    units, found = units_of(headings), dict(columns)
+    inside = {name: units.get(column.name, "") for name, column in columns.items()}
+    angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
+    for name, column in columns.items():
+        turns = column.unit == "rad/s" or any(
+            is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles
+        )
+        if states and PER_MINUTE.fullmatch(inside[name]) and not turns:
+            continue
+        unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
+        if unit and column.scale == 1 and column.unit in ("-", unit):
+            found[name] = replace(column, unit=unit, scale=factor)
+        elif not column.name and in_radians(inside.get(column.derivative_of, ""), False)[1] != 1:
+            found[name] = replace(column, unit=in_radians(column.unit)[0])  # the slope of what is in rad
+    return found
+
+
+def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[str, Any]:
+    """Return the column map that says these states: units and scales where the headings do not tell them.
+
+    Args:
+        columns: States by name.
+        headings: Headings of the file, where they are known.
+    """
+    units, found = units_of(headings), dict[str, Any]()
+    for name, column in columns.items():
+        heading, inside = split_unit(column.name)[0], units.get(column.name, "-")
+        keys: dict[str, Any] = {"name": heading} if column.name else {}
+        keys |= {"derivative_of": column.derivative_of} if column.derivative_of else {}
+        if not column.name or (column.unit, column.scale) != in_radians(inside, turns=False):
+            keys |= {"unit": column.unit} | ({"scale": float(f"{column.scale:.7g}")} if column.scale != 1 else {})
+        found[name] = heading if keys == {"name": heading} else keys
+    return found
+
+
+def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:
+    """Return which columns were converted, and the column map that keeps their units; nothing where none was.
+
+    Args:
+        columns: Columns by name, as `with_units` returns them.
+        headings: Headings of the file.
+    """
+    units = units_of(headings)
+    before = {name: units[column.name] for name, column in columns.items() if units.get(column.name)}
+    after = {name: (columns[name].unit, columns[name].scale) for name in before}
+    changed = {name: unit for name, unit in before.items() if after[name] == in_radians(unit) != (unit, 1)}
+    if not changed:
+        return []
+    logged = {name: column for name, column in columns.items() if column.name}
+    kept = logged | {name: replace(columns[name], unit=unit, scale=1.0) for name, unit in changed.items()}
+    both = {name: (unit, columns[name].unit) for name, unit in changed.items()}
+    return [note("log.converted", units=both, kept=as_map(kept, headings))]
 
 
 def infer(
@@ -123,7 +190,7 @@ def infer(
         raise _lacking(path, look, clock.heading, list(found), out, dt)
     if findings is not None:
         findings += out
-    return with_units(left, given, states=True, rotors=False), with_units(found, given, states=False)
+    return left, found
 
 
 def _second_clocks(path: str, clock: str, headings: Sequence[str]) -> list[str]:
@@ -197,27 +264,28 @@ def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, ke
     return {found[0]: columns[found[0]] for found in named.values()}
 
 
-def columns_of(
-    group: Mapping[str, Column | Mapping[str, object] | str], may_be_rates: bool = True
-) -> dict[str, Column]:
+def columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
     """Return columns of what was given of states or inputs.
 
     Args:
         group: A heading, the keys of a column or a column, by name.
-        may_be_rates: Whether they may do without a heading, as rates of others and states that no sensor sees.
+        states: Whether they are states, which may do without a heading, as rates of others and states that no sensor
+            sees; inputs alone have ends.
 
     Raises:
-        ValueError: One is no column, or has no heading and needs one.
+        ValueError: One is no column, has no heading and needs one, or is a state with ends.
     """
     made = {name: _column(given) for name, given in group.items()}
-    logged = [name for name, column in made.items() if column.name] if may_be_rates else []
+    logged = [name for name, column in made.items() if column.name] if states else []
     for name, column in made.items():
-        unseen = may_be_rates and logged and not column.derivative_of  # no sensor sees it
-        if not column.name and column.derivative_of not in logged and not unseen:
-            states = f", or to be the derivative of a logged state ({', '.join(logged)})" if may_be_rates else ""
+        if states and column.low is not None:
+            raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
+        unmeasured = states and logged and not column.derivative_of
+        if not column.name and column.derivative_of not in logged and not unmeasured:
+            rates = f", or to be the derivative of a logged state ({', '.join(logged)})" if states else ""
             raise ValueError(
                 f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
-                f"column name{states}: {correct_map()}"
+                f"column name{rates}: {correct_map()}"
             )
     return made
 
@@ -246,21 +314,6 @@ def _is_sound(column: Column) -> bool:
     if given and (column.low is None or column.high is None or len(numbers) < len(given) or numbers[0] >= numbers[1]):
         return False
     return isinstance(scale, int | float) and 0 < abs(scale) < math.inf
-
-
-def require_names(names: list[str], path: str) -> None:
-    """Refuse names that could not be told from functions and numbers in an equation.
-
-    Args:
-        names: Names of states or inputs.
-        path: File that they are of.
-
-    Raises:
-        ValueError: A name is not allowed, or there twice.
-    """
-    for name in names:
-        if not re.fullmatch(r"[^\W\d][\w .-]*", name) or names.count(name) > 1:
-            raise LogError("log.name", file=path, name=name)
 
 
 def row_counter(path: Path, time: str, named: Collection[str]) -> str:

@@ -9,21 +9,23 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.actuator_scaling import reaches, scaled
+from dynasindy.data.actuator_scaling import reaches, scaled, with_actuator_ranges
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
-from dynasindy.data.columns import Column, columns_of, require_names
-from dynasindy.data.rates import turning
+from dynasindy.data.columns import Column, columns_of, conversions, infer, row_counter, with_units
+from dynasindy.data.headings import NAME, PER_MINUTE, in_radians, named_by, split_unit, units_of
+from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, evened, stretches
-from dynasindy.data.table import Table, correct_map, read_columns, select_columns
-from dynasindy.data.units import conversions, undecided, with_units
+from dynasindy.data.table import Table, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import lines as lines_of
+from dynasindy.sentences import setting
 from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
 from dynasindy.systems.smoothing import local_cubic, slopes_beside_gaps
@@ -31,6 +33,8 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
+LEAST = 50
+"""Fewest transitions that are worth a fit, and samples of each state."""
 ALONE = 0.8
 """Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
 PASSING = 0.05
@@ -70,20 +74,9 @@ def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Fi
         if len(long):
             rows = int((ends[long + 1] - ends[long] - 1).sum())
             findings.append(note("log.long_gap", rows=rows, longest=float(longest), state=name))
-    measured = np.zeros(len(segment), dtype=bool)
-    for column in x.values():
-        measured |= np.isfinite(column)
-    return out | _outside(measured, segment)
-
-
-def _outside(seen: NDArray[np.bool_], segment: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which rows come before the first measured one of their segment, or after the last one, `(N,)`."""
-    labels = np.cumsum(np.concatenate([[False], np.diff(segment) != 0]))
-    rows = np.arange(len(seen))
-    first, last = np.full(labels[-1] + 1, len(seen)), np.full(labels[-1] + 1, -1)
-    np.minimum.at(first, labels[seen], rows[seen])
-    np.maximum.at(last, labels[seen], rows[seen])
-    return (rows < first[labels]) | (rows > last[labels])
+    measured = pd.Series(np.isfinite(np.stack([*x.values()])).any(0).astype(int))
+    begun, ahead = measured.groupby(segment).cummax(), measured[::-1].groupby(segment[::-1]).cummax()[::-1]
+    return np.asarray(out | (begun * ahead == 0))
 
 
 STUCK = 5  # samples with one value at the end of its range may be a stop
@@ -138,79 +131,82 @@ class _Part:
 
 @dataclass(frozen=True)
 class CsvLog:
-    """Read a recording from a CSV file.
+    """Read a recording from a file, or from several.
 
     Attributes:
         path: the file, text or another format of `dynasindy.data.files`. Several files with the same columns are one
             recording.
-        states: columns of the states, by name, in the order of x.
-        inputs: columns of the inputs, by name, in the order of u.
+        states: columns of the states by name, in the order of x: the heading, or the keys of a `Column`. A list names
+            columns as they are. Without either the names are those of the plant, or what the headings say where no
+            plant is named.
+        inputs: columns of the inputs, likewise.
         time: heading of the time column, with another unit than seconds as in `count [ms]`; `Time` or `t`, too, where
             nobody says one.
         dt: sampling time [s]; by default what the times tell, their median unless a coarse clock wrote them. Where the
             time counts rows it is the time between two.
-        missing: whether a value that is missing is skipped, with its row if it is a time or an input, or the file is
-            refused.
-        min_samples: fewest transitions that are worth a fit.
-        into_range: whether inputs that go beyond [-1, 1], and whose ends were not given, are taken into it by the range
-            that they have in the file.
+        missing: `skip` missing values, and rows without a time or an input, or `refuse` the file.
+        known: equations that are known, by state. A state that is the rate of another one needs no column: one that
+            has none is estimated with the model.
 
     Raises:
-        ValueError: a word is not allowed, no path is given, or neither states nor inputs are.
+        ValueError: there is no path, a file is named twice, or a setting is not allowed.
     """
 
-    path: str | Sequence[str]
-    states: Mapping[str, Column | Mapping[str, object] | str]
-    inputs: Mapping[str, Column | Mapping[str, object] | str]
+    path: str | Sequence[str] | None
+    states: Mapping[str, Any] | Sequence[str] | None = None
+    inputs: Mapping[str, Any] | Sequence[str] | None = None
     time: str = CLOCK
     dt: float | None = None
-    missing: Literal["skip", "refuse"] = "skip"
-    min_samples: int = 50
-    into_range: bool = False
+    missing: str = "skip"
+    known: Mapping[str, str] | None = None
 
     def __post_init__(self) -> None:
-        if self.missing not in ("skip", "refuse"):
-            raise ValueError(f"csv got missing={self.missing!r}; allowed are skip, refuse: choose one")
-        if self.dt is not None and not self.dt > 0:
-            raise ValueError(f"csv got dt {self.dt} s; allowed is a positive time, or None for the file's own")
         if not self.path:
-            raise ValueError("csv got no path; allowed is a CSV file, or a list of some")
-        if not self.states or not self.inputs:
-            raise ValueError("csv got no states or no inputs; allowed is one or more of each: name their columns")
+            raise ValueError(
+                f"there is no {setting('data.path')}; allowed is a file, or a list of some: give "
+                f"{setting('data.path')}=log.csv"
+            )
+        if len(set(self.paths)) < len(self.paths):
+            raise ValueError(f"{setting('data.path')} names a file twice: {self}; give each file once")
+        if self.missing not in ("skip", "refuse"):
+            raise ValueError(f"{setting('data.missing')} is {self.missing!r}; allowed are skip, refuse: choose one")
+        if self.dt is not None and not self.dt > 0:
+            raise ValueError(f"{setting('data.dt')} is {self.dt} s; allowed is a time > 0, or none for the file's own")
 
     @property
     def paths(self) -> tuple[str, ...]:
         """Return the files."""
-        return (self.path,) if isinstance(self.path, str) else tuple(self.path)
+        return (self.path,) if isinstance(self.path, str) else tuple(self.path or ())
 
-    def read(self) -> Recording:
+    def recording(self, plant: Signature | None = None) -> Recording:
         """Read the file, or all files, each of which is segments of its own.
+
+        Args:
+            plant: Names, units and ends of the plant that it is of; the file itself has to tell them where there is
+                none: inputs that go beyond [-1, 1] are then taken into it by their range in the file. Of states without
+                a column the ranges are used, too.
 
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
                 increase, an input is constant or leaves its ends, a state has ends, one that is differentiated is not
-                logged, there are too few samples, or files differ in their units or sampling times.
+                logged, there are too few samples, files differ in their units or sampling times, or a known rate is in
+                other units than its state.
         """
-        states, inputs = columns_of(self.states), columns_of(self.inputs, may_be_rates=False)
-        if bounded := [name for name, column in states.items() if column.low is not None]:
-            raise ValueError(
-                f"{self}: state {bounded[0]} was given low and high, which inputs alone have: {correct_map()}"
-            )
-        require_names([*states, *inputs], str(self))
-        return self._joined([self._part(path, states, inputs) for path in self.paths])
-
-    def _joined(self, parts: Sequence[_Part]) -> Recording:
-        """Return what the files gave as one recording."""
-        findings, after = [each for part in parts for each in self._of(part)], list[Finding]()
+        left_out, after = list[Finding](), list[Finding]()
+        time, states, inputs = self._columns(plant, left_out)
+        self._require_names([*states, *inputs])
+        parts = [self._part(path, time, states, inputs) for path in self.paths]
+        findings = [each for part in parts for each in self._of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
-        found, ends = reaches(str(self), np.concatenate([part.u for part in parts]), inputs, self.into_range, after)
+        u = np.concatenate([part.u for part in parts])
+        found, ends = reaches(str(self), u, inputs, plant is None, after)
         for part in parts:
             part.findings.clear()
             part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.findings)
         segment = _apart([part.segment for part in parts])
         x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
-        states = _decided(parts[0].states, headings, x, segment, dt)
+        states = _with_speeds(parts[0].states, headings, x, segment, dt)
         findings += conversions(states, headings)
         free = _free(x, parts)
         findings += [*after, *(each for part in parts for each in self._of(part))]
@@ -218,12 +214,67 @@ class CsvLog:
         if any(c.derivative_of and not c.name for c in states.values()):
             free &= _smoothable(segment, findings)
         data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
-        self._require_enough(data, [name for name, c in states.items() if c.name], list(states), findings)
+        self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
         reach = actuator_units(found, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
-        return Recording(data, signature, tuple(findings), ends)
+        require_consistent_rates(data, signature, self.known or {}, states, headings, str(self))
+        if plant is not None:
+            signature = _of_plant(signature, plant, data.x.isnan().all(0).tolist())
+        return Recording(data, signature, (*findings, *left_out), ends)
+
+    def _columns(
+        self, plant: Signature | None, findings: list[Finding]
+    ) -> tuple[str, dict[str, Column], dict[str, Column]]:
+        """Return the heading of the time, states and inputs: those that were given, of the plant, or else inferred."""
+        mapped = [isinstance(given, Mapping) for given in (self.states, self.inputs)]
+        states, inputs = (
+            columns_of(given if isinstance(given, Mapping) else {name: name for name in given or ()}, states)
+            for given, states in ((self.states, True), (self.inputs, False))
+        )
+        time, first = self.time, Path(self.paths[0])
+        if self.dt is not None:
+            time = row_counter(first, time, [split_unit(c.name or n)[0] for n, c in {**states, **inputs}.items()])
+        if plant is not None:
+            headings, rates = read_columns(first).headings, set((self.known or {}).values())
+            states = states or {
+                name: Column("" if name in rates and not named_by(name, headings) else name, unit)
+                for name, unit in zip(plant.state_names, plant.state_units, strict=True)
+            }
+            inputs = inputs or {name: Column(name) for name in plant.input_names}
+            return time, states, with_actuator_ranges(inputs, headings, plant)
+        if not (states and inputs and all(mapped)):
+            named = [column.name for column in inputs.values()] or None
+            inferred = self._infer(time, named, None if mapped[0] else [*states] or None, findings)
+            states, inputs = (
+                given if given and is_map else found
+                for given, is_map, found in zip((states, inputs), mapped, inferred, strict=True)
+            )
+        return time, states, inputs
+
+    def _infer(
+        self, time: str, inputs: Sequence[str] | None, states: Sequence[str] | None, findings: list[Finding]
+    ) -> tuple[dict[str, Column], dict[str, Column]]:
+        """Return the columns of the file in which most of them move: what stands still in one may move in another."""
+        found, refused = [], []
+        for path in self.paths:
+            own: list[Finding] = []
+            try:
+                found.append((*infer(path, time, inputs, states, own, self.dt), own))
+            except ValueError as error:
+                refused.append(error)
+        if not found:
+            raise refused[0]
+        best = max(found, key=lambda each: len(each[0]) + len(each[1]))
+        findings += best[2]
+        return best[:2]
+
+    def _require_names(self, names: Sequence[str]) -> None:
+        """Refuse names that could not be told from functions and numbers in an equation, or that are there twice."""
+        for name in names:
+            if not NAME.fullmatch(name) or names.count(name) > 1:
+                raise LogError("log.name", file=str(self), name=name)
 
     def __str__(self) -> str:
         """Name the files."""
@@ -234,16 +285,16 @@ class CsvLog:
         several = len(self.paths) > 1
         return [replace(each, values={**each.values, "file": part.path}) if several else each for each in part.findings]
 
-    def _part(self, path: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
+    def _part(self, path: str, time: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
         findings: list[Finding] = []
-        clock = clock_of(read_columns(Path(path)).headings, self.time)
+        clock = clock_of(read_columns(Path(path)).headings, time)
         names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = select_columns(Path(path), names, self.dt)
         findings += table.findings
         states_end = len(names) - len(inputs)
         table = self._complete(path, _hold_inputs(table, states_end, findings), states_end, findings)
-        states = with_units(states, table.headings, True, rotors=False)
+        states = with_units(states, table.headings, True, self.known)
         inputs = with_units(inputs, table.headings, False)
         t, of_time = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)
@@ -279,21 +330,20 @@ class CsvLog:
         values = np.where(bad, np.nan, table.values)
         return replace(table, values=values[~skipped], lines=table.lines[~skipped])
 
-    def _require_enough(
-        self, data: Transitions, logged: Sequence[str], states: Sequence[str], findings: Sequence[Finding]
-    ) -> None:
+    def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
-        least, left_out = self.min_samples, [each for each in findings if each.code != "log.time"]
-        if len(data) < least:
-            raise LogError("log.too_few", path=str(self), count=len(data), least=least, left_out=left_out)
-        for name in logged:
-            if (count := int(data.x_next[:, states.index(name)].isfinite().sum())) < least:
-                raise LogError("log.too_few", path=str(self), count=count, least=least, left_out=left_out, state=name)
+        left_out = [each for each in findings if each.code != "log.time"]
+        facts = {"path": str(self), "least": LEAST, "left_out": left_out}
+        if len(data) < LEAST:
+            raise LogError("log.too_few", count=len(data), **facts)
+        for (name, column), samples in zip(states.items(), data.x_next.unbind(-1), strict=True):
+            if column.name and (count := int(samples.isfinite().sum())) < LEAST:
+                raise LogError("log.too_few", count=count, **facts, state=name)
 
     def _check_time(self, path: str, t: Array, table: Table) -> None:
         steps = np.diff(t)
         if len(t) < 2:
-            raise LogError("log.too_few", path=path, count=0, least=self.min_samples, left_out=[])
+            raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
         if (steps <= 0).any():
             k = int(np.flatnonzero(steps <= 0)[0])
             place = {"line": int(table.lines[k + 1]), "column": table.headings[0]}
@@ -312,9 +362,8 @@ def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Tabl
             continue
         if np.diff(np.append(rows, len(values))).max() > HOLE * len(values) / len(rows):
             continue
-        last = np.maximum.accumulate(np.where(np.isfinite(values[:, k]), np.arange(len(values)), -1))
-        held = np.isnan(values[:, k]) & (last >= 0)
-        values[held, k] = values[last[held], k]
+        known = pd.Series(np.where(np.isfinite(values[:, k]), values[:, k], np.nan))
+        values[:, k] = np.where(np.isnan(values[:, k]), known.ffill(), values[:, k])
         findings.append(note("log.zero_order_hold", column=table.headings[k], rows=len(rows), total=len(values)))
     return replace(table, values=values)
 
@@ -412,21 +461,30 @@ def _free(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
     return np.concatenate(free)
 
 
-def _decided(
+def _with_speeds(
     states: dict[str, Column], headings: Sequence[str], x: dict[str, Array], segment: NDArray[np.int64], dt: float
 ) -> dict[str, Column]:
     """Return the states, turns per minute in rad/s where they are the slope of an angle, and scale these samples."""
-    if not (speeds := undecided(states, headings)):
-        return states
-    names = [name for name in x if states[name].unit == "rad" or name in speeds]
-    samples = np.stack([x[name] for name in names], -1)
+    units, found, samples = units_of(headings), dict(states), np.stack([*x.values()], -1)
     data = _transitions(samples, samples[:, :0], segment, np.ones(len(segment), dtype=bool), dt)
-    places = [[k for k, name in enumerate(names) if (name in speeds) == fast] for fast in (False, True)]
-    known = {names[angle]: names[speed] for angle, speed in turning(data, *places).items()}
-    found = with_units(states, headings, True, known)
-    for name in speeds:
-        x[name] = x[name] * found[name].scale
+    angles = [place for place, name in enumerate(x) if states[name].unit == "rad"]
+    for place, name in enumerate(x):
+        column = states[name]
+        if PER_MINUTE.fullmatch(units.get(column.name, "")) and (column.unit, column.scale) == ("-", 1):
+            unit, scale = in_radians(units[column.name], any(is_speed_in_rpm(data, k, place) for k in angles))
+            found[name], x[name] = replace(column, unit=unit, scale=scale), x[name] * scale
     return found
+
+
+def _of_plant(log: Signature, plant: Signature, unmeasured: Sequence[bool]) -> Signature:
+    """Return what a log has, with a plant's ends of actuators, and its ranges of states that nothing measures."""
+    if log.input_names == plant.input_names and (plant.input_ends or plant.input_limits):
+        units = plant.input_units or log.input_units
+        log = replace(log, input_ends=plant.input_ends, input_limits=plant.input_limits, input_units=units)
+    if log.state_names != plant.state_names:
+        return log
+    ranges = zip(unmeasured, plant.x_scale, log.x_scale, strict=True)
+    return replace(log, x_scale=tuple(theirs if missing else own for missing, theirs, own in ranges))
 
 
 def _stuck(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:

@@ -1,9 +1,12 @@
-"""What the heading of a column says: its name, its unit, and whether it can only be that of time."""
+"""What the heading of a column says: its name, its unit, and whether it can only be that of time or of a rate."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+
+from dynasindy.systems.base import TURNS
 
 SECONDS = {
     **dict.fromkeys(("s", "sec"), 1.0),
@@ -39,9 +42,11 @@ ANGLES = {
 """Units of angles, in small letters, and what stands for them."""
 PER_SECOND = re.compile(r"(?:[ _]*(?:/|per|_)[ _]*s(?:ec(?:ond)?)?|[ *.\u00b7]*s(?:\^?-1|\u207b\u00b9))", re.IGNORECASE)
 PER_MINUTE = re.compile(r"rpm|(?:rev|r|u)/min", re.IGNORECASE)
-"""Turns per minute, which are `rpm`."""
+"""Turns per minute, which are `rpm`; of what is no rate of an angle they stay, as of a fan."""
 APART = re.compile(r"\s*(?:[,/_{<-]|\bin\b|(?<=[a-z])(?=[A-Z]))\s*")
 """What may stand between a name and its unit where the unit has no brackets, as in `angle / deg` and `angleDeg`."""
+RATE_NAMES = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "{}_vel", "{}_velocity", "{}_speed")
+"""How the rate of a state is called."""
 
 
 def split_unit(heading: str) -> tuple[str, str]:
@@ -98,6 +103,26 @@ def units_of(headings: Iterable[str]) -> dict[str, str]:
     split = {heading: split_unit(heading) for heading in headings}
     ended = {f"{n}_{end}": unit for n, unit in split.values() for end, ending in SUFFIXES.items() if ending == unit}
     return ended | dict(split.values()) | {heading: unit for heading, (_, unit) in split.items()}
+
+
+def in_radians(unit: str, turns: bool = True) -> tuple[str, float]:
+    """Return the unit that a unit becomes, and the factor to it: rad or rad/s of angles and their rates.
+
+    Args:
+        unit: A unit, such as `deg/s`.
+        turns: Whether turns per minute are those of an angle.
+    """
+    whole, per, time = unit.partition("/")
+    if whole in TURNS and per + time in ("", "/s", "/s^2", "/s²"):
+        return f"rad{per}{time}", TURNS[whole]
+    if turns and PER_MINUTE.fullmatch(unit):
+        return "rad/s", 2 * math.pi / 60
+    return unit, 1.0
+
+
+def is_rate_of(state: str, rate: str) -> bool:
+    """Tell whether a column is called the rate of another one, as `arm_rate` of `arm`."""
+    return rate in (pattern.format(state) for pattern in RATE_NAMES)
 
 
 def named_by(name: str, headings: Sequence[str]) -> list[str]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import cache
 
 import torch
 from torch import Tensor
 
+from dynasindy.data.columns import Column, as_map
+from dynasindy.data.headings import is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -34,8 +36,6 @@ ROWS = 5000
 """Rows that are looked at."""
 BRIDGED = 10
 """Samples of a rate that may be missing in a row; over these it is taken to be straight, over more nothing is told."""
-NAMED = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "{}_vel", "{}_velocity", "{}_speed")
-"""How the rate of a state is called."""
 PLAIN = ("rate", "velocity", "speed")
 """What a rate is called that may be that of any state."""
 RPM = 2 * math.pi / 60
@@ -66,42 +66,22 @@ CAUSES = {
 """What a factor between the slope of a state and its rate comes from."""
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """Hold a rate that is not the slope of its state.
+def explain_factor(factor: float) -> tuple[str, float]:
+    """Return the likely cause of a factor between the slope of a state and its rate, and the factor that it makes.
 
-    Attributes:
-        state: name of the state.
-        rate: name of its rate.
-        factor: slope of the state over the rate.
-        guessed: whether only units, or a name that may be of any rate, say that the two belong together.
+    Of a factor without a known cause it is the same to three digits.
+
+    Args:
+        factor: Slope over rate; negative where one of them counts the other way.
     """
-
-    state: str
-    rate: str
-    factor: float
-    guessed: bool = False
-
-    @property
-    def finding(self) -> Finding:
-        """The finding."""
-        facts = {"state": self.state, "rate": self.rate, "factor": self.factor, "cause": self.cause()}
-        return weak("log.unit_of_rate", **facts, guessed=self.guessed)
-
-    @property
-    def likely(self) -> float:
-        """The factor that the rate lacks: that of the likely cause, or else the one of the log to three digits."""
-        size = abs(self.factor)
-        near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
-        return math.copysign(near if abs(math.log(size / near)) < NEAR else float(f"{size:.3g}"), self.factor)
-
-    def cause(self) -> str:
-        """Say what the factor comes from, its sign too."""
-        size, turned = abs(self.factor), self.factor < 0
-        near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
-        if abs(math.log(size / near)) >= NEAR:
-            return "in which units are they" + ", and which one is counted the other way" * turned
-        return CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0)
+    size, turned = abs(factor), factor < 0
+    near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
+    if abs(math.log(size / near)) >= NEAR:
+        cause = "in which units are they" + ", and which one is counted the other way" * turned
+        return cause, float(f"{factor:.3g}")
+    return CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0), math.copysign(
+        near, factor
+    )
 
 
 def unit_of_rate(unit: str) -> str:
@@ -122,82 +102,52 @@ def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
     return signature
 
 
-def contradicted(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, Finding]:
-    """Return the states that clearly do not move by what is said to be their rate.
-
-    Args:
-        data: the recording; what was not measured is NaN, and is not judged.
-        signature: names and units of the states.
-        known: the rate of each state, as it was said.
-    """
-    told, names = _exchanged(data, signature, known), signature.state_names
-    for state, rate in known.items():
-        tie = _factor(data, names.index(state), names.index(rate))
-        if state not in told and tie != NO_TIE and -TIED < tie[1] < LOOSE:
-            told[state] = weak("log.rate_contradicted", state=state, rate=rate, correlation=tie[1])
-    return told
-
-
-def _exchanged(data: Transitions, signature: Signature, known: Mapping[str, str]) -> dict[str, Finding]:
-    """Return the states that are clearly the rates of what is said to be their rate.
-
-    Args:
-        data: the recording.
-        signature: names and units of the states.
-        known: the rate of each state, as it was said.
-    """
-    told, names = {}, signature.state_names
-    for state, rate in known.items():
-        places = names.index(state), names.index(rate)
-        tie, turned = _factor(data, *places), _factor(data, *reversed(places))
-        if turned[1] > TIED and 1 / CLEAR < turned[0] < CLEAR and not tie[1] > TIED:
-            told[state] = weak("log.rate_exchanged", state=state, rate=rate, known={rate: state})
-    return told
-
-
-def mismatched(data: Transitions, signature: Signature, known: Mapping[str, str] | None = None) -> list[Mismatch]:
-    """Return the rates that are clearly not the slopes of their states.
+def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str]) -> list[Finding]:
+    """Return which states clearly do not move by their rates, and which rates are in other units than their states.
 
     A rate is known to be that of a state, or is called so, or its unit says so. Of several states whose unit fits, it
     is that of the one whose movement follows it most closely.
 
     Args:
-        data: the recording, NaN where a state was not measured.
-        signature: names and units of the states.
-        known: the rate of each state, as far as it is known.
-    """
-    names, pairs = signature.state_names, dict(known or {})
-    seen = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
-    found = []
-    for rate in seen:
-        sure = [state for state in seen if pairs.get(state) == rate] or [s for s in seen if is_rate_of(s, rate)]
-        others = [s for s in seen if s not in pairs and s != rate and _may_be(s, rate, signature)]
-        ties = {state: _factor(data, names.index(state), names.index(rate)) for state in sure or others}
-        state, tie = max(ties.items(), key=lambda item: abs(item[1][1]), default=("", NO_TIE))
-        clear = EXACT if pairs.get(state) == rate and abs(tie[1]) > ALIKE else CLEAR
-        if abs(tie[1]) > (TIED if sure else ALIKE) and not 1 / clear < tie[0] < clear:
-            found.append(Mismatch(state, rate, tie[0], guessed=not sure))
-    return found
-
-
-def _misfit(data: Transitions, signature: Signature, known: Mapping[str, str]) -> list[Mismatch]:
-    """Return the rates that are known to be those of a state and are clearly in other units, or of the other sign.
-
-    Where the log contradicts that the two belong together, nothing is told of their units.
-
-    Args:
-        data: The recording.
+        data: The recording; what was not measured is NaN, and is not judged.
         signature: Names and units of the states.
-        known: The rate of each state; other equations tell nothing.
+        known: The rate of each state, as far as it is known; other equations are not looked at.
     """
-    pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
-    wrong = contradicted(data, signature, pairs)
-    found = [m for m in mismatched(data, signature, pairs) if not 1 / CLEAR < m.factor < CLEAR]
-    return [m for m in found if pairs.get(m.state) == m.rate and m.state not in wrong]
+    names = signature.state_names
+    known = {state: rate for state, rate in known.items() if {state, rate} <= set(names)}
+    wrong, units = dict[str, Finding](), list[Finding]()
+
+    @cache
+    def compare(state: str, rate: str) -> tuple[float, float]:
+        return _compare(data, names.index(state), names.index(rate))
+
+    for state, rate in known.items():
+        (_, correlation), (factor, reverse) = compare(state, rate), compare(rate, state)
+        if reverse > TIED and 1 / CLEAR < factor < CLEAR and not correlation > TIED:
+            wrong[state] = weak("log.rate_exchanged", state=state, rate=rate, known={rate: state})
+        elif compare(state, rate) != NO_TIE and -TIED < correlation < LOOSE:
+            wrong[state] = weak("log.rate_contradicted", state=state, rate=rate, correlation=correlation)
+    measured = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
+    for rate in measured:
+        sure = [s for s in measured if known.get(s) == rate] or [s for s in measured if is_rate_of(s, rate)]
+        others = [s for s in measured if s not in known and s != rate and _may_be(s, rate, signature)]
+        ties = {s: compare(s, rate) for s in sure or others}
+        state, (factor, correlation) = max(ties.items(), key=lambda tie: abs(tie[1][1]), default=("", NO_TIE))
+        clear = EXACT if known.get(state) == rate and abs(correlation) > ALIKE else CLEAR
+        if state in wrong or abs(correlation) <= (TIED if sure else ALIKE) or 1 / clear < factor < clear:
+            continue
+        facts = {"state": state, "rate": rate, "factor": factor, "cause": explain_factor(factor)[0]}
+        units.append(weak("log.rate_units", **facts, guessed=not sure))
+    return [*wrong.values(), *units]
 
 
 def require_consistent_rates(
-    data: Transitions, signature: Signature, known: Mapping[str, str], mend: Callable[[Mismatch], Mapping[str, Any]]
+    data: Transitions,
+    signature: Signature,
+    known: Mapping[str, str],
+    columns: Mapping[str, Column],
+    headings: Iterable[str] = (),
+    file: str = "",
 ) -> None:
     """Refuse rates that are known and cannot be those of their states, for their equations are taken as exact.
 
@@ -205,41 +155,37 @@ def require_consistent_rates(
         data: The recording.
         signature: Names and units of the states.
         known: The rate of each state; other equations are not looked at.
-        mend: Returns the column map of the states that mends a rate in other units, or of the other sign.
+        columns: The columns that were read, by state.
+        headings: Headings of the file, where they are known.
+        file: The file, for the message.
 
     Raises:
-        ValueError: A rate was exchanged with its state, is in other units, or counts the other way.
+        LogError: A rate was exchanged with its state, is in other units, or counts the other way.
     """
-    pairs = {s: rate for s, rate in known.items() if {s, rate} <= set(signature.state_names)}
-    for exchanged in _exchanged(data, signature, pairs).values():
-        raise LogError(exchanged.code, **exchanged.values)
-    for wrong in _misfit(data, signature, pairs):
-        unit = signature.state_units[signature.state_index(wrong.state)]
-        allowed = f"the unit of {wrong.state} per second" if unit == "-" else unit_of_rate(unit)
-        facts = {"state": wrong.state, "rate": wrong.rate, "factor": wrong.factor, "cause": wrong.cause()}
-        raise LogError("log.rate_units", **facts, unit=allowed, states=mend(wrong))
+    place = {"file": file} if file else {}
+    for each in check_rates(data, signature, known):
+        state, rate = each.values["state"], each.values["rate"]
+        if each.code == "log.rate_exchanged":
+            raise LogError(each.code, **place, **each.values)
+        if each.code != "log.rate_units" or known.get(state) != rate or 1 / CLEAR < each.values["factor"] < CLEAR:
+            continue
+        unit, column = signature.state_units[signature.state_index(state)], columns[rate]
+        scale = explain_factor(each.values["factor"])[1] * column.scale
+        mended = {**columns, rate: replace(column, unit=unit_of_rate(unit), scale=scale)}
+        allowed = f"the unit of {state} per second" if unit == "-" else unit_of_rate(unit)
+        raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended, headings))
 
 
-def turning(data: Transitions, angles: Sequence[int], speeds: Sequence[int]) -> dict[int, int]:
-    """Return the angles whose slope over time is a column in turns per minute, each with this column.
+def is_speed_in_rpm(data: Transitions, angle: int, speed: int) -> bool:
+    """Tell whether a column is the slope of an angle, in turns per minute.
 
     Args:
         data: The recording.
-        angles: Places of states in rad.
-        speeds: Places of states in turns per minute.
+        angle: Place of a state in rad.
+        speed: Place of the column.
     """
-    found = {}
-    for speed in speeds:
-        for angle in angles:
-            factor, correlation = _factor(data, angle, speed)
-            if abs(correlation) > ALIKE and abs(math.log(abs(factor) / RPM)) < NEAR:
-                found[angle] = speed
-    return found
-
-
-def is_rate_of(state: str, rate: str) -> bool:
-    """Tell whether a column is called the rate of another one, as `arm_rate` of `arm`."""
-    return rate in (pattern.format(state) for pattern in NAMED)
+    factor, correlation = _compare(data, angle, speed)
+    return abs(correlation) > ALIKE and abs(math.log(abs(factor) / RPM)) < NEAR
 
 
 def _may_be(state: str, rate: str, signature: Signature) -> bool:
@@ -253,7 +199,7 @@ def _may_be(state: str, rate: str, signature: Signature) -> bool:
     return units[state] == per_time[1] or any({units[state], per_time[1]} <= set(kind) for kind in KINDS)
 
 
-def _factor(data: Transitions, state: int, rate: int) -> tuple[float, float]:
+def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     """Return the slope of a state over a rate, and their correlation.
 
     What the state moves by over a window is compared with the integral of the rate, by the trapezoidal rule: noise
@@ -272,8 +218,8 @@ def _factor(data: Transitions, state: int, rate: int) -> tuple[float, float]:
         whole = (data.segment[rows] == data.segment[last]) & (lost[last + 1] == lost[rows]) & moved.isfinite()
         rows, last, moved = rows[whole], last[whole], moved[whole]
         if len(rows) > STRETCHES and len(rows) * stride > (STRETCHES - 1) * window:
-            told = _compared(moved, sums[last + 1] - sums[rows])
-            best = max(best, told, key=lambda tie: abs(tie[1]))
+            tie = _ratio(moved, sums[last + 1] - sums[rows])
+            best = max(best, tie, key=lambda each: abs(each[1]))
         window *= 2
     return best
 
@@ -302,7 +248,7 @@ def _bridged(data: Transitions, state: int) -> Tensor:
     return values.where(inside, math.nan)
 
 
-def _compared(moved: Tensor, integral: Tensor) -> tuple[float, float]:
+def _ratio(moved: Tensor, integral: Tensor) -> tuple[float, float]:
     """Return the factor between two columns and their correlation, without the rows that fit worst."""
     keep = torch.ones(len(moved), dtype=torch.bool)
     factor = correlation = 0.0

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dynasindy.data.rates import contradicted, mismatched
+from dynasindy.data.columns import Column, as_map
+from dynasindy.data.headings import in_radians
+from dynasindy.data.rates import check_rates
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.source import Source
+from dynasindy.identification.source import Source, rates_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import auto, auto_rig
-from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
+from dynasindy.sindy.reconstruction import find_missing_rates
 from dynasindy.sindy.shape_parameters import of_one_angle
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.base import TURNS, Signature
@@ -45,11 +47,12 @@ def before_fit(model: SindyModel, source: Source) -> PrefitReview:
         model: A model of the data, not fitted yet.
         source: The data.
     """
+    rates = check_rates(source.training, source.signature, rates_of(model))
     if not source.logged:
-        return PrefitReview((*wrong_units(model, source), *source.findings), MissingRates({}, {}))
+        return PrefitReview((*rates, *source.findings), MissingRates({}, {}))
     missing, rows = review_rates(model, source), len(source.training)
     findings = [
-        *wrong_units(model, source),
+        *rates,
         *([weak("log.few_rows", rows=rows, least=FEW)] if rows < FEW else []),
         *source.findings,
         *_angles(model, source),
@@ -57,14 +60,6 @@ def before_fit(model: SindyModel, source: Source) -> PrefitReview:
         *missing_rates(model, missing),
     ]
     return PrefitReview(tuple(findings), missing)
-
-
-def wrong_units(model: SindyModel, source: Source) -> list[Finding]:
-    """Return which measured rates are not those of their states, or not the slopes of these."""
-    data, signature, known = source.training, source.signature, _known(model)
-    contradictions = contradicted(data, signature, known)
-    units = mismatched(data, signature, known)
-    return [*contradictions.values(), *(each.finding for each in units if each.state not in contradictions)]
 
 
 def _angles(model: SindyModel, source: Source) -> list[Finding]:
@@ -86,7 +81,7 @@ def missing_rates(model: SindyModel, missing: MissingRates) -> list[Finding]:
         model: A model of the log, not fitted yet.
         missing: What `review_rates` returned of it.
     """
-    given, findings = _known(model), []
+    given, findings = rates_of(model), []
     if new := [name for name in missing.certain if name not in given]:
         findings.append(weak("fit.rates_missing", states=new, known=missing.certain))
     return findings + [
@@ -142,7 +137,7 @@ def review_rates(model: SindyModel, source: Source) -> MissingRates:
         model: A model of the log, not fitted yet.
         source: The log.
     """
-    signature, known = source.signature, _known(model)
+    signature, known = source.signature, rates_of(model)
     missing = find_missing_rates(model.library, source.training)
     angles = []
     if model.step is None and "rad/s" not in signature.state_units and not _chosen(model, signature):
@@ -163,11 +158,6 @@ def _name_of_rate(name: str, signature: Signature) -> str:
     return rate
 
 
-def _known(model: SindyModel) -> dict[str, str]:
-    names = model.signature.state_names
-    return {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
-
-
 def _chosen(model: SindyModel, signature: Signature) -> bool:
     """Tell whether somebody chose the functions."""
     return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
@@ -178,17 +168,9 @@ def _in_rad(source: Source) -> dict[str, Any]:
 
     Rates that no column has are left out: `plant.known` adds them, in the unit of their angle.
     """
-    signature, states = source.signature, dict[str, Any]()
-    unseen = source.training.x.isnan().all(0).tolist()
-    for name, unit, missing in zip(signature.state_names, signature.state_units, unseen, strict=True):
-        if missing:
-            continue
-        whole, per, second = unit.partition("/")
-        if whole in TURNS and (per + second) in ("", "/s"):
-            states[name] = {"name": name, "unit": f"rad{per}{second}", "scale": float(f"{TURNS[whole]:.7g}")}
-        else:
-            states[name] = name if unit == "-" else {"name": name, "unit": unit}
-    return states
+    signature, measured = source.signature, source.training.x.isfinite().any(0).tolist()
+    units = zip(signature.state_names, signature.state_units, measured, strict=True)
+    return as_map({name: Column(name, *in_radians(unit, turns=False)) for name, unit, logged in units if logged})
 
 
 def plants_with(signature: Signature) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dynasindy.findings import Finding, note, weak
+from dynasindy.identification.source import rates_of
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.input_nonlinearity import InputNonlinearity, read_nonlinearity
@@ -69,9 +70,7 @@ def missing_nonlinearity(bend: InputNonlinearity, model: SindyModel) -> Finding:
         bend: what `find_missing_nonlinearity` found.
         model: a fitted model.
     """
-    names = model.signature.state_names
-    known = {names[i]: names[rate] for rate, i in rate_states(model.library, model.constraints).items()}
-    return weak("model.missing_nonlinearity", known=known, **_bend(bend, model))
+    return weak("model.missing_nonlinearity", known=rates_of(model), **_bend(bend, model))
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:

@@ -120,12 +120,16 @@ class Source:
                 f"the middle of "
                 "a range for zero"
             )
-        names = model.signature.state_names
-        known = rate_states(model.library, model.constraints)
-        source = self._widened({names[state]: names[rate] for rate, state in known.items()})
+        source = self._widened(rates_of(model))
         states, parts = source.signature.state_names, (source.training, source.validation)
         training, validation = (completed(part, states, model) for part in parts)
         return replace(source, signature=model.signature, training=training, validation=validation)
+
+
+def rates_of(model: SindyModel) -> dict[str, str]:
+    """Return the name of each state whose rate is known to be another state, and that state's name."""
+    names = model.signature.state_names
+    return {names[state]: names[rate] for rate, state in rate_states(model.library, model.constraints).items()}
 
 
 def same_input_ranges(first: Signature, second: Signature) -> bool:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike, NDArray
 
-from dynasindy.data.rates import NAMED
+from dynasindy.data.headings import RATE_NAMES
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file
 from dynasindy.systems.base import WHOLE, Signature
@@ -115,7 +115,7 @@ def symbol(name: str) -> str:
     head, _, tail = name.partition("_")
     if not head.isalnum() or not (tail.isalnum() or head == name):
         return name
-    if (head.isalpha() and len(head) > 1 and head not in GREEK) or f"{{}}_{tail}" in NAMED:
+    if (head.isalpha() and len(head) > 1 and head not in GREEK) or f"{{}}_{tail}" in RATE_NAMES:
         return name
     head = rf"\{head}" if head in GREEK else head
     return f"${head}_{{{tail}}}$" if tail else f"${head}$"

@@ -25,7 +25,7 @@ from torch import Tensor
 import dynasindy
 from benchmarks.common import NAMES, EquationSystem, add_choices, add_output, add_seeds, measure_plants, run_command
 from dynasindy import Controller
-from dynasindy.data.units import in_radians
+from dynasindy.data.headings import in_radians
 from dynasindy.safe_io import Row, write_csv
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import SindyModel

@@ -27,10 +27,9 @@ def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_pa
     table = np.concatenate([log(), log()[:, 1:2], log()[:, 1:2] * math.nan], -1)
     headings = ("time [s]", "angle [rad]", "rate", "u_1 [V]", "reference_angle", "comment")
     path = write(tmp_path / "log.csv", table, headings)
-    states, inputs = infer(path)
-    assert states == {"angle": Column("angle [rad]", "rad"), "rate": Column("rate")}
-    assert inputs == {"u_1": Column("u_1 [V]", "V")}
-    data = CsvLog(path, states, inputs).read()
+    data = CsvLog(path).recording()
+    assert data.signature.state_names == ("angle", "rate") and data.signature.input_names == ("u_1",)
+    assert data.signature.input_units == ("V",)
     assert np.array_equal(data.transitions.x.numpy(), table[:-1, 1:3]) and data.signature.state_units == ("rad", "-")
 
 
@@ -38,7 +37,7 @@ def test_inputs_may_be_named_and_all_others_are_states(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate", "volt [V]"))
     for names in (["volt"], ["volt [V]"]):
         states, inputs = infer(path, inputs=names)
-        assert (list(states), inputs) == (["angle", "rate"], {"volt": Column("volt [V]", "V")})
+        assert (list(states), inputs) == (["angle", "rate"], {"volt": Column("volt [V]")})
     with pytest.raises(ValueError, match="colum"):
         infer(path, inputs=["current"])
 

@@ -6,15 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.rates import (
-    _exchanged,
-    _misfit,
-    contradicted,
-    mismatched,
-    require_consistent_rates,
-    turning,
-    with_rates,
-)
+from dynasindy.data.columns import Column
+from dynasindy.data.rates import check_rates, is_speed_in_rpm, require_consistent_rates, with_rates
 from dynasindy.envs.rollout_data import disturb, record_plant
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.findings import LogError, weak
@@ -30,6 +23,21 @@ def swing(angle_unit: float = 1.0, rate_unit: float = 1.0, noise: float = 0.0, n
     x = torch.stack([torch.sin(2 * t) + 0.3 * torch.sin(7 * t), 2 * torch.cos(2 * t) + 2.1 * torch.cos(7 * t)], -1)
     x = x + noise * x.std(0) * torch.randn(x.shape, generator=torch.Generator().manual_seed(0), dtype=x.dtype)
     return Transitions.from_trajectory(x * torch.tensor([angle_unit, rate_unit]), torch.zeros(n, 1), 0.01)
+
+
+def mismatched(data, signature, known=None):
+    """Return the facts of rates in other units."""
+    return [f.values for f in check_rates(data, signature, known or {}) if f.code == "log.rate_units"]
+
+
+def contradicted(data, known):
+    return [f for f in check_rates(data, SIGNATURE, known) if f.code != "log.rate_units"]
+
+
+def refused(data, known):
+    with pytest.raises(LogError) as error:
+        require_consistent_rates(data, SIGNATURE, known, {name: Column(name) for name in SIGNATURE.state_names})
+    return error.value.finding
 
 
 @pytest.mark.parametrize(
@@ -48,12 +56,12 @@ def swing(angle_unit: float = 1.0, rate_unit: float = 1.0, noise: float = 0.0, n
 )
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, noise):
-    (found,) = mismatched(swing(angle, rate, noise), SIGNATURE)
-    assert found.factor == pytest.approx(factor, rel=0.03)
-    assert found.finding.code == "log.unit_of_rate" and found.finding.severity == "weak"
-    told = dict(found.finding.values)
-    assert cause in told.pop("cause")
-    assert told == {"state": "angle", "rate": "rate", "factor": found.factor, "guessed": True}
+    (found,) = check_rates(swing(angle, rate, noise), SIGNATURE, {})
+    told = dict(found.values)
+    assert found.severity == "weak" and cause in told.pop("cause")
+    factor = pytest.approx(factor, rel=0.03)
+    assert found.code == "log.rate_units"
+    assert told == {"state": "angle", "rate": "rate", "factor": factor, "guessed": True}
 
 
 @pytest.mark.parametrize(
@@ -70,7 +78,7 @@ def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, no
 )
 def test_causes_whose_factors_are_near_each_other_are_told_apart_where_nothing_is_noisy(angle, rate, cause):
     (found,) = mismatched(swing(angle, rate), SIGNATURE)
-    assert found.cause().removeprefix("hundredths of a unit beside the unit, ") == cause
+    assert found["cause"].removeprefix("hundredths of a unit beside the unit, ") == cause
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
@@ -121,11 +129,11 @@ def test_what_is_known_or_called_so_or_has_the_unit_is_the_rate(names, units, kn
 def test_a_pair_behind_a_gear_of_70_is_told_only_if_the_units_fit_and_then_as_a_guess(names, units, told):
     data, signature = swing(1.0, 70.0), Signature(names, units, ("u",), (1.0, 1.0))
     found = mismatched(data, signature)
-    assert [one.factor for one in found] == ([pytest.approx(1 / 70, rel=0.03)] if told else [])
+    assert [one["factor"] for one in found] == ([pytest.approx(1 / 70, rel=0.03)] if told else [])
     named = names[1] == f"{names[0]}_speed"
-    assert all(one.guessed != named for one in found)
+    assert all(one["guessed"] != named for one in found)
     (known,) = mismatched(data, signature, {names[0]: names[1]})
-    assert not known.guessed
+    assert not known["guessed"]
 
 
 def without(data: Transitions, lost: torch.Tensor) -> Transitions:
@@ -153,7 +161,7 @@ def test_lost_samples_do_not_switch_the_check_off(angle, lost):
     for column, rows in enumerate(lost):
         gone[list(rows), column] = True
     (found,) = mismatched(without(swing(angle, 1.0, 0.02), gone), SIGNATURE)
-    assert found.factor == pytest.approx(angle, rel=0.05)
+    assert found["factor"] == pytest.approx(angle, rel=0.05)
     assert mismatched(without(swing(1.0, 1.0, 0.02), gone), SIGNATURE) == []
 
 
@@ -172,7 +180,7 @@ def test_neither_a_long_gap_nor_a_break_between_recordings_is_bridged():
 def test_a_state_that_was_hardly_measured_is_not_told():
     gone = torch.zeros(2001, 2, dtype=torch.bool)
     gone[60:] = True
-    assert mismatched(without(swing(57.3), gone), SIGNATURE)[0].factor == pytest.approx(57.3, rel=0.03)
+    assert mismatched(without(swing(57.3), gone), SIGNATURE)[0]["factor"] == pytest.approx(57.3, rel=0.03)
     gone[15:] = True
     assert mismatched(without(swing(57.3), gone), SIGNATURE) == []
 
@@ -181,7 +189,7 @@ def test_an_angle_that_is_counted_within_a_turn_is_still_told():
     data = swing()
     turns = data.x[:, :1].sign().diff(dim=0).abs().cumsum(0) % 3 * 2 * math.pi  # jumps of a turn, now and then
     x = torch.cat([(data.x[1:, :1] + turns) * 57.3, data.x[1:, 1:]], -1)
-    assert mismatched(Transitions.from_trajectory(x, data.u[2:], 0.01), SIGNATURE)[0].factor == pytest.approx(
+    assert mismatched(Transitions.from_trajectory(x, data.u[2:], 0.01), SIGNATURE)[0]["factor"] == pytest.approx(
         57.3, 0.03
     )
 
@@ -192,7 +200,7 @@ def test_an_axis_that_moves_almost_like_another_one_is_not_taken_for_it():
     other = -1.3 * data.x[1:, 1:] + 0.8 * (3 * 0.01 * torch.arange(len(data) - 1)).sin().unsqueeze(-1)
     mixed = Transitions.from_trajectory(torch.cat([data.x[1:, :1], other], -1), data.u[2:], 0.01)
     assert mismatched(mixed, SIGNATURE) == []
-    assert mismatched(mixed, SIGNATURE, {"angle": "rate"})[0].factor == pytest.approx(-1 / 1.3, rel=0.05)
+    assert mismatched(mixed, SIGNATURE, {"angle": "rate"})[0]["factor"] == pytest.approx(-1 / 1.3, rel=0.05)
 
 
 @pytest.mark.parametrize("plant", [Tras, Xi, Pendulum])
@@ -206,8 +214,8 @@ def test_no_simulated_plant_is_told(plant):
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.2])
 def test_a_rate_and_its_state_that_were_exchanged_are_told_with_what_mends_it(noise):
-    told = contradicted(swing(noise=noise), SIGNATURE, {"rate": "angle"})
-    assert told == {"rate": weak("log.rate_exchanged", state="rate", rate="angle", known={"angle": "rate"})}
+    told = contradicted(swing(noise=noise), {"rate": "angle"})
+    assert told == [weak("log.rate_exchanged", state="rate", rate="angle", known={"angle": "rate"})]
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 2.0])
@@ -215,23 +223,24 @@ def test_a_rate_and_its_state_that_were_exchanged_are_told_with_what_mends_it(no
 def test_a_rate_is_not_contradicted_however_noisy_and_in_whatever_unit(noise, unit):
     """What is wrong of units and signs is told as such."""
     noise = noise if unit == 1.0 else 0.1 * noise
-    assert contradicted(swing(unit, 1.0, noise), SIGNATURE, {"angle": "rate"}) == {}
+    assert contradicted(swing(unit, 1.0, noise), {"angle": "rate"}) == []
 
 
 def test_a_state_that_moves_by_something_else_contradicts_its_rate():
     data = swing()
     other = torch.randn(len(data), 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64).cumsum(0)
     mixed = Transitions.from_trajectory(torch.cat([data.x[:, :1], other], -1), data.u[1:], 0.01)
-    told = contradicted(mixed, SIGNATURE, {"angle": "rate"})["angle"]
-    assert told.code == "log.rate_contradicted" and abs(told.values["correlation"]) < 0.5
+    (told,) = contradicted(mixed, {"angle": "rate"})
+    assert (told.code, told.values["state"]) == ("log.rate_contradicted", "angle")
+    assert abs(told.values["correlation"]) < 0.5
 
 
 def test_what_was_not_measured_or_does_not_move_contradicts_nothing():
     data = swing()
     x = data.x.clone()
     x[:, 1] = math.nan
-    assert contradicted(replace(data, x=x, x_next=x), SIGNATURE, {"angle": "rate"}) == {}
-    assert contradicted(replace(data, x=0 * data.x, x_next=0 * data.x), SIGNATURE, {"angle": "rate"}) == {}
+    assert contradicted(replace(data, x=x, x_next=x), {"angle": "rate"}) == []
+    assert contradicted(replace(data, x=0 * data.x, x_next=0 * data.x), {"angle": "rate"}) == []
 
 
 def test_rates_that_are_known_and_no_states_yet_are_added_in_their_unit():
@@ -247,11 +256,11 @@ def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minu
     t = 0.01 * torch.arange(2001, dtype=torch.float64)
     x = torch.stack([torch.sin(2 * t), 2 * torch.cos(2 * t)], -1)
     data = Transitions.from_trajectory(x, torch.zeros(2000, 1), 0.01)
-    assert _misfit(data, SIGNATURE, {"rate": "angle"}) == []
-    (found,) = _misfit(swing(1.0, 30 / math.pi, 0.1), SIGNATURE, {"angle": "rate"})
-    assert found.likely == 2 * math.pi / 60 and turning(swing(1.0, 30 / math.pi), [0], [1]) == {0: 1}
-    assert _misfit(swing(-17.0), SIGNATURE, {"angle": "rate"})[0].likely == -17.0
-    assert turning(swing(1.0, 1.0), [0], [1]) == {}
+    assert refused(data, {"rate": "angle"}).code == "log.rate_exchanged"
+    minutes = swing(1.0, 30 / math.pi, 0.1)
+    assert refused(minutes, {"angle": "rate"}).values["states"]["rate"]["scale"] == pytest.approx(2 * math.pi / 60)
+    assert is_speed_in_rpm(swing(1.0, 30 / math.pi), 0, 1) and not is_speed_in_rpm(swing(1.0, 1.0), 0, 1)
+    assert refused(swing(-17.0), {"angle": "rate"}).values["states"]["rate"]["scale"] == -17.0
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])
@@ -259,25 +268,17 @@ def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minu
 def test_a_known_rate_that_is_wrong_by_two_is_told_and_one_that_is_right_is_not(factor, noise):
     """It is exact in the model, so twice the slope is twice the gain; filters and noise make less of a difference."""
     (found,) = mismatched(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"})
-    assert found.factor == pytest.approx(1 / factor, rel=0.05)
-    assert _misfit(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"}) == []
+    assert found["factor"] == pytest.approx(1 / factor, rel=0.05)
+    require_consistent_rates(swing(1.0, factor, noise), SIGNATURE, {"angle": "rate"}, {})
     assert mismatched(swing(1.0, factor, noise), SIGNATURE) == []
     for level in (noise, 0.2, 1.0):
         assert mismatched(swing(noise=level), SIGNATURE, {"angle": "rate"}) == []
 
 
 def test_what_cannot_be_a_known_rate_is_refused_with_what_mends_it():
-    def mend(wrong):
-        return {"rate": {"scale": wrong.likely}}
-
-    require_consistent_rates(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, mend)
-    with pytest.raises(LogError) as error:
-        require_consistent_rates(swing(180 / math.pi), SIGNATURE, {"angle": "rate"}, mend)
-    told = error.value.finding
+    require_consistent_rates(swing(), SIGNATURE, {"angle": "rate", "rate": "-angle"}, {})
+    told = refused(swing(180 / math.pi), {"angle": "rate"})
     assert told.code == "log.rate_units" and told.values["unit"] == "rad/s"
-    assert told.values["states"]["rate"]["scale"] == pytest.approx(180 / math.pi)
-    assert list(_exchanged(swing(), SIGNATURE, {"rate": "angle"})) == ["rate"]
-    assert _exchanged(swing(), SIGNATURE, {"angle": "rate"}) == {}
-    with pytest.raises(LogError) as error:
-        require_consistent_rates(swing(), SIGNATURE, {"rate": "angle"}, mend)
-    assert error.value.finding.code == "log.rate_exchanged"
+    scale = pytest.approx(180 / math.pi)
+    assert told.values["states"] == {"angle": "angle", "rate": {"name": "rate", "unit": "rad/s", "scale": scale}}
+    assert refused(swing(), {"rate": "angle"}).code == "log.rate_exchanged"

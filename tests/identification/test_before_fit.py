@@ -11,7 +11,7 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
-from dynasindy.identification.before_fit import PLANTS, before_fit, review_rates, with_missing_rates, wrong_units
+from dynasindy.identification.before_fit import PLANTS, before_fit, review_rates, with_missing_rates
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
@@ -41,10 +41,9 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(lines))
     source = LoggedData(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
     model = SindyModel(source.signature, "auto")
-    (told,) = wrong_units(model, source)
-    assert (told.code, told.severity) == ("log.unit_of_rate", "weak") and told.values["rate"] == "Omega"
+    told = before_fit(model, source).findings[0]
+    assert (told.code, told.severity) == ("log.rate_units", "weak") and told.values["rate"] == "Omega"
     assert told.values["factor"] == pytest.approx(57.3, rel=1e-3)
-    assert before_fit(model, source).findings[0] == told
     exact = Simulated().load(Pendulum(), EXCITATION)
     assert not before_fit(SindyModel(exact.signature, "auto"), exact).findings
 
