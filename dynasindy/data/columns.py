@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
 from dynasindy.data.headings import PER_MINUTE, in_radians, is_rate_of, named_by, parts_of, split_unit, units_of
-from dynasindy.data.table import (
-    REGULAR,
-    ColumnSummary,
-    correct_map,
-    grows,
-    keeps_time,
-    read_columns,
-    summarise_columns,
-)
+from dynasindy.data.table import REGULAR, ColumnSummary, correct_map, summarise_columns
 from dynasindy.findings import Finding, LogError, note
 
 Array = NDArray[np.float64]
@@ -148,29 +140,29 @@ def infer(
             holds words.
     """
     look = summarise_columns(Path(path))
-    clock = clock_of(look.headings, time)
-    given = {heading: split_unit(heading) for heading in look.numeric}
-    others = {
-        name: Column(heading)
-        for heading, (name, _) in given.items()
-        if heading != clock.heading and name != clock.heading and not name.startswith(("reference_", "predicted_"))
-    }
-    words = {split_unit(h)[0]: t for h, t in look.worded.items() if clock.heading not in (h, split_unit(h)[0])}
-    dates = [split_unit(h)[0] for h in look.dated if split_unit(h)[0] in words]
-    timed = clock.heading in look.headings
+    clock = clock_of(look.headings, time).heading
+    timed = clock in look.headings
+    names = {h: name for h in look.headings if h and clock not in (h, name := split_unit(h)[0])}
+    words = {names[h]: text for h, text in look.worded.items() if h in names}
+    dates = [names[h] for h in look.dated if h in names]
+    empty = [name for h, name in names.items() if h not in {*look.numeric, *look.worded}]
+    named = _names([*(inputs or ()), *(states or ())], names.values())
     driving = _names(inputs, words) if inputs is not None else {name for name in words if INPUT.fullmatch(name)}
     if worded := [name for name in words if name in driving]:
         raise LogError("log.worded_input", file=path, column=worded[0], text=words[worded[0]])
-    named = {*_names(inputs or (), others), *_names(states or (), others)}
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name
-        columns = _finite_columns(Path(path), look)
-        timed = not any(grows(column) for h, column in columns.items() if split_unit(h)[0] not in named)
-    empty = _empty(look, clock.heading)
+        timed = not any(names[heading] not in named for heading in look.growing)
     if blank := [name for name in empty if name in named]:
         raise LogError("log.column_without_numbers", file=path, column=blank[0])
-    still = {name: look.still[c.name] for name, c in others.items() if c.name in look.still and name not in named}
-    second = _second_clocks(path, clock.heading, [c.name for c in others.values()])
-    counts = [name for name, c in others.items() if c.name in (*look.counting, *second) and name not in named]
+    others = {
+        name: Column(h)
+        for h, name in names.items()
+        if h in look.numeric and not name.startswith(("reference_", "predicted_"))
+    }
+    counting = {*look.counting, *look.clocks(clock)}
+    free = {name: column.name for name, column in others.items() if name not in named}
+    still = {name: look.still[h] for name, h in free.items() if h in look.still}
+    counts = [name for name, h in free.items() if h in counting]
     if inputs is None:
         moving = {n: c for n, c in others.items() if n not in {*still, *counts}}
         found = {n: c for n, c in moving.items() if INPUT.fullmatch(n)}
@@ -183,48 +175,28 @@ def infer(
         left = _chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
-    out = _left_out(still, counts, {name: text for name, text in words.items() if name not in dates}, empty)
-    if dates := dates if timed else dates[1:]:  # the first is the time where nothing else is
-        out.append(note("log.date_columns", columns=[*dates]))
+    left_out: dict[str, Any] = {
+        "constant_columns": still,
+        "counters": counts,
+        "text_columns": {name: text for name, text in words.items() if name not in dates},
+        "empty_columns": empty,
+        "date_columns": dates if timed else dates[1:],  # the first is the time where nothing else is
+    }
+    out = [note(f"log.{why}", columns=columns) for why, columns in left_out.items() if columns]
     if not left or not found or not timed:
-        raise _lacking(path, look, clock.heading, list(found), out, dt)
+        raise _without_roles(path, look, clock, list(found), out, dt)
     if findings is not None:
         findings += out
     return left, found
 
 
-def _second_clocks(path: str, clock: str, headings: Sequence[str]) -> list[str]:
-    """Return which columns are the time of the rows once more, as another clock told it."""
-    table = read_columns(Path(path))
-    t = table.column(clock) if clock in table.headings else np.empty(0)
-    return [heading for heading in headings if len(t) and keeps_time(table.column(heading), t)]
-
-
-def _names(named: Collection[str], columns: Collection[str]) -> set[str]:
+def _names(named: Iterable[str], columns: Iterable[str]) -> set[str]:
     """Return the names of columns that a user named, with their units or without."""
-    return {found for name in named for found in named_by(name, [*columns])} | {split_unit(name)[0] for name in named}
+    columns = [*columns]
+    return {found for name in named for found in (*named_by(name, columns), split_unit(name)[0])}
 
 
-def _empty(look: ColumnSummary, clock: str) -> list[str]:
-    """Return the names of columns, other than the time, below whose heading stands nothing, or NaN alone."""
-    names = [split_unit(h)[0] for h in look.headings if h and h not in {*look.numeric, *look.worded, clock}]
-    return [name for name in names if name != clock]
-
-
-def _left_out(
-    still: Mapping[str, float], counts: Sequence[str], words: Mapping[str, str], empty: Sequence[str]
-) -> list[Finding]:
-    """Return which columns were left out, and why."""
-    columns = {
-        "constant_columns": dict(still),
-        "counters": [*counts],
-        "text_columns": dict(words),
-        "empty_columns": [*empty],
-    }
-    return [note(f"log.{why}", columns=which) for why, which in columns.items() if which]
-
-
-def _lacking(
+def _without_roles(
     path: str, look: ColumnSummary, clock: str, inputs: Sequence[str], out: Sequence[Finding], dt: float | None
 ) -> LogError:
     """Return what a file lacks, what was left out of it, and a guess at which column is what."""
@@ -236,7 +208,7 @@ def _lacking(
         driven = [split_unit(name)[0] for name in moving] == list(inputs) != []
         return LogError("log.nothing_moves", **facts, moving="".join(moving), driven=driven)
     lacks = "time" if not timed else "inputs" if not inputs else "states"
-    guess = guess_columns(Path(path), look, clock if timed else None, inputs, dt) if look.numeric else None
+    guess = guess_columns(look, clock if timed else None, inputs, dt) if look.numeric else None
     return LogError("log.no_roles", **facts, lacks=lacks, guess=guess)
 
 
@@ -296,7 +268,7 @@ def _column(given: object) -> Column:
     column = given if isinstance(given, Column) else None
     if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
         column = Column(**given)
-    if column is None or not _is_sound(column):
+    if column is None or not _is_valid(column):
         raise ValueError(
             f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
             f"derivative_of, and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
@@ -304,16 +276,14 @@ def _column(given: object) -> Column:
     return column
 
 
-def _is_sound(column: Column) -> bool:
+def _is_valid(column: Column) -> bool:
     words: list[object] = [column.name, column.unit, column.derivative_of]
-    scale: object = column.scale
-    if not all(isinstance(word, str) for word in words) or isinstance(scale, bool):
+    low, high = column.low, column.high
+    numbers: list[object] = [column.scale, *(v for v in (low, high, column.rest) if v is not None)]
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers):
         return False
-    given: list[object] = [value for value in (column.low, column.high, column.rest) if value is not None]
-    numbers = [v for v in given if isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)]
-    if given and (column.low is None or column.high is None or len(numbers) < len(given) or numbers[0] >= numbers[1]):
-        return False
-    return isinstance(scale, int | float) and 0 < abs(scale) < math.inf
+    ends = low is not None and high is not None and low < high
+    return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
 
 
 def row_counter(path: Path, time: str, named: Collection[str]) -> str:
@@ -335,18 +305,17 @@ def row_counter(path: Path, time: str, named: Collection[str]) -> str:
     look = summarise_columns(path)
     if time != CLOCK or look.dated or clock_of(look.headings, time).heading in look.headings:
         return time
-    columns = _finite_columns(path, look)
-    growing = [heading for heading, column in columns.items() if grows(column)]
-    if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(columns[growing[0]]):
+    growing = look.growing
+    if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(look.moving[growing[0]]):
         return time
-    steps = np.diff(columns[growing[0]])
+    steps = np.diff(look.moving[growing[0]])
     step = np.median(steps)
     regular = (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
     return growing[0] if regular else time
 
 
 def guess_columns(
-    path: Path, look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None = None
+    look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None = None
 ) -> dict[str, Any]:
     """Return a first guess at what is time, what an input and what a state, as facts for a reader.
 
@@ -356,23 +325,19 @@ def guess_columns(
     input nor state.
 
     Args:
-        path: The file.
-        look: Its columns.
+        look: The columns of the file.
         time: Heading of the time, None where it is not known.
         inputs: Names of inputs that were found.
         dt: Sampling time that was given [s].
     """
-    columns = _finite_columns(path, look)
-    growing = [heading for heading, column in columns.items() if grows(column)]
-    named = time is not None
+    columns, named = look.moving, time is not None
     if time is None:
-        time = next(iter([*look.dated, *sorted(growing, key=lambda heading: is_counter(columns[heading]))]), None)
-    clocks = [h for h, column in columns.items() if time in columns and keeps_time(column, columns[time])]
-    names = [split_unit(heading)[0] for heading in columns if heading not in (time, *clocks, *look.counting)]
-    counts = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
-    held = True
+        time = next(iter([*look.dated, *sorted(look.growing, key=lambda heading: is_counter(columns[heading]))]), None)
+    aside = {time, *look.clocks(time), *look.counting}
+    still = {split_unit(h)[0]: float((np.diff(column) == 0).mean()) for h, column in columns.items() if h not in aside}
+    names, held = [*still], True
+    counts = dt is None and time in look.growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
-        still = {split_unit(heading)[0]: float((np.diff(column) == 0).mean()) for heading, column in columns.items()}
         longest = max(names, key=lambda name: still[name])
         stem = re.sub(r"[\W_]*\d+$", "", longest)  # of Heater 1 and Heater 2
         inputs = [name for name in names if name == longest or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
@@ -387,12 +352,3 @@ def guess_columns(
         "counter": time if counts else "",
         "held": held,
     }
-
-
-def _finite_columns(path: Path, look: ColumnSummary) -> dict[str, Array]:
-    """Return the columns that move, by heading, without the rows that lack a value."""
-    headings = [heading for heading in look.numeric if heading not in look.still]
-    values = (
-        np.stack([read_columns(path).column(heading) for heading in headings], -1) if headings else np.empty((0, 0))
-    )
-    return dict(zip(headings, values[np.isfinite(values).all(1)].T, strict=True))

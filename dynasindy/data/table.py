@@ -349,6 +349,8 @@ class ColumnSummary:
         worded: Those of columns that hold text and no number, with the first text.
         dated: Those of `worded` whose first text is a date.
         counting: Those of numeric columns that grow by exactly one in each row.
+        moving: Numeric columns that are not still, without the rows in which one of them lacks a value.
+        table: The file.
     """
 
     headings: tuple[str, ...]
@@ -357,6 +359,20 @@ class ColumnSummary:
     worded: dict[str, str]
     dated: tuple[str, ...]
     counting: tuple[str, ...]
+    moving: dict[str, Array]
+    table: Table
+
+    @property
+    def growing(self) -> list[str]:
+        """Headings of the columns that grow from row to row."""
+        return [heading for heading, column in self.moving.items() if grows(column)]
+
+    def clocks(self, time: str | None) -> list[str]:
+        """Return the headings of numeric columns that tell the time once more, as another clock does."""
+        if time not in self.headings:
+            return []
+        t = self.table.column(time)
+        return [heading for heading in self.numeric if heading != time and keeps_time(self.table.column(heading), t)]
 
 
 def summarise_columns(path: Path) -> ColumnSummary:
@@ -378,4 +394,7 @@ def summarise_columns(path: Path) -> ColumnSummary:
     still = {h: float(found[h][0]) for h in numeric if (found[h] == found[h][0]).all()}
     worded = {h: words.text for h, words in table.words.items() if h not in numeric}
     counting = tuple(h for h in numeric if _counts(table.column(h)))
-    return ColumnSummary(table.headings, numeric, still, worded, dated, counting)
+    moving = [table.headings.index(heading) for heading in numeric if heading not in still]
+    values = table.values[:, moving]
+    columns = {table.headings[k]: c for k, c in zip(moving, values[np.isfinite(values).all(1)].T, strict=True)}
+    return ColumnSummary(table.headings, numeric, still, worded, dated, counting, columns, table)

@@ -54,21 +54,21 @@ def test_what_headings_tell_is_no_guess(tmp_path):
     told = refused(lambda: infer(str(path)))
     assert told.values["lacks"] == "inputs"
     assert roles(told.values["guess"]) == {"time": "t", "inputs": ["c"], "states": ["a", "b"]}
-    named = guess_columns(path, summarise_columns(path), "t", ["a"])
+    named = guess_columns(summarise_columns(path), "t", ["a"])
     assert roles(named) == {"time": "t", "inputs": ["a"], "states": ["b", "c"]}
 
 
 def test_without_a_column_that_is_held_the_last_one_is_the_input(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join(["time,a,b", *(f"{k},{math.sin(k)},{math.cos(k)}" for k in range(20))]))
-    guess = guess_columns(path, summarise_columns(path), "time", [])
+    guess = guess_columns(summarise_columns(path), "time", [])
     assert roles(guess) == {"time": "time", "inputs": ["b"], "states": ["a"]} and not guess["held"]
 
 
 def test_where_nothing_grows_the_heading_of_time_is_left_to_the_user(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("a,b\n1,2\n0,3\n1,1\n")
-    assert guess_columns(path, summarise_columns(path), None, [])["time"] is None
+    assert guess_columns(summarise_columns(path), None, [])["time"] is None
 
 
 def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_path):
@@ -98,9 +98,9 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     path.write_text(
         "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
     )
-    assert guess_columns(path, summarise_columns(path), None, [])["time"] == "Zeit"
+    assert guess_columns(summarise_columns(path), None, [])["time"] == "Zeit"
     path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
-    guess = guess_columns(path, summarise_columns(path), None, [])
+    guess = guess_columns(summarise_columns(path), None, [])
     assert guess["time"] == guess["counter"] == "row"
 
 
@@ -134,7 +134,7 @@ def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds
     infer(str(path), findings=(found := []))
     assert found == [note("log.date_columns", columns=["when"])]
     path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
-    guess = guess_columns(path, summarise_columns(path), None, [])
+    guess = guess_columns(summarise_columns(path), None, [])
     assert roles(guess) == {"time": "row", "inputs": ["motor"], "states": ["angle"]}
     assert guess["counter"] == "row" and not guess["clock_known"]
 
