@@ -287,19 +287,19 @@ def forecast(
     rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        own = replace(predict([model], env, policy, scenario, sensing, within), own=True, unheld=never)
+        own = replace(predict([model], env, policy, scenario, sensing, within), in_sample=True, no_equilibrium=never)
         return _advised(own, controller, model, None)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
     found = predict(models, env, policy, scenario, sensing, within)
     doubts = _doubts(model, log, LONGEST * controller.dt)
-    if found.shown is not None:
-        doubts += inputs_beyond_log(model, log.training.u, found.shown.inputs.flatten(0, -2))
+    if found.evaluation is not None:
+        doubts += inputs_beyond_log(model, log.training.u, found.evaluation.inputs.flatten(0, -2))
     if setup.task.ends is not None:
         targets = dict(zip(controller.outputs, zip(*setup.task.ends, strict=True), strict=True))
         doubts += targets_beyond_log(model, log.training.x, targets)
-    return _advised(replace(found, doubts=tuple(doubts), unheld=never), controller, model, log)
+    return _advised(replace(found, doubts=tuple(doubts), no_equilibrium=never), controller, model, log)
 
 
 def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
@@ -318,7 +318,7 @@ def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
 
 def _advised(found: Forecast, controller: Controller, model: SindyModel, log: Source | None) -> Forecast:
     """Return a prediction that says which control period to try where the one of the plan may be why it fails."""
-    if found.controlled or found.unheld:
+    if found.controlled or found.no_equilibrium:
         return found
     return replace(found, period=other_period(model, controller.setup.task, log, controller.dt))
 

@@ -139,8 +139,8 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     save(controller, folder / NAME)
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
-    if prediction.shown:
-        draw_evaluation(prediction.shown, figures, controller_name("gradient"), place=prediction.place)
+    if prediction.evaluation:
+        draw_evaluation(prediction.evaluation, figures, controller_name("gradient"), place=prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         steps = next_steps(*run_steps(folder, "check", "export"))

@@ -244,7 +244,7 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, alone, **SHORT)
     found = forecast(controller, model, alone)
     assert found.own and not found.promised
-    assert found.shown.trajectory.batch_size[0] == 64  # steps over the range of the targets
+    assert found.evaluation.trajectory.batch_size[0] == 64  # steps over the range of the targets
 
 
 def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_bend_in_it(exact):
@@ -266,7 +266,7 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
         return tensordict.set("action", torch.ones_like(tensordict["state"][..., :1]).float())
 
     limited = forecast(Controller(full, controller.setup), bent, exact, STILL)
-    assert limited.shown.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
+    assert limited.evaluation.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
     free = replace(controller.setup, task=controller.setup.task.with_input_limits([[-1.0], [1.0]]))
     (said,) = forecast(Controller(full, free), bent, exact, STILL).doubts
     assert (said.code, said.severity) == ("forecast.beyond_inputs", "wrong")

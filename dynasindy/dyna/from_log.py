@@ -49,9 +49,9 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
 def log_report(model: SindyModel, prediction: Forecast) -> str:
     """Return what a user reads at the end: equations, the table of the flight that is drawn, the prediction."""
     text = ["", "Identified equations", *(f"  {equation}" for equation in model.equations()), ""]
-    if prediction.shown is not None:
-        title = f"{evaluation_title(prediction.shown)}, {prediction.place}"
-        shown = prediction.shown
+    if prediction.evaluation is not None:
+        title = f"{evaluation_title(prediction.evaluation)}, {prediction.place}"
+        shown = prediction.evaluation
         table = to_text(summarise(shown), title, shown.units, shown.told_steady_seconds, width())
         text += [table, *lines([*beyond_targets(shown), *restless(shown)]), ""]
     return "\n".join([*text, prediction.summary()])

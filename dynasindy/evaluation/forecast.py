@@ -29,13 +29,13 @@ class Forecast:
 
     Attributes:
         flights: What each model shows, see `dynasindy.evaluation.tracking_criteria`; None for one that ran away.
-        shown: The evaluation on the first model that did not run away, for figures; None if all did.
-        own: Whether the model is the one that was planned on, which promises nothing of the plant.
+        evaluation: The one on the first model that did not run away, for figures; None if all did.
+        in_sample: Whether the model is the one that was planned on, which promises nothing of the plant.
         within: Mean absolute error at the end that is asked for, in target ranges.
         errors: Mean absolute error of each model's whole flights, of the worst output, in target ranges; infinite of
             one that ran away.
         doubts: Why the models, though they agree, are not to be relied on.
-        unheld: Which targets no input holds in the model of the plan; empty if all are held.
+        no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
         overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
         resolved: Of each output, the step between two values that its sensor can tell apart, in target ranges, where
@@ -44,12 +44,12 @@ class Forecast:
     """
 
     flights: tuple[TrackingCriteria | None, ...]
-    shown: Evaluation | None = None
-    own: bool = False
+    evaluation: Evaluation | None = None
+    in_sample: bool = False
     within: float = WITHIN
     errors: tuple[float, ...] = ()
     doubts: tuple[Finding, ...] = ()
-    unheld: str = ""
+    no_equilibrium: str = ""
     seconds: float | None = None
     overshoot: Mapping[str, float] = field(default_factory=dict)
     resolved: Mapping[str, float] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class Forecast:
     @property
     def promised(self) -> bool:
         """Whether it is controlled on models that the plan never saw."""
-        return not self.own and self.controlled
+        return not self.in_sample and self.controlled
 
     @property
     def score(self) -> float:
@@ -78,7 +78,9 @@ class Forecast:
     @property
     def place(self) -> str:
         """Say what was flown, in the words of the prediction: no plant."""
-        return "on the model of the plan itself" if self.own else "on a model fitted to data that the plan never saw"
+        return (
+            "on the model of the plan itself" if self.in_sample else "on a model fitted to data that the plan never saw"
+        )
 
     @property
     def _missed(self) -> bool:
@@ -135,19 +137,19 @@ class Forecast:
         """Return the prediction in one line."""
         n = len(self.flights)
         place = f"on {n} models fitted to data that the plan never saw (no plant was moved)"
-        if self.own:
+        if self.in_sample:
             place = f"{self.place}, which promises nothing of the plant"
-        lacking = "NOT CONTROLLED" if self.own else "NOT promised"
+        lacking = "NOT CONTROLLED" if self.in_sample else "NOT promised"
         return (
             f"PREDICTED {place}: {'CONTROLLED' if self.controlled else lacking}: {'; '.join(map(str, self.findings))}"
         )
 
     def _advice(self, flown: Sequence[TrackingCriteria]) -> Finding:
         """Return what may help where nothing runs away."""
-        if self.unheld:
-            return wrong("forecast.no_equilibrium", targets=self.unheld)
+        if self.no_equilibrium:
+            return wrong("forecast.no_equilibrium", targets=self.no_equilibrium)
         shares = [max(_number(share) for share in flight.share.values()) for flight in flown]
-        if not self.own and min(shares) <= self.within < max(shares):
+        if not self.in_sample and min(shares) <= self.within < max(shares):
             return weak("forecast.models_differ")
         return weak("forecast.longer_plan")
 

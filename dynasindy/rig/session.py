@@ -402,7 +402,7 @@ def _forecast_flight(
 def _forecast(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
     """Simulate a model to each target, from where episodes begin, and say how near it comes, as of a flight."""
     scenario = Scenario("flight", Step(targets), len(targets), seconds)
-    flight = workbench.forecast(controller, model, None, scenario).shown
+    flight = workbench.forecast(controller, model, None, scenario).evaluation
     if flight is None:
         return "prediction: on the model this flight runs away"
     signature, wanted = model.signature, torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)

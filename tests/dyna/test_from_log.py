@@ -81,7 +81,7 @@ def test_what_is_flown_is_said_in_one_voice(source, tmp_path):
     scenario = Scenario("step", Step([[0.2]]), seconds=None)  # as long as the task's episodes
     prediction = dynasindy.forecast(controller, model, source, scenario, 3, 0.9)
     assert len(prediction.flights) == 3 and prediction.within == 0.9
-    assert prediction.shown.seconds == pytest.approx(task.max_steps * controller.dt)
+    assert prediction.evaluation.seconds == pytest.approx(task.max_steps * controller.dt)
     own = dynasindy.forecast(controller, model, None, scenario, 3, 0.9)
     for found, place in (
         (prediction, "on a model fitted to data that the plan never saw"),

@@ -76,11 +76,11 @@ def test_what_a_sensor_resolves_is_a_share_of_the_targets():
 
 
 def test_a_model_promises_nothing_of_itself():
-    found = Forecast((seen(0.001),), own=True)
+    found = Forecast((seen(0.001),), in_sample=True)
     assert found.controlled
     assert not found.promised
     assert "promises nothing" in found.summary() and "NOT" not in found.summary()
-    far = Forecast((seen(0.02),), own=True)
+    far = Forecast((seen(0.02),), in_sample=True)
     assert not far.controlled
     assert "NOT CONTROLLED" in far.summary()
 
@@ -124,7 +124,7 @@ def test_each_model_is_flown_in_the_place_of_the_plant():
     assert found.flights[1].share["theta"] < 1e-3
     off = target - float(torch.asin(torch.tensor(10 * 0.2 / 9.81)))
     assert found.flights[2].share["theta"] == pytest.approx(off, rel=0.02)
-    assert found.shown is not None
+    assert found.evaluation is not None
 
 
 class Car(System):
@@ -181,7 +181,7 @@ def test_the_inputs_of_a_model_act_as_late_as_it_says(delay):
         return tensordict.set("action", torch.from_numpy(inputs)[tensordict["step_count"]].float())
 
     still = Scenario("step", Step([[0.3]]), seconds=2.0)
-    shown = predict([plant], env, policy, still).shown
+    shown = predict([plant], env, policy, still).evaluation
     begin = shown.trajectory["state"][0, 0].numpy()
     np.testing.assert_allclose(begin, 0.0, atol=1e-12)
     np.testing.assert_allclose(shown.trajectory["state"][0].numpy(), flown(delay, inputs), atol=1e-4)
