@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.data.columns import Column
+from dynasindy.data.columns import Column, as_map
 from dynasindy.data.headings import split_unit, units_of
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
@@ -28,10 +28,10 @@ WIDE = 20.0
 """Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 
 
-def reaches(
-    path: str, u: Array, inputs: Mapping[str, Column], into_range: bool, findings: list[Finding]
-) -> tuple[list[ActuatorScaling], dict[str, dict[str, Any]] | None]:
-    """Return what each input reaches and what becomes 0 and 1 of it, and the findings on it.
+def actuator_ranges(
+    path: str, u: Array, inputs: Mapping[str, Column], guess: bool, findings: list[Finding]
+) -> tuple[list[ActuatorScaling], dict[str, Any] | None]:
+    """Return the range of each input and what becomes 0 and 1 of it: as it was given, or else -1 and 1.
 
     Beside it stands the column map that gives these ends, None where nobody has to say whether they are right.
 
@@ -39,44 +39,66 @@ def reaches(
         path: The file, for messages.
         u: Inputs in their own units, `(N, n_u)`.
         inputs: Their columns by name, with the ends that the user gave.
-        into_range: Whether an input that goes beyond [-1, 1] has the ends of its range where none were given.
+        guess: Whether an input that goes beyond [-1, 1] has the ends of its range where none were given.
         findings: What was decided; that of inputs is added.
 
     Raises:
-        ValueError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
+        LogError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
     """
-    found: dict[str, ActuatorScaling] = {}
-    sided: dict[str, ActuatorScaling] = {}
-    for (name, given), column in zip(inputs.items(), u.T, strict=True):
-        if np.ptp(column) == 0:
-            raise LogError("log.constant_input", file=path, input=name, value=float(column[0]))
-        ends = {"input": name, "least": float(column.min()), "most": float(column.max())}
-        if not ((column != ends["least"]) & (column != ends["most"])).any():
-            findings.append(weak("log.two_levels", input=name, low=ends["least"], high=ends["most"]))
-        found[name] = _range_of(column) if into_range else PLAIN
+    found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
+    for (name, given), values in zip(inputs.items(), u.T, strict=True):
+        least, most = float(values.min()), float(values.max())
+        extent = extents[name] = {"input": name, "least": least, "most": most}
+        if least == most:
+            raise LogError("log.constant_input", file=path, input=name, value=least)
+        if np.isin(values, (least, most)).all():
+            findings.append(weak("log.two_levels", input=name, low=least, high=most))
+        reach = _guess_range(least, most) if guess else PLAIN
         if given.low is not None and given.high is not None:
-            found[name] = ActuatorScaling.of(given.low, given.high, given.rest)
-            _require_within(path, name, column, found[name])
-            findings += _too_wide(column, found[name], ends)
-        if found[name] == PLAIN and np.abs(column).max() > 1 + ROUNDED:
-            findings.append(weak("log.beyond_ends", **ends))
-        elif found[name] == PLAIN and into_range and given.low is None and np.ptp(column) * WIDE < 2:
-            findings.append(weak("log.small_input", inputs=_words({name: given}, {name: _tried(column)}), **ends))
-        elif found[name] == PLAIN and into_range and given.low is None and column.min() * column.max() >= 0:
-            sided[name] = ActuatorScaling.of(0.0, 1.0) if column.max() > 0 else ActuatorScaling.of(-1.0, 0.0)
-    words = _words(inputs, found | sided)
-    findings += [
-        note("log.one_sided", input=name, least=float(column.min()), most=float(column.max()), inputs=words)
-        for name, column in zip(inputs, u.T, strict=True)
-        if name in sided
-    ]
+            reach = ActuatorScaling.of(given.low, given.high, given.rest)
+            width, ends = reach.high - reach.low, {"low": reach.low, "high": reach.high}
+            if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * width / 2:
+                raise LogError("log.input_ends", file=path, **ends, **extent)
+            if (most - least) / width * WIDE <= 1:
+                findings.append(weak("log.hardly_moved", **ends, percent=100 * (most - least) / width, **extent))
+        found[name] = reach
+        if reach == PLAIN and max(-least, most) > 1 + ROUNDED:
+            findings.append(weak("log.beyond_ends", **extent))
+        elif reach != PLAIN or not guess or given.low is not None:
+            continue
+        elif (most - least) * WIDE < 2:
+            ends = as_map({name: _with_ends(given, ActuatorScaling.of(least, most))})
+            findings.append(weak("log.small_input", inputs=ends, **extent))
+        elif least * most >= 0:
+            one_sided[name] = ActuatorScaling.of(0.0, 1.0) if most > 0 else ActuatorScaling.of(-1.0, 0.0)
+    ranges = as_map({name: _with_ends(inputs[name], reach) for name, reach in (found | one_sided).items()})
+    findings += [note("log.one_sided", **extents[name], inputs=ranges) for name in one_sided]
     for name, reach in found.items():
         if reach != PLAIN:
             scale = {"rest": reach.rest, "one": reach.rest + reach.unit, "low": reach.low, "high": reach.high}
             findings.append(note("log.scaled", input=name, unit=inputs[name].unit, **scale))
-    if of_log := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
-        findings.append(note("log.guessed_ends", inputs=words))
-    return list(found.values()), words if sided or of_log else None
+    if guessed := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
+        findings.append(note("log.guessed_ends", inputs=ranges))
+    return list(found.values()), ranges if one_sided or guessed else None
+
+
+def _guess_range(low: float, high: float) -> ActuatorScaling:
+    """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
+
+    Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
+    """
+    if max(-low, high) <= 1 + ROUNDED:
+        return PLAIN
+    if min(-low, high) >= EVEN * max(-low, high):
+        low, high = -max(-low, high), max(-low, high)
+    return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
+
+
+def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
+    """Return a column with these ends; an actuator reaches where it rests, whether the log has tried it or not."""
+    low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
+    rest = None if reach.rest == ActuatorScaling.of(low, high).rest else reach.rest
+    return replace(column, low=low, high=high, rest=rest)
 
 
 def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], plant: Signature) -> dict[str, Column]:
@@ -93,7 +115,7 @@ def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], 
         ValueError: Other ends, or another unit, were given of an input.
     """
     columns, inside = dict(inputs), units_of(headings)
-    for place, (name, own) in enumerate(zip(plant.input_names, _units(plant), strict=True)):
+    for place, (name, own) in enumerate(zip(plant.input_names, plant.input_units or "-" * plant.n_u, strict=True)):
         column, reach = columns.get(name), _reach_of(plant, place)
         if column is None or reach == PLAIN:
             continue
@@ -122,78 +144,8 @@ def _require_same(name: str, given: ActuatorScaling, plant: ActuatorScaling) -> 
         )
 
 
-def _units(plant: Signature) -> tuple[str, ...]:
-    """Return the unit of each input, `-` where none is known."""
-    return plant.input_units or ("-",) * plant.n_u
-
-
 def _reach_of(plant: Signature, place: int) -> ActuatorScaling:
     """Return what an input of a plant reaches, in its own unit, and what is zero of it."""
     limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u)
     low, high = (float(plant.in_own_units(ends)[place]) for ends in limits.T)
     return ActuatorScaling(low, high, float(plant.in_own_units(np.zeros(plant.n_u))[place]))
-
-
-def scaled(u: Array, found: Sequence[ActuatorScaling]) -> Array:
-    """Return inputs with their rest at 0 and one unit at 1, those of [-1, 1] as they are, `(N, n_u)`.
-
-    Args:
-        u: Inputs in their own units, `(N, n_u)`.
-        found: What each reaches.
-    """
-    columns = [
-        column if reach.rest == 0 and reach.unit == 1 else (column - reach.rest) / reach.unit
-        for column, reach in zip(u.T, found, strict=True)
-    ]
-    return np.stack(columns, -1)
-
-
-def _range_of(values: Array) -> ActuatorScaling:
-    """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
-
-    Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
-    """
-    low, high = float(values.min()), float(values.max())
-    if max(-low, high) <= 1 + ROUNDED:
-        return PLAIN
-    if min(-low, high) >= EVEN * max(-low, high):
-        low, high = -max(-low, high), max(-low, high)
-    return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
-
-
-def _tried(values: Array) -> ActuatorScaling:
-    """Return the range that an input has in a log, whatever it is."""
-    return ActuatorScaling.of(float(values.min()), float(values.max()))
-
-
-def _require_within(path: str, name: str, values: Array, reach: ActuatorScaling) -> None:
-    """Refuse ends that an input goes beyond, as they are then those of another unit."""
-    low, high, least, most = reach.low, reach.high, float(values.min()), float(values.max())
-    beyond = max(low - least, most - high)
-    if reach != PLAIN and beyond > ROUNDED * (high - low) / 2:
-        raise LogError("log.input_ends", file=path, input=name, low=low, high=high, least=least, most=most)
-
-
-def _too_wide(values: Array, reach: ActuatorScaling, ends: Mapping[str, Any]) -> list[Finding]:
-    """Ask whether ends are right of which a log uses hardly anything."""
-    share = float(np.ptp(values)) / (reach.high - reach.low)
-    if share * WIDE > 1:
-        return []
-    return [weak("log.hardly_moved", low=reach.low, high=reach.high, percent=100 * share, **ends)]
-
-
-def _words(inputs: Mapping[str, Column], found: Mapping[str, ActuatorScaling]) -> dict[str, dict[str, Any]]:
-    """Return the column map of the inputs that says these ends."""
-    columns = {}
-    for name, reach in found.items():
-        column = inputs[name]
-        heading, unit = split_unit(column.name)
-        own: dict[str, Any] = {"name": heading}
-        columns[name] = own
-        own |= {"unit": column.unit} if column.unit not in ("-", unit) else {}
-        own |= {"scale": column.scale} if column.scale != 1 else {}
-        # A log that has not tried zero keeps it all the same; an actuator that rests there reaches it.
-        low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
-        own |= {"low": float(f"{low:.6g}"), "high": float(f"{high:.6g}")}
-        own |= {"rest": float(f"{reach.rest:.6g}")} if reach.rest != ActuatorScaling.of(low, high).rest else {}
-    return columns

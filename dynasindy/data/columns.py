@@ -76,19 +76,23 @@ def with_units(
 
 
 def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the column map that says these states: units and scales where the headings do not tell them.
+    """Return the column map that says these columns: units and scales where the headings do not tell them, and ends.
 
     Args:
-        columns: States by name.
-        headings: Headings of the file, where they are known.
+        columns: States, or inputs with their ends, by name.
+        headings: Headings of the file, where the columns do not hold them.
     """
-    units, found = units_of(headings), dict[str, Any]()
+    units, found = units_of([*headings, *(column.name for column in columns.values())]), dict[str, Any]()
     for name, column in columns.items():
-        heading, inside = split_unit(column.name)[0], units.get(column.name, "-")
+        heading, inside = split_unit(column.name)[0], units.get(column.name) or "-"
         keys: dict[str, Any] = {"name": heading} if column.name else {}
         keys |= {"derivative_of": column.derivative_of} if column.derivative_of else {}
-        if not column.name or (column.unit, column.scale) != in_radians(inside, turns=False):
-            keys |= {"unit": column.unit} | ({"scale": float(f"{column.scale:.7g}")} if column.scale != 1 else {})
+        read = in_radians(inside, turns=False) if column.low is None else (inside, 1.0)
+        if not column.name or (column.unit, column.scale) != read:
+            keys |= {"unit": column.unit} if column.unit != "-" else {}
+            keys |= {"scale": float(f"{column.scale:.7g}")} if column.scale != 1 else {}
+        ends = {"low": column.low, "high": column.high, "rest": column.rest}
+        keys |= {key: float(f"{value:.6g}") for key, value in ends.items() if value is not None}
         found[name] = heading if keys == {"name": heading} else keys
     return found
 

@@ -16,12 +16,12 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.actuator_scaling import reaches, scaled, with_actuator_ranges
+from dynasindy.data.actuator_scaling import actuator_ranges, with_actuator_ranges
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, conversions, infer, row_counter, with_units
 from dynasindy.data.headings import NAME, PER_MINUTE, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
-from dynasindy.data.resampling import EVEN, evened, stretches
+from dynasindy.data.resampling import EVEN, resample, stretches
 from dynasindy.data.table import Table, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import lines as lines_of
@@ -200,10 +200,11 @@ class CsvLog:
         findings = [each for part in parts for each in self._of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
         u = np.concatenate([part.u for part in parts])
-        found, ends = reaches(str(self), u, inputs, plant is None, after)
+        ranges, ends = actuator_ranges(str(self), u, inputs, plant is None, after)
+        rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         for part in parts:
             part.findings.clear()
-            part.t, part.x, part.u, part.segment = evened(part.t, part.x, scaled(part.u, found), dt, part.findings)
+            part.t, part.x, part.u, part.segment = resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
         segment = _apart([part.segment for part in parts])
         x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
         states = _with_speeds(parts[0].states, headings, x, segment, dt)
@@ -217,7 +218,7 @@ class CsvLog:
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
-        reach = actuator_units(found, [column.unit for column in inputs.values()])
+        reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         require_consistent_rates(data, signature, self.known or {}, states, headings, str(self))
         if plant is not None:

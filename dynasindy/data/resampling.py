@@ -30,7 +30,7 @@ JUMP = 0.05
 """Part of its range by which an input changes from sample to sample where it jumps; one that moves less is smooth."""
 
 
-def evened(
+def resample(
     t: Array, x: dict[str, Array], u: Array, dt: float, findings: list[Finding]
 ) -> tuple[Array, dict[str, Array], Array, NDArray[np.int64]]:
     """Return times, states, inputs and segments of samples at even times; segments break at gaps.

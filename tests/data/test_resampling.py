@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import dynasindy
 from dynasindy.data.csv import Recording
-from dynasindy.data.resampling import evened
+from dynasindy.data.resampling import resample
 from dynasindy.identification.source import Source
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -39,7 +39,7 @@ def swung(held, n=1500):
 def test_a_log_with_a_fifth_of_jitter_tells_the_equations_of_its_plant(held):
     t, x, u = swung(held)
     notes = []
-    _, states, inputs, segment = evened(t, {"a": x[:, 0], "w": x[:, 1]}, u[:, None], DT, notes)
+    _, states, inputs, segment = resample(t, {"a": x[:, 0], "w": x[:, 1]}, u[:, None], DT, notes)
     assert len(notes) == 1 and not segment.any()
     even = torch.from_numpy(np.stack(list(states.values()), -1))
     signature = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
@@ -62,7 +62,7 @@ def test_states_between_two_jumps_of_the_input_are_a_smooth_curve_and_bend_at_th
         return np.where(time < jump, time**3 / 8, jump**3 / 8 - 5 * (time - jump))
 
     u = np.where(t < jump, 1.0, -1.0)[:, None]
-    times, states, inputs, _ = evened(t, {"w": rate(t)}, u, 0.1, [])
+    times, states, inputs, _ = resample(t, {"w": rate(t)}, u, 0.1, [])
     assert states["w"] == pytest.approx(rate(times), abs=1e-9)
     share = (jump - times) / 0.1  # of the step in which the input jumps
     assert inputs[:-1, 0] == pytest.approx(2 * share.clip(0, 1)[:-1] - 1, abs=1e-9)
@@ -71,5 +71,5 @@ def test_states_between_two_jumps_of_the_input_are_a_smooth_curve_and_bend_at_th
 def test_under_an_input_that_moves_smoothly_states_are_one_curve():
     """Each sample has another input, and lines between them would be off by a thousandth."""
     t = 0.1 * (np.arange(100) + 0.2 * np.random.default_rng(2).uniform(-1, 1, 100))
-    times, states, _, _ = evened(t, {"x": np.sin(t)}, np.cos(0.5 * t)[:, None], 0.1, [])
+    times, states, _, _ = resample(t, {"x": np.sin(t)}, np.cos(0.5 * t)[:, None], 0.1, [])
     assert states["x"] == pytest.approx(np.sin(times), abs=5e-5)
