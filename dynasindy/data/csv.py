@@ -44,43 +44,12 @@ USUAL, SPIKE = 0.9, 20
 """Share of the samples that say how far one is off the line between its neighbours, and how many times that is none."""
 STREAM = 0.2
 """Part of the rows without an input from which on they are those of another stream."""
-HOLE = 10
-"""Usual distances between two samples of a state from which on what lies between them is no moment."""
-
-
-def _holes(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
-    """Tell which rows lie in a long stretch without a state, or where a recording has not begun or is over.
-
-    A sensor that is read every fifth row has no such stretches: what is long depends on how often it is read.
-
-    Args:
-        x: Samples by name, NaN where one is lost, `(N,)` each.
-        segment: Number of the segment of each row, `(N,)`.
-        findings: What was decided; what is left out is added.
-
-    Returns:
-        Rows to leave out, `(N,)`.
-    """
-    out = np.zeros(len(segment), dtype=bool)
-    for name, column in x.items():
-        seen = np.flatnonzero(np.isfinite(column))
-        if len(seen) in (len(column), 0, 1):
-            continue
-        longest = HOLE * np.median(np.diff(seen))
-        ends = np.concatenate([[-1], seen, [len(column)]])
-        long = np.flatnonzero(np.diff(ends) > longest)
-        for first, last in zip(ends[long], ends[long + 1], strict=True):
-            out[first + 1 : last] = True
-        if len(long):
-            rows = int((ends[long + 1] - ends[long] - 1).sum())
-            findings.append(note("log.long_gap", rows=rows, longest=float(longest), state=name))
-    measured = pd.Series(np.isfinite(np.stack([*x.values()])).any(0).astype(int))
-    begun, ahead = measured.groupby(segment).cummax(), measured[::-1].groupby(segment[::-1]).cummax()[::-1]
-    return np.asarray(out | (begun * ahead == 0))
-
-
-STUCK = 5  # samples with one value at the end of its range may be a stop
-SMOOTH = 7  # samples under the local cubic that gives a rate
+LONG = 10
+"""Usual distances between two samples of a state from which on what lies between them is a gap."""
+STOP = 5
+"""Samples with one value at the end of its range from which on it may be a stop."""
+SMOOTH = 7
+"""Samples under the local cubic that gives a rate."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +166,7 @@ class CsvLog:
         time, states, inputs = self._columns(plant, left_out)
         self._require_names([*states, *inputs])
         parts = [self._part(path, time, states, inputs) for path in self.paths]
-        findings = [each for part in parts for each in self._of(part)]
+        findings = [each for part in parts for each in self._findings_of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
         u = np.concatenate([part.u for part in parts])
         ranges, ends = actuator_ranges(str(self), u, inputs, plant is None, after)
@@ -205,16 +174,18 @@ class CsvLog:
         for part in parts:
             part.findings.clear()
             part.t, part.x, part.u, part.segment = resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
-        segment = _apart([part.segment for part in parts])
+        segment = _join_segments([part.segment for part in parts])
         x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
         states = _with_speeds(parts[0].states, headings, x, segment, dt)
         findings += conversions(states, headings)
-        free = _free(x, parts)
-        findings += [*after, *(each for part in parts for each in self._of(part))]
+        usable = _usable_rows(x, parts)
+        findings += [*after, *(each for part in parts for each in self._findings_of(part))]
         full = _with_rates(x, states, segment, dt, findings)
-        if any(c.derivative_of and not c.name for c in states.values()):
-            free &= _smoothable(segment, findings)
-        data = _transitions(full, np.concatenate([part.u for part in parts]), segment, free, dt)
+        short = np.bincount(segment)[segment] < SMOOTH
+        if short.any() and any(c.derivative_of and not c.name for c in states.values()):
+            findings.append(note("log.short_stretches", count=int(short.sum()), least=SMOOTH))
+            usable &= ~short
+        data = _transitions(full, np.concatenate([part.u for part in parts]), segment, usable, dt)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
         scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
@@ -281,7 +252,7 @@ class CsvLog:
         """Name the files."""
         return ", ".join(self.paths)
 
-    def _of(self, part: _Part) -> list[Finding]:
+    def _findings_of(self, part: _Part) -> list[Finding]:
         """Return the findings on a file, which name it where there are others."""
         several = len(self.paths) > 1
         return [replace(each, values={**each.values, "file": part.path}) if several else each for each in part.findings]
@@ -361,7 +332,7 @@ def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Tabl
         steps, alone = np.diff(rows), np.isnan(values[rows, 1:states_end]).all(1).mean()
         if alone < ALONE and (len(steps) == 0 or (steps == np.median(steps)).mean() < ALONE):  # lost, and not unsaid
             continue
-        if np.diff(np.append(rows, len(values))).max() > HOLE * len(values) / len(rows):
+        if np.diff(np.append(rows, len(values))).max() > LONG * len(values) / len(rows):
             continue
         known = pd.Series(np.where(np.isfinite(values[:, k]), values[:, k], np.nan))
         values[:, k] = np.where(np.isnan(values[:, k]), known.ffill(), values[:, k])
@@ -447,19 +418,42 @@ def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
     return own[0]
 
 
-def _apart(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+def _join_segments(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Return the number of the segment of each row of all files, in which none is of two files."""
     counts = np.cumsum([0, *(int(segment[-1]) + 1 for segment in segments)])
     return np.concatenate([segment + count for segment, count in zip(segments, counts[:-1], strict=True)])
 
 
-def _free(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
-    """Tell which rows of all files lie in no hole of their own one, and at no stop, `(N,)`; findings are added."""
-    free, ends = [], np.cumsum([0, *(len(part.t) for part in parts)])
+def _usable_rows(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
+    """Tell which rows of all files lie in no long gap of their own one, and at no stop, `(N,)`; findings are added."""
+    usable, ends = [], np.cumsum([0, *(len(part.t) for part in parts)])
     for part, (first, last) in zip(parts, itertools.pairwise(ends), strict=True):
-        mine = {name: column[first:last] for name, column in x.items()}
-        free.append(~(_holes(mine, part.segment, part.findings) | _stuck(mine, part.findings)))
-    return np.concatenate(free)
+        own = {name: column[first:last] for name, column in x.items()}
+        usable.append(~(_long_gaps(own, part.segment, part.findings) | _stops(own, part.findings)))
+    return np.concatenate(usable)
+
+
+def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
+    """Tell which rows lie in a long stretch without a state, or where a recording has not begun or is over, `(N,)`.
+
+    A sensor that is read every fifth row has no such stretches: what is long depends on how often it is read.
+    """
+    out = np.zeros(len(segment), dtype=bool)
+    for name, column in x.items():
+        measured = np.flatnonzero(np.isfinite(column))
+        if len(measured) in (len(column), 0, 1):
+            continue
+        longest = LONG * np.median(np.diff(measured))
+        ends = np.concatenate([[-1], measured, [len(column)]])
+        long = np.flatnonzero(np.diff(ends) > longest)
+        for first, last in zip(ends[long], ends[long + 1], strict=True):
+            out[first + 1 : last] = True
+        if len(long):
+            rows = int((ends[long + 1] - ends[long] - 1).sum())
+            findings.append(note("log.long_gap", rows=rows, longest=float(longest), state=name))
+    any_state = pd.Series(np.isfinite(np.stack([*x.values()])).any(0).astype(int))
+    begun, ahead = any_state.groupby(segment).cummax(), any_state[::-1].groupby(segment[::-1]).cummax()[::-1]
+    return np.asarray(out | (begun * ahead == 0))
 
 
 def _with_speeds(
@@ -488,8 +482,8 @@ def _of_plant(log: Signature, plant: Signature, unmeasured: Sequence[bool]) -> S
     return replace(log, x_scale=tuple(theirs if missing else own for missing, theirs, own in ranges))
 
 
-def _stuck(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
-    """Find samples at which a state rests exactly at an end of its range for some time: a stop or a saturation."""
+def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
+    """Tell at which rows a state rests exactly at an end of its range for some time: a stop or a saturation, `(N,)`."""
     mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
     for name, column in x.items():
         rows = np.flatnonzero(np.isfinite(column))  # lost samples say nothing of a stop, and do not end it
@@ -497,37 +491,28 @@ def _stuck(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
         if not len(value) or np.ptp(value) == 0:
             continue
         for end in (value.min(), value.max()):
-            mine = np.zeros_like(mask)
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], value == end, [False]])))
+            rests = [pair for pair in zip(edges[::2], edges[1::2], strict=True) if pair[1] - pair[0] >= STOP]
+            rests = [(first, last) for first, last in rests if first == 0 or _is_stop(value, first, last)]
             # The start of a recording at rest is no stop, unless the state rests there again.
-            rests = [rest for rest in _rests(value, end) if rest.start == 0 or _is_met(value, rest)]
-            for rest in rests if any(rest.start for rest in rests) else []:
-                mine[rows[rest.start] : rows[rest.stop - 1] + 1] = True
-            if mine.any():
-                findings.append(note("log.stop", count=int(mine.sum()), state=name, value=float(end)))
-                mask |= mine
+            own = np.zeros_like(mask)
+            for first, last in rests if any(first for first, _ in rests) else []:
+                own[rows[first] : rows[last - 1] + 1] = True
+            if own.any():
+                findings.append(note("log.stop", count=int(own.sum()), state=name, value=float(end)))
+                mask |= own
     return mask
 
 
-def _rests(value: Array, end: float) -> list[slice]:
-    """Return the stretches of `STUCK` samples or more with exactly one value."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], value == end, [False]])))
-    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= STUCK]
-
-
-def _is_met(value: Array, rest: slice) -> bool:
+def _is_stop(value: Array, first: int, last: int) -> bool:
     """Tell a stop that a moving state meets, or leaves at once, from the peak of a swing that a sensor reads in steps.
 
     A smooth peak that lasts n samples within a step leaves it slowly: it takes a fifth of n for the next step.
     """
-    step, beside = _smallest_step(value), max(1, (rest.stop - rest.start) // 10)
-    neighbours = [k for k in (rest.start - beside, rest.stop - 1 + beside) if 0 <= k < len(value)]
-    return any(abs(value[k] - value[rest.start]) > 2.5 * step for k in neighbours)
-
-
-def _smallest_step(value: Array) -> float:
-    """Return the smallest difference between neighbouring samples that is none of rounding."""
-    steps = np.abs(np.diff(value))
-    return float(steps[steps > 1e-9 * np.ptp(value)].min())
+    steps, beside = np.abs(np.diff(value)), max(1, (last - first) // 10)
+    step = steps[steps > 1e-9 * np.ptp(value)].min()  # others are of rounding
+    neighbours = [k for k in (first - beside, last - 1 + beside) if 0 <= k < len(value)]
+    return any(abs(value[k] - value[first]) > 2.5 * step for k in neighbours)
 
 
 def _with_rates(
@@ -553,17 +538,9 @@ def _with_rates(
     return np.stack([full[name] for name in states], -1)
 
 
-def _smoothable(segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
-    """Tell which rows lie in segments that are long enough for the rate of a state, `(N,)`."""
-    long = np.bincount(segment)[segment] >= SMOOTH
-    if not long.all():
-        findings.append(note("log.short_stretches", count=int((~long).sum()), least=SMOOTH))
-    return np.asarray(long)
-
-
-def _transitions(x: Array, u: Array, segment: NDArray[np.int64], free: NDArray[np.bool_], dt: float) -> Transitions:
+def _transitions(x: Array, u: Array, segment: NDArray[np.int64], usable: NDArray[np.bool_], dt: float) -> Transitions:
     follows = segment[1:] == segment[:-1]
-    usable = torch.from_numpy(follows & free[1:] & free[:-1])
+    whole = torch.from_numpy(follows & usable[1:] & usable[:-1])
     states, inputs = torch.from_numpy(np.ascontiguousarray(x)), torch.from_numpy(np.ascontiguousarray(u))
     data = Transitions(states[:-1], inputs[:-1], states[1:], dt, torch.from_numpy(segment[:-1].astype(np.int64)))
-    return data.select(usable)
+    return data.select(whole)

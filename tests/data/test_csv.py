@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dynasindy.data.columns import Column, infer
-from dynasindy.data.csv import CsvLog, _holes, _stuck
+from dynasindy.data.csv import CsvLog
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.smoothing import slopes_beside_gaps
@@ -450,29 +450,41 @@ def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path)
     assert np.allclose(data.x_next[:, 1], expected + 0.01)
 
 
-def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is():
-    away, rest = [3.0, 6.0, 9.0, 9.5, 6.0, 3.0], [0.0] * 6
-    told: list[Finding] = []
-    assert not _stuck({"q": np.array([*rest, *away])}, told).any() and told == []
-    found = _stuck({"q": np.array([*rest, *away, *rest])}, told)
-    assert found.tolist() == [True] * 6 + [False] * 6 + [True] * 6
-    assert told == [note("log.stop", count=12, state="q", value=0)]
-    # Five samples at an end are a stop, four are none; wherever they are, they are the ones masked.
-    assert _stuck({"q": np.array([*away, *[0.0] * 5, 3.0])}, told).tolist() == [False] * 6 + [True] * 5 + [False]
-    assert not _stuck({"q": np.array([*away, *[0.0] * 4, 3.0])}, told).any()
+def starts(path: Path, code: str, t=None, **states: np.ndarray) -> tuple[list[int], list[Finding]]:
+    """Return the rows at which a transition starts, told by their inputs, and the findings of a code."""
+    n = len(next(iter(states.values())))
+    u = np.sin(np.arange(n))
+    table = np.stack([0.01 * np.arange(n) if t is None else t, *states.values(), u], -1)
+    names = {name: name for name in states}
+    found = CsvLog(write(path / "log.csv", table, ("time", *names, "volt")), names, INPUTS).recording()
+    rows = np.flatnonzero(np.isin(u, found.transitions.u[:, 0]))
+    return rows.tolist(), [each for each in found.findings if each.code == code]
+
+
+def beside(n: int, out) -> list[int]:
+    """Return the rows at which a transition starts without those that are left out."""
+    return [k for k in range(n - 1) if k not in out and k + 1 not in out]
+
+
+def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is(tmp_path):
+    away, rest = [3.0, 6.0, 9.0, 9.5, 6.0, 3.0] * 10, [0.0] * 6
+    assert starts(tmp_path, "log.stop", q=np.array([*rest, *away])) == (beside(66, []), [])
+    told = [note("log.stop", count=12, state="q", value=0)]
+    assert starts(tmp_path, "log.stop", q=np.array([*rest, *away, *rest])) == (
+        beside(72, [*range(6), *range(66, 72)]),
+        told,
+    )
 
 
 @pytest.mark.parametrize("step", [0.0015, 0.005, 0.02])
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
-def test_the_peak_of_an_overshoot_that_an_encoder_reads_in_steps_is_no_stop_and_a_clipped_one_is(step, phase):
+def test_the_peak_of_an_overshoot_that_an_encoder_reads_in_steps_is_no_stop_and_a_clipped_one_is(tmp_path, step, phase):
     t = 0.01 * np.arange(600)
     swing = np.exp(-0.3 * t) * np.cos(2 * t + phase)
-    read = step * np.round(swing / step)
-    told: list[Finding] = []
-    assert not _stuck({"q": read}, told).any() and told == []
+    assert starts(tmp_path, "log.stop", q=step * np.round(swing / step)) == (beside(600, []), [])
     stopped = step * np.round(np.clip(swing, -0.3, None) / step)
-    held = stopped == stopped.min()
-    assert held.sum() > 30 and np.array_equal(_stuck({"q": stopped}, told), held)
+    held = np.flatnonzero(stopped == stopped.min())
+    assert len(held) > 30 and starts(tmp_path, "log.stop", q=stopped)[0] == beside(600, set(held.tolist()))
 
 
 def test_a_state_that_no_sensor_sees_is_nan_and_the_rest_is_as_it_was(tmp_path):
@@ -543,29 +555,25 @@ def lacking(n: int, *rows: slice | int) -> np.ndarray:
     return column
 
 
-def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none():
-    segment, told = np.zeros(100, dtype=np.int64), []
-    out = _holes({"a": lacking(100, slice(20, 29), slice(60, 70)), "b": lacking(100)}, segment, told)
-    assert np.flatnonzero(out).tolist() == list(range(60, 70))
-    assert told == [note("log.long_gap", rows=10, longest=10, state="a")]
+def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none(tmp_path):
+    gap = note("log.long_gap", rows=10, longest=10, state="a")
+    found = starts(tmp_path, "log.long_gap", a=lacking(100, slice(20, 29), slice(60, 70)), b=lacking(100))
+    assert found == (beside(100, range(60, 70)), [gap])
 
 
-def test_what_is_long_depends_on_how_often_a_sensor_is_read():
-    column = np.full(300, np.nan)
+def test_what_is_long_depends_on_how_often_a_sensor_is_read(tmp_path):
+    column = np.full(400, np.nan)
     column[::5] = 1.0
     column[101:149] = np.nan  # 50 rows from one sample to the next are ten usual distances
-    told = []
-    assert not _holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), told).any() and not told
+    assert starts(tmp_path, "log.long_gap", a=column, b=lacking(400)) == (beside(400, []), [])
     column[150] = np.nan
-    assert np.flatnonzero(_holes({"a": column, "b": lacking(300)}, np.zeros(300, dtype=np.int64), told)).tolist() == [
-        *range(101, 155)
-    ]
+    assert starts(tmp_path, "log.long_gap", a=column, b=lacking(400))[0] == beside(400, range(101, 155))
 
 
-def test_a_segment_begins_and_ends_with_a_measured_row():
-    segment = np.repeat([0, 1], 10)
-    a, b = lacking(20, 0, 1, 9, 10, 19), lacking(20, 0, 9, 11, 19)
-    assert np.flatnonzero(_holes({"a": a, "b": b}, segment, [])).tolist() == [0, 9, 19]
+def test_a_segment_begins_and_ends_with_a_measured_row(tmp_path):
+    t = 0.01 * np.arange(120) + 1.0 * (np.arange(120) > 59)
+    a, b = lacking(120, 0, 1, 59, 60, 119), lacking(120, 0, 59, 61, 119)
+    assert starts(tmp_path, "", t, a=a, b=b)[0] == [k for k in beside(120, (0, 59, 119)) if k != 59]
 
 
 def test_a_slope_needs_five_of_seven_samples():
