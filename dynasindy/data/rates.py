@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 
+import pandas as pd
 import torch
 from torch import Tensor
 
 from dynasindy.data.columns import Column, as_map
-from dynasindy.data.headings import is_rate_of
+from dynasindy.data.headings import in_radians, is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -42,8 +43,8 @@ RPM = 2 * math.pi / 60
 """A turn per minute [rad/s]."""
 NEAR = 0.05
 """Part by which a factor that the log tells may differ from one whose cause is known."""
-KINDS = (("rad", "mrad", "deg", "degree", "degrees", "°", "rev", "turn", "turns"), ("m", "cm", "mm", "km"))
-"""Units of one kind."""
+LENGTHS = ("m", "cm", "mm", "km")
+"""Units of lengths."""
 PER_TIME = re.compile(r"(.+)/(s|sec|ms|min|h)")
 """How the unit of a rate is written, but for rpm."""
 NO_TIE = (0.0, 0.0)
@@ -196,7 +197,8 @@ def _may_be(state: str, rate: str, signature: Signature) -> bool:
     per_time = PER_TIME.fullmatch("rev/min" if units[rate] == "rpm" else units[rate])
     if per_time is None or (rate not in PLAIN and not units[rate].endswith(("/s", "/sec"))):
         return False
-    return units[state] == per_time[1] or any({units[state], per_time[1]} <= set(kind) for kind in KINDS)
+    both = {"m" if unit in LENGTHS else in_radians(unit, turns=False)[0] for unit in (units[state], per_time[1])}
+    return len(both) == 1
 
 
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
@@ -206,8 +208,7 @@ def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     counts the less the longer the window is, so that the one is taken over which they go together best. A window has
     the state at both ends and the rate all along.
     """
-    samples, places = _bridged(data, rate), _places(data)
-    steps = 0.5 * data.dt * (samples[places] + samples[places + 1])
+    steps = _increments(data, rate)
     sums, lost = (torch.cat([c.new_zeros(1), c.cumsum(0)]) for c in (steps.nan_to_num(0.0), (~steps.isfinite()).long()))
     stride = max(1, len(data) // ROWS)
     best, window = NO_TIE, 1
@@ -224,28 +225,18 @@ def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     return best
 
 
-def _places(data: Transitions) -> Tensor:
-    """Return where the start of each row is among the samples: a segment has one more of them than rows."""
-    return torch.arange(len(data)) + data.begins().long().cumsum(0) - 1
-
-
-def _bridged(data: Transitions, state: int) -> Tensor:
-    """Return the samples of a state, straight over the few that are missing in a row and NaN over more."""
-    places, segments = _places(data), data.begins().long().cumsum(0)
-    samples = torch.full((len(data) + int(segments.max()),), math.nan, dtype=torch.float64)
-    segment = torch.zeros(len(samples), dtype=torch.int64)
-    for offset, x in enumerate((data.x, data.x_next)):
-        samples[places + offset], segment[places + offset] = x[:, state].double(), segments
-    seen = samples.isfinite().nonzero().squeeze(-1)
-    if not len(seen):
-        return samples
-    at = torch.arange(len(samples))
-    after = torch.searchsorted(seen, at).clamp(max=len(seen) - 1)
-    left, right = seen[(after - (seen[after] > at).long()).clamp(min=0)], seen[after]
-    share = (at - left) / (right - left).clamp(min=1)
-    values = samples[left] + share * (samples[right] - samples[left])
-    inside = (left <= at) & (at <= right) & (right - left <= BRIDGED + 1) & (segment[left] == segment[right])
-    return values.where(inside, math.nan)
+def _increments(data: Transitions, rate: int) -> Tensor:
+    """Return the integral of a rate over each row, straight over the few samples that are missing in a row, `(N,)`."""
+    segments = data.begins().long().cumsum(0)
+    sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
+    samples = pd.Series(torch.stack([data.x[:, rate], data.x_next[:, rate]], -1)[sampled].double().numpy())
+    measured = samples.notna()
+    gap = (~measured).groupby(measured.cumsum()).transform("sum")
+    segment = pd.Series(segments.unsqueeze(-1).expand(-1, 2)[sampled].numpy()).where(measured)
+    bridged = (gap <= BRIDGED) & (segment.ffill() == segment.bfill())
+    values = torch.from_numpy(samples.interpolate().where(measured | bridged).to_numpy(copy=True))
+    places = torch.arange(len(data)) + segments - 1  # a segment has one sample more than rows
+    return 0.5 * data.dt * (values[places] + values[places + 1])
 
 
 def _ratio(moved: Tensor, integral: Tensor) -> tuple[float, float]:
