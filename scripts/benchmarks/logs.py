@@ -61,6 +61,7 @@ class Case:
     """A plant, how it is logged, and what is wanted of it.
 
     Attributes:
+        title: What it is, and what is measured of it.
         states: Name to unit; all states of the plant, measured or not.
         rates: Formula of the rate of change of each state.
         sensors: Measured states.
@@ -80,6 +81,7 @@ class Case:
         columns: States that are logged in another unit than their own, which is it, and its size in their own.
     """
 
+    title: str
     states: Mapping[str, str]
     rates: Mapping[str, str]
     sensors: Mapping[str, Channel]

@@ -107,7 +107,9 @@ def test_a_log_holds_what_sensors_tell_and_inputs_within_their_actuators():
 
 def test_what_a_controller_reads_in_flight_is_in_its_own_radians():
     """A table turns by 30 deg/s for each 1 of the input; from 60 deg on an input of 0.5 takes it 0.75 deg a period."""
-    table = Case({"tilt": "deg"}, {"tilt": "30 * u"}, {"tilt": Channel()}, {"tilt": (60, 90)}, 0.05, 1, 0.1, (1, 1))
+    table = Case(
+        "a table", {"tilt": "deg"}, {"tilt": "30 * u"}, {"tilt": Channel()}, {"tilt": (60, 90)}, 0.05, 1, 0.1, (1, 1)
+    )
     table, read = replace(table, flight=0.2, start={"tilt": 60.0}), []
 
     def rule(y, r):
