@@ -20,6 +20,9 @@ from dynasindy.safe_io import read_json, reading
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import Oracle, SindyModel
 
+NO_PLANT = {"rig": "is a session on a rig", "data": "was planned from a log", "model": "was planned from a model"}
+"""Settings of folders that hold no run on a simulated plant, and what these are."""
+
 
 def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     """Return the resolved configuration of a run, of which nothing but admitted parts can be built.
@@ -36,22 +39,11 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
     if not file.is_file():
         raise FileNotFoundError(f"{folder} is not a run folder, it has no config.yaml; give one that train.py printed")
     config = read_config(file)
-    if config.get("data") is not None or config.get("model") is not None:
-        why = f"what its controller does on models stands in {folder / 'metrics.json'}"
-        if not (folder / "metrics.json").is_file():
-            why = (
-                f"it stopped before it had a controller, so give the command in {folder / 'origin.json'} once more, "
-                f"with model={folder / 'model.json'}, which plans on its equations without a new fit"
-            )
-        raise ValueError(
-            f"{folder} was planned from a log or a model, so there is no plant to fly; {why}; "
-            f"{program('check')} run={folder} tells more of a controller"
-        )
-    if config.get("rig") is not None:
-        raise ValueError(
-            f"{folder} is that of a session on a rig, so there is no simulated plant to fly; {program('check')} "
-            f"run={folder} tells what its controller does on the model, {program('rig')} folder={folder} flies again"
-        )
+    if kinds := [what for key, what in NO_PLANT.items() if config.get(key) is not None]:
+        goes_on = f"its command in {folder / 'origin.json'} with model={folder / 'model.json'} plans on its equations"
+        told = f"{program('check')} run={folder} tells what its controller does on the model"
+        ended = (folder / "metrics.json").is_file() or config.get("rig") is not None
+        raise ValueError(f"{folder} {kinds[0]}, so there is no simulated plant to fly; {told if ended else goes_on}")
     require_trusted(OmegaConf.to_container(config, resolve=False), trusted(plugins), str(file))
     if absent := [part for part in ("system", "task", "env", "agent", "plant") if not config.get(part)]:
         raise ValueError(f"{file} is not of a run, it has no {absent[0]}; give a folder that train.py printed")
