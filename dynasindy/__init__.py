@@ -5,10 +5,12 @@ Gymnasium environments `dynasindy/TwinRotor-v0` and `dynasindy/Pendulum-v0` by n
 """
 
 import os
+import sys
+from collections.abc import Sequence
 from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
-
-import gymnasium
 
 if TYPE_CHECKING:
     from dynasindy.control import Controller, load
@@ -21,9 +23,38 @@ __version__ = "0.1.0"
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # torchrl reads it when it is imported, and chats at INFO
 
-# Entry points as text: torch is imported when such an environment is made, not here.
-gymnasium.register("dynasindy/TwinRotor-v0", entry_point="dynasindy.envs.gym:twin_rotor")
-gymnasium.register("dynasindy/Pendulum-v0", entry_point="dynasindy.envs.gym:pendulum")
+
+def _register() -> None:
+    """Register our environments; entry points are text, as torch is imported when such an environment is made."""
+    import gymnasium
+
+    gymnasium.register("dynasindy/TwinRotor-v0", entry_point="dynasindy.envs.gym:twin_rotor")
+    gymnasium.register("dynasindy/Pendulum-v0", entry_point="dynasindy.envs.gym:pendulum")
+
+
+class _Gymnasium:
+    """Finder of Gymnasium, which has our environments once it is imported: that takes longer than all the rest here."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Return where Gymnasium lies, with the registration behind its import; nothing of other modules."""
+        spec = PathFinder.find_spec(name, path) if name == "gymnasium" else None
+        if spec is None or spec.loader is None:
+            return None
+        execute = spec.loader.exec_module
+
+        def execute_and_register(module: ModuleType) -> None:
+            execute(module)
+            _register()
+
+        spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
+        return spec
+
+
+if "gymnasium" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _Gymnasium)
 
 _PLACES = {
     "Controller": "dynasindy.control",

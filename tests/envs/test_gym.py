@@ -1,5 +1,8 @@
 """The Gymnasium adapter against Gymnasium's own checker and against the environment it adapts."""
 
+import subprocess
+import sys
+
 import gymnasium
 import numpy as np
 import pytest
@@ -140,3 +143,23 @@ def test_an_environment_that_steps_in_its_own_way_is_played_as_it_is() -> None:
         np.testing.assert_allclose(info["state"], seen, rtol=1e-5)
         paid = -4 * ((1 - seen[0]) ** 2 + seen[1] ** 2)
         assert reward == pytest.approx(paid, rel=1e-5) and (terminated, truncated) == (False, k == 3)
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        "import dynasindy, gymnasium",
+        "import gymnasium, dynasindy",
+        "import dynasindy, importlib.util; importlib.util.find_spec('gymnasium'); import gymnasium",
+    ],
+)
+def test_gymnasium_has_the_environments_whichever_is_imported_first(order: str) -> None:
+    code = f"{order}; print(*(name for name in gymnasium.registry if name.startswith('dynasindy/')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == set(IDS)
+
+
+def test_the_package_alone_imports_neither_gymnasium_nor_numpy() -> None:
+    code = "import sys, dynasindy; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"gymnasium", "numpy"} & set(done.stdout.split())
