@@ -16,15 +16,16 @@ from cli import CONF, end_with_parent, exit_at_once, handle_signals, pipe_guard,
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
-from errors import in_words, mendable
+from errors import MENDABLE, in_words
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from sweep import Sweep, note_end
+from sweep import Sweep, note_job_end
 
 from dynasindy.dyna import Stopped
+from dynasindy.limits import is_memory_error
 from dynasindy.safe_io import write_text
 from dynasindy.sentences import use_command_words
 
@@ -63,12 +64,12 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
                 check(cfg)
                 torch.set_num_threads(cfg.threads)
                 if swept:  # an earlier refusal no longer holds
-                    _beside(output).unlink(missing_ok=True)
+                    _refusal_file(output).unlink(missing_ok=True)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
                 score = task(cfg)
                 if swept:
-                    note_end(None)
+                    note_job_end(None)
                 return score
             except KeyboardInterrupt as end:
                 line, folder = str(end), cfg.get("folder")
@@ -93,7 +94,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
     handle_signals(stop)
     try:
         with one_line(config_name), PROGRESS:
-            sys.argv[1:] = complete([as_text(_latest(word)) for word in sys.argv[1:]])
+            sys.argv[1:] = complete([as_text(_resolve_latest(word)) for word in sys.argv[1:]])
             hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job)()
     except KeyboardInterrupt as end:
         handle_signals(exit_at_once)
@@ -127,7 +128,9 @@ def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
         yield
     except Exception as error:
         diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
-        if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
+        if os.environ.get("DYNASINDY_TRACEBACK") or not (
+            diverged or isinstance(error, MENDABLE) or is_memory_error(error)
+        ):
             raise
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {in_words(error, config_name, settings)}"
@@ -152,14 +155,14 @@ def _leave_line(line: str) -> None:
         remove_empty(folder)
     if not folder.is_dir() or folder.resolve() == Path.cwd() or (finished and not swept):
         return  # who gave the command has read the line
-    file = _beside(folder) if finished else folder / "error.txt"
+    file = _refusal_file(folder) if finished else folder / "error.txt"
     file.unlink(missing_ok=True)  # it may be a link in a run folder of others
     write_text(file, line + "\n")
     if swept:
-        note_end(file)
+        note_job_end(file)
 
 
-def _beside(folder: Path) -> Path:
+def _refusal_file(folder: Path) -> Path:
     """Return where the line of a job lies that was refused because its folder holds a finished run."""
     return folder.with_name(f"{folder.name}.error.txt")
 
@@ -179,7 +182,7 @@ def remove_empty(folder: str | Path | None) -> None:
             folder.parent.rmdir()
 
 
-def _latest(word: str) -> str:
+def _resolve_latest(word: str) -> str:
     """Return a word of a command line: `run=latest` is the newest run of runs/, `run=latest~1` the one before it."""
     asked = re.fullmatch(r"(run|resume|save)=latest(?:~(\d+))?", word)
     if asked is None:
@@ -227,17 +230,17 @@ def as_text(word: str) -> str:
     """
     key, sign, value = word.partition("=")
     closed = all(value.count(a) == value.count(b) for a, b in ("[]", "()", "{}"))
-    if not sign or word.startswith("-") or not value or not closed or _is_read(word):
+    if not sign or word.startswith("-") or not value or not closed or _parses(word):
         return word
     if value[0] == "[" and value[-1] == "]":
         items = [item.strip() for item in re.split(r",(?![^\[({]*[\])}])", value[1:-1])]
-        made = f"{key}=[{','.join(item if _is_read(f'{key}={item}') else _quoted(item) for item in items)}]"
+        made = f"{key}=[{','.join(item if _parses(f'{key}={item}') else _quoted(item) for item in items)}]"
     else:
         made = word if value[0] in "[{('\"" else f"{key}={_quoted(value)}"
-    return made if _is_read(made) else word
+    return made if _parses(made) else word
 
 
-def _is_read(word: str) -> bool:
+def _parses(word: str) -> bool:
     """Tell whether Hydra can read a word."""
     try:
         OverridesParser.create().parse_override(word)

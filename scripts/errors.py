@@ -31,11 +31,6 @@ MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
 """What Hydra says of a key that is misspelt, or given with a + and there."""
 
 
-def mendable(error: BaseException) -> bool:
-    """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
-    return isinstance(error, MENDABLE) or is_memory_error(error)
-
-
 def in_words(error: BaseException, config_name: str, settings: object = None) -> str:
     """Return the innermost message of an error on one line, with what is allowed where it names a key.
 
@@ -77,7 +72,7 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         return missing
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
-        return unknown(option, (choice for choice in error.options if not choice.startswith("_")), group)
+        return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)
     if isinstance(error, MissingMandatoryValue):
         return f"{error.full_key} is not given; give {error.full_key}=VALUE, of which --help says more"
     if part and not isinstance(error, ValueError):
@@ -88,7 +83,7 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         for group, _, option in (word.partition("=") for word in sys.argv[1:]):
             choices = group_options(group) if option else ()
             if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
-                return unknown(option, choices, group)
+                return unknown_name(option, choices, group)
     if text.startswith("Ambiguous value for argument"):
         try:  # that there are several values is no mistake in a command that sweeps
             compose(config_name, _words())
@@ -121,7 +116,7 @@ def _misspelt(key: str, config_name: str) -> str:
     while group not in ("", *keys):
         group = group.rpartition(".")[0]
     names = [each.rpartition(".")[2] for each in keys if each.rpartition(".")[0] == group]
-    return "" if group == key else unknown(key.removeprefix(f"{group}."), names, group, keys)
+    return "" if group == key else unknown_name(key.removeprefix(f"{group}."), names, group, keys)
 
 
 def _words() -> list[str]:
@@ -153,7 +148,7 @@ def _taken_from(key: str, node: object) -> str:
     return ""
 
 
-def unknown(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
+def unknown_name(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
     """Return which names are allowed instead of one that does not exist in a group.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from cli import group_options, program
-from errors import compose, unknown
+from errors import compose, unknown_name
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from settings import check
@@ -105,7 +105,7 @@ def load_scenario(name: str, config: DictConfig, env: ControlEnv) -> Scenario:
         ValueError: There is no scenario of that name, or its file holds what a scenario does not have.
     """
     if name not in (names := group_options("scenario")):
-        raise ValueError(unknown(name, names, "scenario"))
+        raise ValueError(unknown_name(name, names, "scenario"))
     place = {"task": {"max_steps": env.task.max_steps}, "env": {"dt": env.dt}, "plant": config.plant}
     merged: Any = OmegaConf.merge(place, OmegaConf.to_container(compose(None, [f"+scenario={name}"])))
     check(merged)

@@ -12,7 +12,7 @@ from itertools import chain
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
-from errors import unknown
+from errors import unknown_name
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
 from pydantic import (
@@ -148,7 +148,7 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
         hints, required, free = _parameters(_builder(node, group))
         given = {name: value for name, value in node.items() if name not in HYDRA}
         for name in () if free else given.keys() - hints.keys():
-            raise ValueError(unknown(str(name), hints.keys() - GIVEN, group))
+            raise ValueError(unknown_name(str(name), hints.keys() - GIVEN, group))
         for name in sorted(required - given.keys() - (GIVEN if node.get("_partial_") else set())):
             raise ValueError(f"{group}.{name} is not given; give it, as conf/ does")
         for name, value in given.items():

@@ -64,7 +64,7 @@ class Sweep(Callback):
                     raise LinkError(file)
             _check(config.copy())
         os.environ[JOBS] = str(number_of_jobs(config.hydra))
-        os.environ[SWEPT] = " ".join(swept(config.hydra))
+        os.environ[SWEPT] = " ".join(swept_settings(config.hydra))
         os.environ[LIST] = str((folder / f".jobs_{os.getpid()}_{time.time_ns()}").absolute())
         threading.Thread(target=_watch, daemon=True).start()
 
@@ -78,7 +78,7 @@ class Sweep(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Say where the results are, which are best, and which jobs failed."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
-        done, Sweep.failed = ended()
+        done, Sweep.failed = ended_jobs()
         if LIST in os.environ:
             Path(os.environ.pop(LIST)).unlink(missing_ok=True)
         print(f"Sweep: {folder}")
@@ -116,14 +116,14 @@ class Gathering(Callback):
             sys.exit(1)
 
 
-def note_end(reason: Path | None) -> None:
+def note_job_end(reason: Path | None) -> None:
     """Note in the list of the sweep that a job has ended, and the file that says why it failed."""
     if LIST in os.environ:
         with suppress(OSError), Path(os.environ[LIST]).open("a") as file:
             file.write(f"{reason or ''}\n")
 
 
-def ended() -> tuple[int, list[str]]:
+def ended_jobs() -> tuple[int, list[str]]:
     """Return how many jobs of the sweep are done, and the files that say why others failed."""
     try:
         lines = Path(os.environ[LIST]).read_text().splitlines()
@@ -135,7 +135,7 @@ def ended() -> tuple[int, list[str]]:
 def _watch() -> None:
     """Show how many jobs of a sweep have ended, wherever they run."""
     while Sweep.running:
-        done, reasons = ended()
+        done, reasons = ended_jobs()
         words = f"{len(reasons)} failed" if reasons else ""
         report_progress("sweep", done, int(os.environ[JOBS]), "jobs", words, outer=True)
         time.sleep(1.0)
@@ -154,7 +154,7 @@ def number_of_jobs(hydra: DictConfig) -> int:
     return len(jobs)
 
 
-def swept(hydra: DictConfig) -> list[str]:
+def swept_settings(hydra: DictConfig) -> list[str]:
     """Return the names of the settings in which the jobs of a sweep differ; the last word on each counts."""
     last = {override.get_key_element(): override for override in _overrides(hydra)}
     return [name for name, override in last.items() if override.is_sweep_override()]
@@ -182,7 +182,7 @@ def _check(config: DictConfig) -> None:
         raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
     if not needs_score(hydra) and not number_of_jobs(hydra):
         raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
-    different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept(hydra)}
+    different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept_settings(hydra)}
     if needs_score(hydra) and not (different or any(map(hydra.sweeper.get, ("search_space", "custom_search_space")))):
         raise ValueError("nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'")
     with open_dict(config):

@@ -10,22 +10,22 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 COUNT = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from sweep import number_of_jobs, swept
+from sweep import number_of_jobs, swept_settings
 from omegaconf import OmegaConf
 config = OmegaConf.create(sys.argv[2])
-print(number_of_jobs(config), *swept(config))
+print(number_of_jobs(config), *swept_settings(config))
 """
 
 END = """
 import os, sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
-from sweep import LIST, Sweep, ended, note_end
+from sweep import LIST, Sweep, ended_jobs, note_job_end
 from omegaconf import OmegaConf
 os.environ[LIST] = sys.argv[2] + "/.jobs"
-note_end(None)
-note_end(Path(sys.argv[2]) / "1" / "error.txt")
-print(ended())
+note_job_end(None)
+note_job_end(Path(sys.argv[2]) / "1" / "error.txt")
+print(ended_jobs())
 try:
     Sweep().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": sys.argv[2]}, "job": {}}}))
 except Exception:
