@@ -105,9 +105,8 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         sys.exit(128 + getattr(end, "signal", 2))
     handle_signals(exit_at_once)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
-    if Sweep.failed:
-        reasons = ", ".join(sorted(Sweep.failed))
-        print(f"error: {len(Sweep.failed)} jobs failed; the reasons are in {reasons}", file=sys.stderr)
+    if Sweep.errors:
+        print(*(f"error: {line}" for line in Sweep.errors), sep="\n", file=sys.stderr)
         sys.exit(2)
 
 

@@ -3,7 +3,6 @@
 import logging
 import os
 import shutil
-import sys
 import threading
 import time
 import traceback
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from cli import program, require_writable
+from errors import MENDABLE, in_words
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -40,8 +40,8 @@ class Sweep(Callback):
     """Whether a command was started in this process; a worker of a launcher has none."""
     running: ClassVar[str | None] = None
     """Folder of the sweep that is under way."""
-    failed: ClassVar[list[str]] = []
-    """Files that say why jobs failed."""
+    errors: ClassVar[list[str]] = []
+    """What is told as an error when all is over, a line each."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
         """Find mistakes, which cost one line and exit code 2, and show how many of the jobs are done."""
@@ -78,7 +78,9 @@ class Sweep(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Say where the results are, which are best, and which jobs failed."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
-        done, Sweep.failed = ended_jobs()
+        done, reasons = ended_jobs()
+        if reasons:
+            Sweep.errors.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(sorted(reasons))}")
         if LIST in os.environ:
             Path(os.environ.pop(LIST)).unlink(missing_ok=True)
         print(f"Sweep: {folder}")
@@ -98,22 +100,20 @@ class Gathering(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         """Gather what lies in the folder of the sweep."""
-        from command import one_line
-
         from dynasindy.evaluation.ablation import gather
         from dynasindy.viz.learning import draw_ablation
 
         root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
         try:
-            with one_line("ablation"):
-                if not gather(root, results, level):
-                    print(f"No run in {root} has finished, so there are no tables and figures.")
-                    return
-                draw_ablation(results, level.error, share=level.share)
-                say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-        except Exception:  # Hydra would make a warning of it, and the command would end with code 0
-            traceback.print_exc()
-            sys.exit(1)
+            if not gather(root, results, level):
+                print(f"No run in {root} has finished, so there are no tables and figures.")
+                return
+            draw_ablation(results, level.error, share=level.share)
+            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
+        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
+            if not isinstance(error, MENDABLE):
+                traceback.print_exc()
+            Sweep.errors.append(in_words(error, "ablation"))
 
 
 def note_job_end(reason: Path | None) -> None:

@@ -352,7 +352,7 @@ def _score(score: Mapping[str, float], metric: str) -> str:
 
 def _logged_plants() -> dict[str, dict[str, str]]:
     """Return what is known of each plant of the benchmark of logs."""
-    return yaml.safe_load((ROOT / "scripts" / "benchmarks" / "logged_plants.yaml").read_text())
+    return yaml.safe_load(Path(__file__).with_name("benchmarks").joinpath("logged_plants.yaml").read_text())
 
 
 def _plants(**names: str) -> Rows:
