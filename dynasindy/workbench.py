@@ -110,11 +110,8 @@ def read(
         FileNotFoundError: There is no such file.
         ValueError: The file is no log of a plant.
     """
-    columns: list[dict[str, Any] | list[str] | None] = []
-    for given in (states, inputs):
-        columns.append(None if given is None else dict(given) if isinstance(given, Mapping) else list(given))
     files = str(path) if isinstance(path, str | Path) else list(map(str, path))
-    return Source.of(LoggedData(files, columns[0], columns[1], time, dt).recording(None), validation_share)
+    return Source.of(LoggedData(files, states, inputs, time, dt).recording(), validation_share)
 
 
 def identify(

@@ -214,7 +214,7 @@ def _coarser(steps: NDArray[np.int64]) -> float:
     return ratio if whole and ratio > 2 else 0.0
 
 
-def _evened_stamps(
+def _even_times(
     path: str, t: Array, column: Array, unit: float, dt: float | None
 ) -> tuple[Array, tuple[float, float] | None]:
     """Return the times at which rows were taken [s]; tick and period of a coarse clock that wrote others [s].
@@ -237,13 +237,13 @@ def _evened_stamps(
     if len(t) < 3 or not (np.diff(t) >= 0).all():
         return t, None
     for ticks in _Ticks.of(column, unit):
-        if (found := _even(path, ticks, dt)) is not None:
+        if (found := _fit_even_clock(path, ticks, dt)) is not None:
             times, period = found
             return times, (ticks.tick, period)
     return t, None
 
 
-def _even(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
+def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
     """Return times of an even clock and its period [s] if it can have given such stamps, else None."""
     steps, rows = ticks.steps, len(ticks.at)
     sizes, counts = np.unique(steps, return_counts=True)
@@ -307,7 +307,7 @@ def _unix_unit(values: Array) -> str:
     )
 
 
-def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
+def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
     """Return times that go on where a counter overflowed, or where a recording begins anew, and what was found.
 
     Args:
@@ -321,18 +321,17 @@ def _continued(values: Array, table: Table, unit: float, dt: float | None) -> tu
     if not len(drops) or len(drops) > 1 + len(values) // FEWEST:
         return values, []
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else (dt or 1.0) / unit
-    lines = [int(table.lines[k + 1]) for k in drops]
+    starts, lines = drops + 1, table.lines[drops + 1].tolist()
     for size in (2.0**16, 2.0**32, 2.0**24, 86400.0 / unit):
         if np.ptp(values) < size and bool(((steps[drops] + size > 0) & (steps[drops] + size <= LATE * usual)).all()):
-            lift = np.zeros(len(values))
-            lift[drops + 1] = size
-            return values + np.cumsum(lift), [note("log.overflow", size=size, lines=lines)]
-    starts = np.concatenate([[0], drops + 1, [len(values)]])
-    if (np.diff(starts) < FEWEST).any() or any(values[k + 1] > values[0] + LATE * usual for k in drops):
-        return values, []
-    lift = np.zeros(len(values))
-    lift[drops + 1] = LATE * usual - steps[drops]
-    return values + np.cumsum(lift), [note("log.restart", lines=lines)]
+            found, lifts = note("log.overflow", size=size, lines=lines), np.full(len(drops), size)
+            break
+    else:
+        parts = np.diff(np.concatenate([[0], starts, [len(values)]]))
+        if (parts < FEWEST).any() or (values[starts] > values[0] + LATE * usual).any():
+            return values, []
+        found, lifts = note("log.restart", lines=lines), LATE * usual - steps[drops]
+    return values + np.cumsum(np.bincount(starts, lifts, len(values))), [found]
 
 
 def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple[Array, list[Finding]]:
@@ -350,16 +349,15 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
         ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
     values, name = table.values[:, 0], split_unit(clock.heading)[0]
-    if table.dated or (not clock.unit and _unix_unit(values)):
-        clock = replace(clock, unit="" if table.dated else _unix_unit(values))
-    values, again = _continued(values, table, clock.seconds(path), dt)
+    clock = replace(clock, unit="" if table.dated else clock.unit or _unix_unit(values))
+    values, again = _unwrap_counter(values, table, clock.seconds(path), dt)
     t, counts = values * clock.seconds(path), not clock.unit and not table.dated and is_counter(values)
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, [note("log.row_counter", column=name, dt=dt)]
     if counts and (step := float(np.median(np.diff(values)))) >= COARSE:
         raise LogError("log.whole_time", file=path, column=clock.heading, step=step)
-    t, coarse = _evened_stamps(path, t, values, clock.seconds(path), dt)
+    t, coarse = _even_times(path, t, values, clock.seconds(path), dt)
     tick, period = coarse or (0.0, period_of(t) if len(t) > 1 else 0.0)
     findings = [note("log.time", column=name, unit=clock.unit, dates=bool(table.dated), dt=period)]
     findings += [note("log.coarse_clock", column=name, tick=tick, dt=period)] if coarse else []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 from dynasindy.data.columns import Column, as_map
 from dynasindy.data.headings import in_radians
@@ -64,11 +63,16 @@ def before_fit(model: SindyModel, source: Source) -> PrefitReview:
 
 def _angles(model: SindyModel, source: Source) -> list[Finding]:
     """Return which angles have no sine and cosine among the functions, because of their unit or that of their rate."""
-    signature = source.signature
-    if _chosen(model, signature):
+    if _chosen(model, source.signature):
         return []
-    units = dict(zip(signature.state_names, signature.state_units, strict=True))
-    states = _in_rad(source)
+    units = dict(zip(source.signature.state_names, source.signature.state_units, strict=True))
+    measured = source.training.x.isfinite().any(0).tolist()
+    columns = {  # rates that no column has are left out: `plant.known` adds them, in the unit of their angle
+        name: Column(name, *in_radians(unit, turns=False))
+        for (name, unit), logged in zip(units.items(), measured, strict=True)
+        if logged
+    }
+    states = as_map(columns)
     return [note("log.degrees", angle=n, unit=unit, states=states) for n, unit in units.items() if unit in TURNS]
 
 
@@ -85,8 +89,8 @@ def missing_rates(model: SindyModel, missing: MissingRates) -> list[Finding]:
     if new := [name for name in missing.certain if name not in given]:
         findings.append(weak("fit.rates_missing", states=new, known=missing.certain))
     return findings + [
-        note("fit.no_torque", angle=name, known={**given, name: f"{name}_rate"})
-        for name in missing.possible
+        note("fit.no_torque", angle=name, known={**given, name: rate})
+        for name, rate in missing.possible.items()
         if name not in missing.certain
     ]
 
@@ -161,16 +165,6 @@ def _name_of_rate(name: str, signature: Signature) -> str:
 def _chosen(model: SindyModel, signature: Signature) -> bool:
     """Tell whether somebody chose the functions."""
     return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
-
-
-def _in_rad(source: Source) -> dict[str, Any]:
-    """Return the column map that reads all angles and their rates in rad and rad/s.
-
-    Rates that no column has are left out: `plant.known` adds them, in the unit of their angle.
-    """
-    signature, measured = source.signature, source.training.x.isfinite().any(0).tolist()
-    units = zip(signature.state_names, signature.state_units, measured, strict=True)
-    return as_map({name: Column(name, *in_radians(unit, turns=False)) for name, unit, logged in units if logged})
 
 
 def plants_with(signature: Signature) -> list[str]:
