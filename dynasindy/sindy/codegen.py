@@ -13,7 +13,7 @@ from dynasindy.sindy.equations import require_finite
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.base import Signature
-from dynasindy.systems.machine import Machine, Program
+from dynasindy.systems.machine import Program
 
 Field = Callable[[Tensor, Tensor], Tensor]
 
@@ -255,21 +255,19 @@ class InfixWriter(_FieldWriter):
         return f"{total} + {a} * {b}"
 
 
-def machine(library: Library, coefficients: Tensor, dtype: torch.dtype = torch.float32) -> Machine:
-    """Return the sparse model dx/dt = Xi' Theta(x, u), compiled.
+def program(library: Library, coefficients: Tensor) -> Program:
+    """Return the sparse model dx/dt = Xi' Theta(x, u) in formulas.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
-        dtype: precision, see `Machine`.
 
     Raises:
-        ValueError: a function has no formula, the model has too many terms, or the compiler refuses the text.
-        FileNotFoundError: there is no compiler.
+        ValueError: a function has no formula, or the model has too many terms.
     """
     writer, signature = _MachineWriter(library, coefficients), library.signature
     text = writer.named, tuple(writer.results)
-    return Machine(Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step), dtype)
+    return Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step)
 
 
 class _MachineWriter(InfixWriter):
