@@ -120,7 +120,9 @@ def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config
         options = node.get("options") or {} if _is_foreign(node) else {}
         for value in options.values() if isinstance(options, Mapping) else [options]:
             if not (value is None or isinstance(value, int | float)):  # it may be the name of a file to read
-                raise ValueError(f"{where} has system.options with {str(value)[:40]!r}; allowed are numbers and truths")
+                raise ValueError(
+                    f"{where} has system.options with {str(value)[:40]!r}; allowed are numbers, true and false"
+                )
 
 
 def _is_foreign(node: Mapping[Any, Any]) -> bool:
