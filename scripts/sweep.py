@@ -14,7 +14,6 @@ from cli import program, require_writable
 from errors import MENDABLE, in_words
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from hydra.utils import instantiate
@@ -63,8 +62,8 @@ class Sweep(Callback):
                 if file.is_symlink():  # Hydra and Optuna would write through it
                     raise LinkError(file)
             _check(config.copy())
-        os.environ[JOBS] = str(number_of_jobs(config.hydra))
-        os.environ[SWEPT] = " ".join(swept_settings(config.hydra))
+        jobs, different = jobs_of(config.hydra)
+        os.environ[JOBS], os.environ[SWEPT] = str(jobs), " ".join(different)
         os.environ[LIST] = str((folder / f".jobs_{os.getpid()}_{time.time_ns()}").absolute())
         threading.Thread(target=_watch, daemon=True).start()
 
@@ -146,24 +145,18 @@ def needs_score(hydra: DictConfig) -> bool:
     return "n_trials" in hydra.sweeper
 
 
-def number_of_jobs(hydra: DictConfig) -> int:
-    """Return how many jobs a sweep has; a sweeper that proposes them one by one says how many in `n_trials`."""
-    if needs_score(hydra):
-        return int(hydra.sweeper.n_trials)
-    (jobs,) = BasicSweeper.split_arguments(_overrides(hydra), None)
-    return len(jobs)
+def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
+    """Return how many jobs a sweep has, and the names of the settings in which they differ.
 
-
-def swept_settings(hydra: DictConfig) -> list[str]:
-    """Return the names of the settings in which the jobs of a sweep differ; the last word on each counts."""
-    last = {override.get_key_element(): override for override in _overrides(hydra)}
-    return [name for name, override in last.items() if override.is_sweep_override()]
-
-
-def _overrides(hydra: DictConfig) -> list[Override]:
-    """Return the settings that a sweep was given, the sweeper's own first."""
+    The sweeper's own settings come first, and the last word on each counts. A sweeper that proposes the jobs one by one
+    says how many in `n_trials`.
+    """
     words = [f"{name}={value}" for name, value in (hydra.sweeper.get("params") or {}).items()]
-    return OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
+    overrides = OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
+    last = {override.get_key_element(): override for override in overrides}
+    different = [name for name, override in last.items() if override.is_sweep_override()]
+    jobs = range(hydra.sweeper.n_trials) if needs_score(hydra) else BasicSweeper.split_arguments(overrides, None)[0]
+    return len(jobs), different
 
 
 def _check(config: DictConfig) -> None:
@@ -180,9 +173,10 @@ def _check(config: DictConfig) -> None:
     launcher = hydra.launcher._target_.rpartition(".")[2]
     if launcher == "SlurmLauncher" and shutil.which("srun") is None:
         raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
-    if not needs_score(hydra) and not number_of_jobs(hydra):
+    jobs, swept = jobs_of(hydra)
+    if not jobs:
         raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
-    different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept_settings(hydra)}
+    different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept}
     if needs_score(hydra) and not (different or any(map(hydra.sweeper.get, ("search_space", "custom_search_space")))):
         raise ValueError("nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'")
     with open_dict(config):

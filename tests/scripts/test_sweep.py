@@ -10,10 +10,11 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 COUNT = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from sweep import number_of_jobs, swept_settings
+from sweep import jobs_of
 from omegaconf import OmegaConf
 config = OmegaConf.create(sys.argv[2])
-print(number_of_jobs(config), *swept_settings(config))
+jobs, different = jobs_of(config)
+print(jobs, *different)
 """
 
 END = """
