@@ -243,7 +243,7 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, longest_delay=0.0)
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, alone, **SHORT)
     found = forecast(controller, model, alone)
-    assert found.own and not found.promised
+    assert found.in_sample and not found.promised
     assert found.evaluation.trajectory.batch_size[0] == 64  # steps over the range of the targets
 
 
