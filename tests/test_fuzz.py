@@ -21,7 +21,7 @@ from cli import CONF
 from saved_run import load_config, load_policy
 from settings import check
 
-from dynasindy.data.csv import CsvLog
+from dynasindy.data.recording import LogReader
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.sindy.model import SindyModel
 
@@ -172,7 +172,7 @@ def test_logs(tmp_path: Path) -> None:
             end = start + rng.choice((0, 0, 1, 3, 40, len(text)))
             bad = bad[:start] + rng.choice(pieces) * rng.choice((1, 1, 3)) + bad[end:]
         path.write_text(bad, encoding=rng.choice(("utf-8", "utf-16", "utf-16-le", "latin-1")), errors="replace")
-        if said := judged(lambda: CsvLog(str(path)).recording(), "identify", str(path)):
+        if said := judged(lambda: LogReader(str(path)).recording(), "identify", str(path)):
             wrong.append(f"{bad[:60]!r}: {said}")
     assert not wrong
 

@@ -13,7 +13,7 @@ import torch
 import dynasindy
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
-from dynasindy.data.csv import Recording
+from dynasindy.data.recording import Recording
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario

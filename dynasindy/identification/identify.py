@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from dynasindy.data.csv import CsvLog
 from dynasindy.data.headings import named_by
+from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, weak
 from dynasindy.identification import verdict
 from dynasindy.identification.equations import missing_nonlinearity
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class LoggedData(CsvLog):
-    """Take data from a log, see `CsvLog`; the last part of it is kept for validation.
+class LoggedData(LogReader):
+    """Take data from a log, see `LogReader`; the last part of it is kept for validation.
 
     Attributes:
         validation_share: part of the transitions that is kept for validation.

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from dynasindy.data.csv import Recording
 from dynasindy.data.rates import with_rates
+from dynasindy.data.recording import Recording
 from dynasindy.findings import Finding, note
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel

@@ -94,7 +94,7 @@ def targets(canary: Path) -> dict[str, dict[str, object]]:
         "dynasindy.safe_io.write_rows": {"path": str(canary), "columns": ["a"], "rows": []},
         "dynasindy.sindy.SindyModel.load": {"path": str(pickled)},
         "dynasindy.sindy.register_function": {"name": "sin", "compute": None},
-        "dynasindy.data.csv.CsvLog": {"path": "/etc/passwd", "states": {"a": "a"}, "inputs": {"u": "u"}},
+        "dynasindy.data.recording.LogReader": {"path": "/etc/passwd", "states": {"a": "a"}, "inputs": {"u": "u"}},
         "dynasindy.systems.Tras.__class__": {},
         "dynasindy": {},
         "others_part.Part": {"canary": str(canary)},

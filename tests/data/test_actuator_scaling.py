@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.data.csv import CsvLog
+from dynasindy.data.recording import LogReader
 from dynasindy.findings import LogError, note, weak, wrong
 from dynasindy.identification.identify import LoggedData
 from dynasindy.systems import BlackBox
@@ -60,7 +60,7 @@ def test_zero_stays_zero_and_what_an_actuator_does_not_reach_are_limits(tmp_path
     """A heater of 0 to 100 % is off at 0, a valve of 4 to 20 mA is shut at 4 mA."""
     values = levels(low + 3.0, high - 5.0)
     given = {"valve": {"name": "valve", "low": low, "high": high}}
-    found = CsvLog(written(tmp_path / "log.csv", values), {"level": "level"}, given).recording()
+    found = LogReader(written(tmp_path / "log.csv", values), {"level": "level"}, given).recording()
     u, signature = found.transitions.u[:, 0].numpy(), found.signature
     assert u == pytest.approx((values[:-1] - rest) / one)
     assert signature.input_ends == ((rest - one, rest + one),)
@@ -76,7 +76,7 @@ def test_what_becomes_zero_can_be_given(tmp_path):
     """A servo rests in the middle of its pulses."""
     given = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 1500}}
     values = levels(1100.0, 1900.0)
-    found = CsvLog(written(tmp_path / "log.csv", values), {"level": "level"}, given).recording()
+    found = LogReader(written(tmp_path / "log.csv", values), {"level": "level"}, given).recording()
     assert found.transitions.u[:, 0].numpy() == pytest.approx((values[:-1] - 1500) / 500)
     assert found.signature.input_ends == ((1000.0, 2000.0),) and found.signature.input_limits == ()
 
@@ -115,7 +115,7 @@ def test_a_rest_outside_of_the_ends_is_refused(tmp_path):
     path = written(tmp_path / "log.csv", levels(1100.0, 1900.0))
     servo = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 2500}}
     with pytest.raises(ValueError, match="reach"):
-        CsvLog(path, {"level": "level"}, servo).recording()
+        LogReader(path, {"level": "level"}, servo).recording()
 
 
 @pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, (0, 1)), (-0.9, 0.0, (-1, 0))])
@@ -179,7 +179,9 @@ def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
     ],
 )
 def test_ends_that_are_none_are_refused(tmp_path, ends):
-    log = CsvLog(written(tmp_path / "log.csv", levels(0, 9)), {"level": "level"}, {"valve": {"name": "valve", **ends}})
+    log = LogReader(
+        written(tmp_path / "log.csv", levels(0, 9)), {"level": "level"}, {"valve": {"name": "valve", **ends}}
+    )
     with pytest.raises(ValueError, match="both, low < high"):
         log.recording()
 
@@ -199,7 +201,7 @@ def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (5, 100.5), (0, 99.9)])
 def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
     path = written(tmp_path / "log.csv", levels(0.0, 100.0))
-    log = CsvLog(path, {"level": "level"}, {"valve": {"name": "valve", "low": low, "high": high}})
+    log = LogReader(path, {"level": "level"}, {"valve": {"name": "valve", "low": low, "high": high}})
     with pytest.raises(LogError) as error:
         log.recording()
     ends = {"input": "valve", "low": low, "high": high, "least": 0, "most": 100}
@@ -208,13 +210,13 @@ def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
 
 def test_an_input_may_leave_its_ends_by_rounding(tmp_path):
     path = written(tmp_path / "log.csv", levels(0.0, 100.04))
-    assert CsvLog(path, {"level": "level"}, VALVE).recording().signature.input_limits == ((0.0, 1.0),)
+    assert LogReader(path, {"level": "level"}, VALVE).recording().signature.input_limits == ((0.0, 1.0),)
 
 
 def test_ends_of_a_state_are_refused(tmp_path):
     path = written(tmp_path / "log.csv", levels(0.0, 100.0))
     with pytest.raises(ValueError, match="alone"):
-        CsvLog(path, {"level": {"name": "level", "low": 0, "high": 2}}, VALVE).recording()
+        LogReader(path, {"level": {"name": "level", "low": 0, "high": 2}}, VALVE).recording()
 
 
 PLANT = BlackBox({"level": "m"}, {"valve": {"low": 4, "high": 20, "unit": "mA"}}).signature

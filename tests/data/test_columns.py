@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dynasindy.data.columns import Column, infer
-from dynasindy.data.csv import CsvLog
+from dynasindy.data.recording import LogReader
 from dynasindy.findings import LogError, note, wrong
 
 
@@ -27,7 +27,7 @@ def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_pa
     table = np.concatenate([log(), log()[:, 1:2], log()[:, 1:2] * math.nan], -1)
     headings = ("time [s]", "angle [rad]", "rate", "u_1 [V]", "reference_angle", "comment")
     path = write(tmp_path / "log.csv", table, headings)
-    data = CsvLog(path).recording()
+    data = LogReader(path).recording()
     assert data.signature.state_names == ("angle", "rate") and data.signature.input_names == ("u_1",)
     assert data.signature.input_units == ("V",)
     assert np.array_equal(data.transitions.x.numpy(), table[:-1, 1:3]) and data.signature.state_units == ("rad", "-")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.data.csv import unwrap_angle
+from dynasindy.data.recording import unwrap_angle
 from dynasindy.findings import LogError, note, wrong
 from dynasindy.identification.identify import LoggedData
 

@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 import dynasindy
-from dynasindy.data.csv import Recording
+from dynasindy.data.recording import Recording
 from dynasindy.data.resampling import resample
 from dynasindy.identification.source import Source
 from dynasindy.systems.base import Signature

@@ -9,7 +9,7 @@ import torch
 
 import dynasindy
 from dynasindy.control import save
-from dynasindy.data.csv import Recording
+from dynasindy.data.recording import Recording
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.excitation import Multisine

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.data.csv import Recording
+from dynasindy.data.recording import Recording
 from dynasindy.findings import note
 from dynasindy.identification.source import Source
 from dynasindy.sindy import SindyModel

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.data.csv import Recording
+from dynasindy.data.recording import Recording
 from dynasindy.findings import LogError
 from dynasindy.identification.source import Source
 from dynasindy.identification.targets import in_words, logged_range, require_radians, targets_like

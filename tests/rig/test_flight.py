@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynasindy.data.csv import CsvLog
+from dynasindy.data.recording import LogReader
 from dynasindy.rig import FastClock, Fault, FlightSequence, Guard, InProcessRig, UdpRig, Wiring, run_flight
 from dynasindy.rig.flight import _Watchdog
 from dynasindy.rig.simulated import SimulatedRig
@@ -55,7 +55,7 @@ def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **setting
 def test_the_log_is_read_back_by_identification(tmp_path):
     _, record = flown(tmp_path, periods=60)
     units = {"theta": {"name": "theta", "unit": "rad"}, "Omega": {"name": "Omega", "unit": "rad/s"}}
-    data = CsvLog(str(tmp_path / "log.csv"), units, {"u": "u"}).recording().transitions
+    data = LogReader(str(tmp_path / "log.csv"), units, {"u": "u"}).recording().transitions
     np.testing.assert_allclose(data.x, np.array(record.states[:59]), atol=1e-7)
     np.testing.assert_allclose(data.u, np.array(record.applied[:59]), atol=1e-7)
     assert data.dt == pytest.approx(0.05)

@@ -1,4 +1,4 @@
-"""Logged data from CSV files, of any plant, into transitions; nothing is lost without a word.
+"""Logs of any plant, from files of many programs, as transitions; nothing is lost without a word.
 
 A row without a time or an input is skipped. One without a state stays, NaN there, for its inputs act all the same.
 """
@@ -99,7 +99,7 @@ class _Part:
 
 
 @dataclass(frozen=True)
-class CsvLog:
+class LogReader:
     """Read a recording from a file, or from several.
 
     Attributes:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dynasindy.data.columns import Column, infer
-from dynasindy.data.csv import CsvLog
+from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.smoothing import slopes_beside_gaps
@@ -33,14 +33,14 @@ def write(path: Path, table, headings=HEADINGS, separator=",") -> str:
 
 def refused(path: str, states=STATES, inputs=INPUTS, **settings) -> Finding:
     with pytest.raises(LogError) as error:
-        CsvLog(path, states, inputs, **settings).recording()
+        LogReader(path, states, inputs, **settings).recording()
     assert "\n" not in str(error.value)
     return error.value.finding
 
 
 def refusal(path: str, states=STATES, inputs=INPUTS, **settings) -> str:
     with pytest.raises(ValueError, match=r".") as error:
-        CsvLog(path, states, inputs, **settings).recording()
+        LogReader(path, states, inputs, **settings).recording()
     assert "\n" not in str(error.value)
     return str(error.value)
 
@@ -48,7 +48,7 @@ def refusal(path: str, states=STATES, inputs=INPUTS, **settings) -> str:
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_a_file_is_read_to_the_last_digit(tmp_path, separator):
     table = log()
-    found = CsvLog(write(tmp_path / "log.csv", table, separator=separator), STATES, INPUTS).recording()
+    found = LogReader(write(tmp_path / "log.csv", table, separator=separator), STATES, INPUTS).recording()
     data = found.transitions
     assert np.array_equal(data.x.numpy(), table[:-1, 1:3])
     assert np.array_equal(data.x_next.numpy(), table[1:, 1:3])
@@ -64,7 +64,7 @@ def test_columns_are_found_by_name_whatever_their_order_and_a_byte_order_mark(tm
     path = tmp_path / "log.csv"
     write(path, np.concatenate([table[:, ::-1], table[:, :1] * np.nan], -1), (*HEADINGS[::-1], "comment"))
     path.write_text("\ufeff" + path.read_text(), encoding="utf-8")
-    data = CsvLog(str(path), STATES, INPUTS).recording().transitions
+    data = LogReader(str(path), STATES, INPUTS).recording().transitions
     assert np.array_equal(data.x.numpy(), table[:-1, 1:3])
 
 
@@ -73,7 +73,7 @@ def test_an_empty_file_and_no_file_are_refused(tmp_path):
     assert "empty" in refusal(str(tmp_path / "empty.csv"))
     assert refused(write(tmp_path / "headings.csv", [])).code == "log.too_few"
     with pytest.raises(FileNotFoundError):
-        CsvLog(str(tmp_path / "absent.csv"), STATES, INPUTS).recording()
+        LogReader(str(tmp_path / "absent.csv"), STATES, INPUTS).recording()
 
 
 def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the_file_is_refused(tmp_path):
@@ -81,7 +81,7 @@ def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the
     table[20, 1] = table[50, 3] = np.nan
     table[51, 3] = np.inf
     path = write(tmp_path / "log.csv", table)
-    found = CsvLog(path, STATES, INPUTS).recording()
+    found = LogReader(path, STATES, INPUTS).recording()
     skipped = {"rows": 2, "total": 80, "counts": {"volt": 2}, "line": 52, "skipped": True}
     kept = {"rows": 1, "total": 80, "counts": {"angle": 1}, "line": 22, "skipped": False}
     missing = [note("log.missing", **skipped), note("log.missing", **kept)]
@@ -101,7 +101,7 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
     lines = path.read_text().splitlines()
     lines[10], lines[30] = re.sub(",[^,]*", ",off", lines[10], count=1), "0.29"
     path.write_text("\n".join(lines))
-    assert CsvLog(str(path), STATES, INPUTS).recording().findings[1:] == (
+    assert LogReader(str(path), STATES, INPUTS).recording().findings[1:] == (
         note("log.words", line=11, column="angle", text="off", count=1),
         note("log.missing", rows=1, total=80, counts={"angle": 1, "rate": 1, "volt": 1}, line=31, skipped=True),
         note("log.missing", rows=1, total=80, counts={"angle": 1}, line=11, skipped=False),
@@ -112,7 +112,7 @@ def test_text_and_short_rows_are_missing_values(tmp_path):
 def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
     table = log(300)
     table[np.arange(300) % 5 > 0, 1] = np.nan
-    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).recording().transitions
+    data = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording().transitions
     assert len(data) == 299 and data.segment.unique().tolist() == [0]
     assert torch.equal(data.x[:, 1], torch.from_numpy(table[:-1, 2]))
     assert data.x[:, 0].isfinite().nonzero().flatten().tolist() == list(range(0, 299, 5))
@@ -131,7 +131,9 @@ def test_a_rate_beside_lost_samples_is_that_of_the_others(tmp_path):
     table = np.stack([t, 1 + 2 * t - 3 * t**2 + 4 * t**3, np.sign(np.sin(40 * t + 0.1))], -1)
     table[[0, 30, 32, 98], 1] = np.nan
     states = {"q": "angle", "v": {"derivative_of": "q"}}
-    data = CsvLog(write(tmp_path / "l.csv", table, ("time", "angle", "volt")), states, INPUTS).recording().transitions
+    data = (
+        LogReader(write(tmp_path / "l.csv", table, ("time", "angle", "volt")), states, INPUTS).recording().transitions
+    )
     times = t[1 : 1 + len(data)]  # nothing was measured in the first row
     assert np.allclose(data.x[:, 1], 2 - 6 * times + 12 * times**2, atol=1e-6)
 
@@ -142,7 +144,7 @@ def test_uneven_samples_with_lost_ones_are_resampled_by_the_others(tmp_path):
     table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.where(t < 1.0, -1.0, 1.0)], -1)
     lost = rng.random(400) < 0.1
     table[lost, 1] = np.nan
-    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
+    data = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
     grid = t[0] + 0.01 * np.arange(len(data))
     seen = data.x[:, 0].isfinite().numpy()
     assert len(data) >= 395 and 0.05 < 1 - seen.mean() < 0.15 and bool(data.x[:, 1].isfinite().all())
@@ -164,7 +166,7 @@ def test_a_recording_that_begins_anew_is_two(tmp_path):
     lines = path.read_text().splitlines()
     for text in (lines, [*lines[:81], lines[0], *lines[81:]]):  # with the headings once more, too
         path.write_text("\n".join(text))
-        data = CsvLog(str(path), STATES, INPUTS).recording().transitions
+        data = LogReader(str(path), STATES, INPUTS).recording().transitions
         assert data.segment.bincount().tolist() == [79, 79]
         assert np.array_equal(data.x.numpy(), np.concatenate([log()[:-1, 1:3]] * 2))
 
@@ -182,13 +184,13 @@ def test_too_few_samples_are_refused_with_what_was_left_out(tmp_path):
     told = refused(write(tmp_path / "log.csv", table))
     assert told.code == "log.too_few" and (told.values["count"], told.values["least"]) == (49, 50)
     assert [each.code for each in told.values["left_out"]] == ["log.missing", "log.gaps"]
-    assert len(CsvLog(write(tmp_path / "enough.csv", log(51)), STATES, INPUTS).recording().transitions) == 50
+    assert len(LogReader(write(tmp_path / "enough.csv", log(51)), STATES, INPUTS).recording().transitions) == 50
 
 
 def test_uneven_samples_are_resampled_on_the_states_curve_with_inputs_held(tmp_path):
     t = 0.01 * np.arange(200) + 0.002 * np.random.default_rng(0).uniform(-1, 1, 200)
     table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.where(t < 1.0, -1.0, 1.0)], -1)
-    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording()
+    found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording()
     data = found.transitions
     grid = t[0] + 0.01 * np.arange(len(data))
     assert len(data) >= 197 and found.findings[-1].code == "log.resampled"
@@ -202,18 +204,18 @@ def test_samples_at_a_stop_are_masked_but_not_a_start_at_rest(tmp_path):
     table = log(200)
     table[:, 1] = np.minimum(table[:, 1], 0.9)
     stuck = int((table[:, 1] == 0.9).sum())
-    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).recording()
+    found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording()
     assert found.findings[1:] == (note("log.stop", count=stuck, state="q", value=0.9),)
     assert not bool((found.transitions.x[:, 0] == 0.9).any() or (found.transitions.x_next[:, 0] == 0.9).any())
     resting = np.concatenate([np.zeros((20, 4)), log(100)])
     resting[:, 0], resting[20:, 1] = 0.01 * np.arange(120), 1.5 - np.cos(3 * log(100)[:, 0])
-    assert CsvLog(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).recording().findings[1:] == ()
+    assert LogReader(write(tmp_path / "rest.csv", resting), {"q": "angle"}, INPUTS).recording().findings[1:] == ()
 
 
 def test_a_rate_that_was_not_logged_is_the_derivative_of_its_angle(tmp_path):
     table = log()
     states = {"q": "angle", "v": {"derivative_of": "q", "unit": "rad/s"}}
-    found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).recording()
+    found = LogReader(write(tmp_path / "log.csv", table), states, INPUTS).recording()
     assert found.findings[1:] == (note("log.differentiated", state="v", of="q"),)
     assert np.allclose(found.transitions.x[3:-3, 1], table[3:-4, 2], atol=1e-4)
 
@@ -221,7 +223,7 @@ def test_a_rate_that_was_not_logged_is_the_derivative_of_its_angle(tmp_path):
 def test_stretches_too_short_for_a_rate_are_left_out_not_given_rate_zero(tmp_path):
     table = np.delete(log(), [40, 44], 0)  # rows 41..43 stand alone
     states = {"q": "angle", "v": {"derivative_of": "q"}}
-    found = CsvLog(write(tmp_path / "log.csv", table), states, INPUTS).recording()
+    found = LogReader(write(tmp_path / "log.csv", table), states, INPUTS).recording()
     assert note("log.short_stretches", count=3, least=7) in found.findings
     assert len(found.transitions) == 39 + 34
     t = 0.01 * np.concatenate([np.arange(39), np.arange(45, 79)])
@@ -244,11 +246,11 @@ def test_a_rate_of_nothing_logged_is_refused(tmp_path, states, inputs):
 
 def test_settings_that_are_not_allowed_are_refused():
     with pytest.raises(ValueError, match="skip"):
-        CsvLog("log.csv", STATES, INPUTS, missing="fill")
+        LogReader("log.csv", STATES, INPUTS, missing="fill")
 
 
 def test_a_missing_file_gets_one_line(tmp_path):
-    for read in (CsvLog(str(tmp_path / "none.csv"), STATES, INPUTS).recording, lambda: infer(str(tmp_path))):
+    for read in (LogReader(str(tmp_path / "none.csv"), STATES, INPUTS).recording, lambda: infer(str(tmp_path))):
         with pytest.raises(FileNotFoundError, match="correct"):
             read()
 
@@ -259,7 +261,7 @@ def test_text_in_the_first_row_costs_that_row_and_no_state(tmp_path):
     path.write_text("\n".join([lines[0], "0,off,nan,", *lines[2:]]))
     states, inputs = infer(str(path))
     assert list(states) == ["angle", "rate"] and list(inputs) == ["u"]
-    found = CsvLog(str(path), states, inputs).recording()
+    found = LogReader(str(path), states, inputs).recording()
     assert np.array_equal(found.transitions.x.numpy(), log()[1:-1, 1:3])
     assert found.findings[1:] == (
         note("log.words", line=2, column="angle", text="off", count=1),
@@ -283,7 +285,7 @@ def test_time_is_read_in_its_unit(tmp_path, unit, factor, heading):
     table = log()
     table[:, 0] *= factor
     path = write(tmp_path / "log.csv", table, (heading.format(unit), *HEADINGS[1:]))
-    data = CsvLog(path, STATES, INPUTS).recording().transitions
+    data = LogReader(path, STATES, INPUTS).recording().transitions
     assert data.dt == pytest.approx(0.01) and len(data) == 79
 
 
@@ -302,13 +304,13 @@ def test_a_heading_that_stands_twice_is_refused(tmp_path):
 def test_a_state_is_not_called_like_a_function_of_the_library(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time", "1", "rate", "u"))
     assert refused(path, *infer(path)).values == {"file": path, "name": "1"}
-    assert len(CsvLog(path, {"q": "1", "v": "rate"}, {"u": "u"}).recording().transitions) == 79
+    assert len(LogReader(path, {"q": "1", "v": "rate"}, {"u": "u"}).recording().transitions) == 79
 
 
 def test_decimal_commas_between_semicolons_are_numbers(tmp_path):
     path = Path(write(tmp_path / "log.csv", log(), separator=";"))
     path.write_text(path.read_text().replace(".", ","))
-    assert np.array_equal(CsvLog(str(path), STATES, INPUTS).recording().transitions.x.numpy(), log()[:-1, 1:3])
+    assert np.array_equal(LogReader(str(path), STATES, INPUTS).recording().transitions.x.numpy(), log()[:-1, 1:3])
     path.write_text(path.read_text().replace(";", ","))
     assert "headings" in refusal(str(path))
 
@@ -317,7 +319,7 @@ def test_decimal_commas_between_semicolons_are_numbers(tmp_path):
 def test_the_encodings_of_spreadsheets_are_read(tmp_path, encoding):
     path = Path(write(tmp_path / "log.csv", log(), ("time", "angle [\u00b0]", "rate", "volt")))
     path.write_text(path.read_text(), encoding=encoding)
-    data = CsvLog(str(path), STATES, INPUTS).recording().transitions
+    data = LogReader(str(path), STATES, INPUTS).recording().transitions
     assert data.x[:, 0].numpy() == pytest.approx(np.radians(log()[:-1, 1]))
 
 
@@ -325,7 +327,7 @@ def test_inputs_beyond_those_of_a_plant_are_read_and_said(tmp_path):
     table = log()
     table[:, 3] *= 12
     plant = Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).recording(plant)
+    found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording(plant)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), table[:-1, 3])
     assert found.findings[1:] == (weak("log.beyond_ends", input="u", least=-12, most=12),)
 
@@ -341,7 +343,7 @@ def test_a_column_that_says_something_else_is_refused(tmp_path, column):
 @pytest.mark.parametrize("dt", [0.0, -0.01, math.nan])
 def test_a_sampling_time_that_is_none_is_refused(dt):
     with pytest.raises(ValueError, match="dt"):
-        CsvLog("log.csv", STATES, INPUTS, dt=dt)
+        LogReader("log.csv", STATES, INPUTS, dt=dt)
 
 
 def test_many_gaps_do_not_take_long(tmp_path):
@@ -360,7 +362,7 @@ def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
     }
     inputs = {"u": Column("volt", "-", 1 / 24), "w": Column("second", "-", -0.5)}
     path = write(tmp_path / "log.csv", table, (*HEADINGS, "second"))
-    found = CsvLog(path, states, inputs).recording()
+    found = LogReader(path, states, inputs).recording()
     data = found.transitions
     assert np.allclose(data.x[:, 0], table[:-1, 1] * 0.017453292519943295, rtol=1e-14)
     assert np.allclose(data.x[:, 1], table[:-1, 2] * 0.10471975511965977, rtol=1e-14)
@@ -375,15 +377,17 @@ def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
 
 def test_states_and_inputs_keep_the_order_of_their_maps(tmp_path):
     path = write(tmp_path / "log.csv", np.concatenate([log(), 0.3 * log()[:, 2:3]], -1), (*HEADINGS, "second"))
-    data = CsvLog(path, {"v": "rate", "q": "angle"}, {"w": "second", "u": "volt"}).recording().transitions
+    data = LogReader(path, {"v": "rate", "q": "angle"}, {"w": "second", "u": "volt"}).recording().transitions
     assert np.array_equal(data.x, log()[:-1, [2, 1]])
     assert np.array_equal(data.u, np.stack([0.3 * log()[:-1, 2], log()[:-1, 3]], -1))
 
 
 def test_the_sampling_time_is_the_median_unless_given(tmp_path):
     table = np.delete(log(100, dt=0.02), [50, 51], 0)
-    assert CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).recording().transitions.dt == pytest.approx(0.02)
-    fine = CsvLog(str(tmp_path / "log.csv"), STATES, INPUTS, dt=0.015).recording()
+    assert LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording().transitions.dt == pytest.approx(
+        0.02
+    )
+    fine = LogReader(str(tmp_path / "log.csv"), STATES, INPUTS, dt=0.015).recording()
     last = fine.findings[-1]
     assert fine.transitions.dt == 0.015 and last.code == "log.resampled" and last.values["dt"] == 0.015
 
@@ -391,16 +395,16 @@ def test_the_sampling_time_is_the_median_unless_given(tmp_path):
 def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_percent_is_even(tmp_path):
     table = log(120)
     table[60:, 0] += 0.004  # a step of 1.4 sampling times is resampled
-    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording()
+    found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording()
     assert found.findings[1:] == (note("log.resampled", count=1, total=119, dt=0.01),)
     assert found.transitions.segment.unique().tolist() == [0]
     table[60:, 0] += 0.002  # one of 1.6 splits
-    found = CsvLog(write(tmp_path / "gap.csv", table), STATES, INPUTS, dt=0.01).recording()
+    found = LogReader(write(tmp_path / "gap.csv", table), STATES, INPUTS, dt=0.01).recording()
     assert found.findings[1:] == (note("log.gaps", count=1),)
     for share, even in ((0.019, True), (0.021, False)):
         table = log(120)
         table[60, 0] += share * 0.01
-        found = CsvLog(write(tmp_path / "jitter.csv", table), STATES, INPUTS, dt=0.01).recording()
+        found = LogReader(write(tmp_path / "jitter.csv", table), STATES, INPUTS, dt=0.01).recording()
         assert (not found.findings[1:]) is even
 
 
@@ -408,7 +412,7 @@ def test_stretches_are_resampled_apart_each_from_its_own_start(tmp_path):
     t = 0.01 * np.arange(160) + 0.003 * (np.arange(160) % 2)
     t[80:] += 0.5
     table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.arange(160) // 5 % 3 - 1.0], -1)
-    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
+    data = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
     assert data.segment.unique().tolist() == [0, 1]
     for label, start in ((0, t[0]), (1, t[80])):
         rows = data.segment == label
@@ -426,7 +430,7 @@ def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, rest
     table = log(100)
     table[:, 1] = table[:, 0]
     table[40 : 40 + resting, 1] = -0.5  # the lower end
-    found = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS).recording()
+    found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording()
     assert found.findings[1:] == (note("log.stop", count=masked, state="q", value=-0.5),) * bool(masked)
     assert len(found.transitions) == 99 - (masked + 1 if masked else 0)
 
@@ -434,7 +438,7 @@ def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, rest
 def test_a_state_that_rests_all_the_time_is_no_stop_and_has_range_one_where_it_is_zero(tmp_path):
     table = np.concatenate([log(), np.zeros((80, 1)), np.full((80, 1), -3.0)], -1)
     path = write(tmp_path / "log.csv", table, (*HEADINGS, "still", "low"))
-    found = CsvLog(path, {"q": "angle", "z": "still", "w": "low"}, INPUTS).recording()
+    found = LogReader(path, {"q": "angle", "z": "still", "w": "low"}, INPUTS).recording()
     assert found.findings[1:] == () and len(found.transitions) == 79
     assert found.signature.x_scale[1:] == (1.0, 3.0)
 
@@ -443,7 +447,7 @@ def test_stretches_of_four_samples_are_resampled_and_of_three_left_out(tmp_path)
     parts = [(0, 4), (1, 3), (2, 4), *((k, 4) for k in range(3, 18))]
     t = np.concatenate([k + 0.01 * np.arange(n) + 0.001 * (np.arange(n) == 1) for k, n in parts])
     table = np.stack([t, t**3, t, t / 30], -1)
-    data = CsvLog(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
+    data = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
     assert data.segment.tolist() == [k for k in range(17) for _ in range(3)]
     expected = np.concatenate([k + 0.01 * np.arange(3) for k in (0, *range(2, 18))])
     assert np.allclose(data.x[:, 1], expected) and np.allclose(data.x[:, 0], expected**3, atol=1e-9)
@@ -456,7 +460,7 @@ def starts(path: Path, code: str, t=None, **states: np.ndarray) -> tuple[list[in
     u = np.sin(np.arange(n))
     table = np.stack([0.01 * np.arange(n) if t is None else t, *states.values(), u], -1)
     names = {name: name for name in states}
-    found = CsvLog(write(path / "log.csv", table, ("time", *names, "volt")), names, INPUTS).recording()
+    found = LogReader(write(path / "log.csv", table, ("time", *names, "volt")), names, INPUTS).recording()
     rows = np.flatnonzero(np.isin(u, found.transitions.u[:, 0]))
     return rows.tolist(), [each for each in found.findings if each.code == code]
 
@@ -489,7 +493,7 @@ def test_the_peak_of_an_overshoot_that_an_encoder_reads_in_steps_is_no_stop_and_
 
 def test_a_state_that_no_sensor_sees_is_nan_and_the_rest_is_as_it_was(tmp_path):
     states = {"q": "angle", "level": {"unit": "V"}, "v": Column("rate", "rad/s")}
-    found = CsvLog(write(tmp_path / "log.csv", log()), states, INPUTS).recording()
+    found = LogReader(write(tmp_path / "log.csv", log()), states, INPUTS).recording()
     data = found.transitions
     assert bool(data.x[:, 1].isnan().all() and data.x_next[:, 1].isnan().all()) and len(data) == 79
     assert np.array_equal(data.x[:, [0, 2]], log()[:-1, 1:3]) and np.array_equal(data.x_next[:, 0], log()[1:, 1])
@@ -501,7 +505,7 @@ def test_a_recording_says_what_it_holds_in_a_line(tmp_path):
     """201 samples of 0.01 s are 200 transitions; a lost row splits them."""
     rows = [f"{0.01 * k:.2f},{math.sin(0.1 * k)},{k % 2 * 2 - 1}" for k in range(201) if k != 100]
     (tmp_path / "log.csv").write_text("\n".join(["time [s],angle [rad],u_m", *rows]))
-    recording = CsvLog(
+    recording = LogReader(
         str(tmp_path / "log.csv"), {"angle": {"name": "angle", "unit": "rad"}}, {"u_m": "u_m"}
     ).recording()
     first, *told = repr(recording).splitlines()
@@ -516,7 +520,7 @@ def test_several_files_are_one_recording_with_the_ends_of_all(tmp_path):
     first[:, 3], second[:, 3] = 5.0, np.where(np.arange(50) % 7 < 3, -20.0, 0.0)  # still in the first file
     second[20, 1] = np.nan
     paths = [write(tmp_path / "a.csv", first), write(tmp_path / "b.csv", second)]
-    found = CsvLog(paths, STATES, INPUTS).recording()
+    found = LogReader(paths, STATES, INPUTS).recording()
     data = found.transitions
     assert data.segment.bincount().tolist() == [59, 49]
     assert torch.equal(data.x[59:].nan_to_num(), torch.from_numpy(second[:-1, 1:3]).nan_to_num())
@@ -536,7 +540,7 @@ def test_files_that_do_not_fit_together_are_refused(tmp_path):
     lacking = write(tmp_path / "c.csv", log(), ("time", "angle", "speed", "volt"))
     assert "c.csv" in refusal([one, lacking])
     with pytest.raises(ValueError, match="path"):
-        CsvLog([], STATES, INPUTS)
+        LogReader([], STATES, INPUTS)
 
 
 @pytest.mark.parametrize("named", ["T", "T [degC]", "T (degC)", "T[degC]"])
@@ -544,7 +548,7 @@ def test_a_column_is_named_with_its_unit_or_without(tmp_path, named):
     path = tmp_path / "log.csv"
     path.write_text("t [s],T [degC],u\n" + "".join(f"{k},{20 + k},{k % 2}\n" for k in range(60)))
     for states in ({"heat": {"name": named, "unit": "degC"}}, {"heat": named}):
-        log = CsvLog(str(path), states, {"u": "u"}, "t").recording()
+        log = LogReader(str(path), states, {"u": "u"}, "t").recording()
         assert log.transitions.x[:, 0].tolist() == list(range(20, 79))
 
 
