@@ -16,7 +16,7 @@ from cli import CONF, end_with_parent, exit_at_once, handle_signals, pipe_guard,
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
-from errors import MENDABLE, in_words
+from errors import in_words, mendable, of_user
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -25,7 +25,6 @@ from omegaconf import DictConfig, OmegaConf
 from sweep import Sweep, note_job_end
 
 from dynasindy.dyna import Stopped
-from dynasindy.limits import is_memory_error
 from dynasindy.safe_io import write_text
 from dynasindy.sentences import use_command_words
 
@@ -125,11 +124,13 @@ def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
     settings = None if cfg is None else OmegaConf.to_container(cfg)  # as they were given, before anything is read
     try:
         yield
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and not of_user(error):
+            raise
         diverged = type(error).__name__ == "Diverged"  # its class would cost every command the import of torch
-        if os.environ.get("DYNASINDY_TRACEBACK") or not (
-            diverged or isinstance(error, MENDABLE) or is_memory_error(error)
-        ):
+        if os.environ.get("DYNASINDY_TRACEBACK") or not (diverged or mendable(error)):
+            if isinstance(error, SystemExit):  # of which Python prints nothing
+                traceback.print_exception(error)
             raise
         traceback.clear_frames(error.__traceback__)  # what they hold may be the memory that is missing
         line = f"error: {in_words(error, config_name, settings)}"
@@ -171,7 +172,7 @@ def remove_empty(folder: str | Path | None) -> None:
 
     Hydra writes the settings of a sweep before its first job.
     """
-    if folder is None or (folder := Path(folder)).resolve() == Path.cwd():
+    if not isinstance(folder, str | Path) or (folder := Path(folder)).resolve() == Path.cwd():
         return
     with suppress(OSError):  # another process may just have begun to use it
         if [file.name for file in folder.iterdir()] == ["multirun.yaml"]:

@@ -2,12 +2,13 @@
 
 import re
 import sys
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 
 import hydra
 import yaml
-from cli import CONF, config_dir, group_options
+from cli import CONF, SCRIPTS, config_dir, group_options
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -15,9 +16,13 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from trust import nodes
 
+import dynasindy
 from dynasindy.limits import is_memory_error, memory_wanted
 from dynasindy.text import did_you_mean
 
+PACKAGE = Path(dynasindy.__file__).parent
+OTHERS = re.compile(r"[/\\](site-packages|dist-packages|lib[/\\]python3[^/\\]*)[/\\]")
+"""Where the code of libraries lies."""
 MENDABLE = (
     *(yaml.YAMLError, ValueError, TypeError, KeyError, OSError, ModuleNotFoundError),
     *(HydraException, OmegaConfBaseException),
@@ -29,6 +34,36 @@ EXTRAS = {
 """Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
 MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
 """What Hydra says of a key that is misspelt, or given with a + and there."""
+
+
+def mendable(error: BaseException) -> bool:
+    """Tell whether the user can mend an error, and so is told in a line, without a traceback."""
+    return isinstance(error, MENDABLE) or is_memory_error(error) or bool(_changed_dtype() or of_user(error))
+
+
+def _changed_dtype() -> str:
+    """Return the number type that a part of the user's made torch's default; '' if it is as it was."""
+    torch = sys.modules.get("torch")
+    kind = torch.get_default_dtype() if torch and hasattr(torch, "get_default_dtype") else None
+    return "" if torch is None or kind in (None, torch.float32) else str(kind)
+
+
+def of_user(error: BaseException) -> str:
+    """Return where an error was raised in code of the user's, as a plant, that the package called; '' if in none."""
+    cause: BaseException | None = error
+    while cause is not None:
+        frames = [frame for frame, _ in traceback.walk_tb(cause.__traceback__)]
+        files = [Path(frame.f_code.co_filename) for frame in frames]
+        inside = next((place for place, file in enumerate(files) if file.is_relative_to(PACKAGE)), len(files))
+        for frame, file in reversed(list(zip(frames, files))[inside:]):
+            library = OTHERS.search(str(file)) or str(file).startswith("<")
+            if not (library or file.is_relative_to(PACKAGE) or file.is_relative_to(SCRIPTS)):
+                said = f"{type(cause).__name__}: {' '.join(str(cause).split())}".rstrip(": ")
+                place = f"{frame.f_code.co_qualname} failed in {file.name}, line {frame.f_lineno}"
+                return f"{place} ({said}); mend it there"
+        # What has a sentence of its own is told by that.
+        cause = cause.__cause__ if isinstance(cause, RuntimeError | MemoryError | InstantiationException) else None
+    return ""
 
 
 def in_words(error: BaseException, config_name: str, settings: object = None) -> str:
@@ -51,6 +86,12 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     text = " ".join(words.split()).partition(" Config search path:")[0]
     if isinstance(error, BrokenPipeError):
         raise error
+    if kind := _changed_dtype():
+        return (
+            f"a part of yours called torch.set_default_dtype({kind}), which all others use; leave it out of the plant"
+        )
+    if place := of_user(error):
+        return f"{place}; DYNASINDY_TRACEBACK=1 shows the way there"
     if is_memory_error(error):
         wanted = memory_wanted(error)
         said = f": {wanted} more were wanted" if wanted else f": {text}" if text and type(error) is MemoryError else ""
@@ -108,7 +149,7 @@ def _missing_package(error: BaseException) -> str:
 def _misspelt(key: str, config_name: str) -> str:
     """Return which keys stand where a misspelt one was given; '' if it exists."""
     chosen = [word for word in _words() if (CONF / word.partition("=")[0]).is_dir()]
-    whole = OmegaConf.to_container(compose(config_name, chosen))
+    whole = OmegaConf.to_container(_compose_groups(config_name, chosen))
     if source := _taken_from(key, whole):
         return f"'{key}' follows another key; give {source} instead"
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node if str(name)[0] != "_"]
@@ -117,6 +158,18 @@ def _misspelt(key: str, config_name: str) -> str:
         group = group.rpartition(".")[0]
     names = [each.rpartition(".")[2] for each in keys if each.rpartition(".")[0] == group]
     return "" if group == key else unknown_name(key.removeprefix(f"{group}."), names, group, keys)
+
+
+def _compose_groups(config_name: str, words: list[str]) -> DictConfig:
+    """Return what choices of groups give; those that other commands have are left out."""
+    try:
+        return compose(config_name, words)
+    except HydraException as error:
+        other = MISSPELT.search(str(error))
+        left = [word for word in words if other and word.partition("=")[0] != other[1]]
+        if other is None or len(left) == len(words):
+            raise
+    return _compose_groups(config_name, left)
 
 
 def _words() -> list[str]:

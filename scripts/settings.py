@@ -7,6 +7,7 @@ import pkgutil
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import is_dataclass
 from functools import cache, partial
 from itertools import chain
 from types import NoneType, UnionType
@@ -25,6 +26,7 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
 )
+from pydantic.fields import FieldInfo
 from trust import nodes
 from typing_extensions import TypedDict
 
@@ -41,6 +43,8 @@ from dynasindy.tasks.references import Signal
 HYDRA = {"_target_", "_partial_", "_args_", "_convert_", "_recursive_"}
 GIVEN = {"signature", "dt", "system", "task", "n_u", "n_obs", "env", "agent", "replay", "policy", "x", "u", "x_next"}
 """Arguments that an experiment hands to what a config builds with `_partial_`."""
+SOME = Field(min_length=1)
+Positive = Annotated[float, Field(gt=0)]
 LARGEST = 1e19
 """Squares of larger numbers, and of numbers smaller than its inverse, are no float32."""
 THREADS = range(1, 8 * (os.cpu_count() or 1) + 1)
@@ -62,16 +66,23 @@ TOP: dict[str, Any] = {
     "system": System | None,
     "threads": Annotated[int, THREADS, "eight for each core"],
     **{"folder": str, "run": str | None, "resume": str | None, "results": str, "output": str, "controller": str | None},
-    **{"save": str | None, "name": str | None, "settings": list[str], "slim": list[str], "scenarios": list[str]},
+    **{
+        "save": str | None,
+        "name": str | None,
+        "settings": list[str],
+        "slim": list[str],
+        "scenarios": Annotated[list[str], SOME],
+    },
     "plugins": list[str],
     "formats": list[Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]],
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard", "any_commit"), bool),
     **{"refinement": str, "error_shape": str, "source": Literal["simulated", "logged"]},
-    **{"longest_delay": Annotated[float, range(1001)] | None, "horizons": list[float] | None},
+    **{"longest_delay": Annotated[float, Field(ge=0)] | None, "horizons": Annotated[list[Positive], SOME] | None},
     **{"evaluation.every": int, "evaluation.must_improve": bool, "evaluation.must_control": bool},
     **{"evaluation.within": float, "checkpoint.every": int, "device": str},
     **{"scenario": Scenario, "data": LoggedData | Simulated, "level": Level},
-    **{"dt": float, "targets": list[list[float]] | None, "seconds": float | None, "flights": int, "guard": Guard},
+    **{"dt": Positive, "targets": Annotated[list[list[float]], SOME] | None, "flights": int, "guard": Guard},
+    **{"seconds": Annotated[float, Field(gt=0, le=1e5)] | None, "planner": dict[str, Any] | None},
 }
 """Keys of any command's config, besides those of what it builds."""
 EXPORTING: dict[str, Any] = {
@@ -132,7 +143,7 @@ def _values(tree: Any, hints: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any
         *groups, name = key.split(".")
         node = tree
         for place, group in enumerate(groups):
-            node = node.get(group) or {}
+            node = node.get(group, {})
             if not isinstance(node, dict):
                 where = ".".join(groups[: place + 1])
                 raise ValueError(f"{where} is {_shown(node)}; allowed is a group of keys: correct it")
@@ -161,7 +172,7 @@ def _parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
     """Return the annotations of a class or function by argument, which it needs, and whether it takes others."""
     function = builder.__init__ if isinstance(builder, type) else builder  # a class may hide its own in a metaclass
     try:
-        hints = get_type_hints(function, include_extras=True)
+        hints = get_type_hints(builder if is_dataclass(builder) else function, include_extras=True)
         parameters = list(inspect.signature(function).parameters.values())[isinstance(builder, type) :]
     except (NameError, TypeError, ValueError, AttributeError):  # another library's, that does not say
         return {}, set(), True
@@ -188,7 +199,9 @@ def _fit(value: Any, hint: Any, key: str) -> Any:
                 if step in at if isinstance(at, Mapping) else isinstance(at, list) and step in range(len(at)):
                     place, at = (*place, step), at[step]
             words = {"extra_forbidden": "no such key", "missing": "one value more"}.get(each["type"])
-            words = words or re.sub(r"^(Value error, )?(Input should be )?", "", each["msg"])
+            words = words or re.sub(
+                r"^(Value error, |List should have )?(Input should be )?| after validation, .*", "", each["msg"]
+            )
             found.setdefault(place, (at, []))[1].append(words)
         place, (at, allowed) = max(found.items(), key=lambda item: len(item[0]))
         where = key + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
@@ -209,7 +222,8 @@ def _checked(hint: Any) -> Any:
     if kind is Annotated:
         if math.inf in options:
             return Annotated[Any, PlainValidator(partial(_number, endless=True))]
-        limits = [AfterValidator(partial(_within, limit)) for limit in options if isinstance(limit, range)]
+        limits: list[Any] = [AfterValidator(partial(_within, limit)) for limit in options if isinstance(limit, range)]
+        limits += [each for each in options[1:] if isinstance(each, FieldInfo)]
         return Annotated[(_checked(options[0]), *limits)] if limits else _checked(options[0])
     if kind in (Union, UnionType):
         return Union[tuple(map(_checked, options))]  # noqa: UP007

@@ -38,10 +38,10 @@ class DecayingGaussian(TensorDictModuleBase):
         minimum: float = 0.0,
         seed: int = 0,
     ) -> None:
-        if not (sigma >= 0 and minimum >= 0 and 0 <= decay < 1):
+        if not (sigma >= minimum >= 0 and 0 <= decay < 1):
             raise ValueError(
                 f"Exploration noise has sigma={sigma}, decay={decay}, minimum={minimum}; "
-                "give agent.exploration_noise >= 0, noise_min >= 0 and 0 <= noise_decay < 1."
+                "give agent.exploration_noise >= noise_min >= 0 and 0 <= noise_decay < 1."
             )
         super().__init__()
         self.sigma, self.decay, self.minimum = float(sigma), decay, minimum

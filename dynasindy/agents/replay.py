@@ -139,6 +139,10 @@ class DynaReplay:
                 f"Replay has capacity={capacity}, batch_size={batch_size}, model_capacity={model_capacity}; "
                 "give positive numbers."
             )
+        if batch_size > capacity:
+            raise ValueError(
+                f"Replay has batch_size={batch_size} and capacity={capacity}; give a batch that the storage holds."
+            )
         if real_ratio is not None and not 0 <= real_ratio <= 1:
             raise ValueError(
                 f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."

@@ -254,6 +254,11 @@ def columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
     made = {name: _column(given) for name, given in group.items()}
     logged = [name for name, column in made.items() if column.name] if states else []
     for name, column in made.items():
+        if column.derivative_of and (not states or column.derivative_of == name):
+            raise ValueError(
+                f"{name} has derivative_of: {column.derivative_of}; allowed are states, with the name of another: "
+                f"{correct_map()}"
+            )
         if states and column.low is not None:
             raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
         unmeasured = states and logged and not column.derivative_of

@@ -22,7 +22,7 @@ from dynasindy.data.columns import Column, columns_of, conversions, infer, row_c
 from dynasindy.data.headings import NAME, PER_MINUTE, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample, stretches
-from dynasindy.data.table import Table, read_columns, select_columns
+from dynasindy.data.table import Table, correct_map, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
@@ -35,6 +35,8 @@ from dynasindy.text import format_duration
 Array = NDArray[np.float64]
 LEAST = 50
 """Fewest transitions that are worth a fit, and samples of each state."""
+TINY = 1e-19
+"""Size below which the squares of all values of a column are no float32."""
 ALONE = 0.8
 """Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
 PASSING = 0.05
@@ -118,7 +120,7 @@ class LogReader:
             has none is estimated with the model.
 
     Raises:
-        ValueError: there is no path, a file is named twice, or a setting is not allowed.
+        ValueError: there is no path, a file or a column is named twice, or a setting is not allowed.
     """
 
     path: str | Sequence[str] | None
@@ -137,6 +139,13 @@ class LogReader:
             )
         if len(set(self.paths)) < len(self.paths):
             raise ValueError(f"{setting('data.path')} names a file twice: {self}; give each file once")
+        for key in ("states", "inputs"):
+            given = getattr(self, key)
+            if given is not None and not (given and len(set(given)) == len(given)):
+                raise ValueError(
+                    f"{setting(f'data.{key}')} is {given}; allowed are the names of columns, each once, or null, where "
+                    "the headings are to tell: correct it"
+                )
         if self.missing not in ("skip", "refuse"):
             raise ValueError(f"{setting('data.missing')} is {self.missing!r}; allowed are skip, refuse: choose one")
         if self.dt is not None and not self.dt > 0:
@@ -165,6 +174,13 @@ class LogReader:
         left_out, after = list[Finding](), list[Finding]()
         time, states, inputs = self._columns(plant, left_out)
         self._require_names([*states, *inputs])
+        names = [c.name for c in (*states.values(), *inputs.values()) if c.name]
+        if double := [heading for heading in names if names.count(heading) > 1]:
+            taken = [name for name, c in {**states, **inputs}.items() if c.name == double[0]]
+            raise ValueError(
+                f"{self}: the column '{double[0]}' is taken as {' and as '.join(taken)}, and may be read once; leave "
+                f"one out: {correct_map()}"
+            )
         parts = [self._part(path, time, states, inputs) for path in self.paths]
         findings = [each for part in parts for each in self._findings_of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
@@ -188,7 +204,13 @@ class LogReader:
         data = _transitions(full, np.concatenate([part.u for part in parts]), segment, usable, dt)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
-        scale = tuple(float(v) if v > 0 else 1.0 for v in np.abs(np.nan_to_num(full)).max(0, initial=0.0))
+        most = dict(zip(states, np.abs(np.nan_to_num(full)).max(0, initial=0.0).tolist(), strict=True))
+        if tiny := [name for name, size in most.items() if 0 < size < TINY]:
+            raise ValueError(
+                f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
+                f"scale in {setting('data.states')}, or leave it out"
+            )
+        scale = tuple(size or 1.0 for size in most.values())
         reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
         require_consistent_rates(data, signature, self.known or {}, states, headings, str(self))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -69,7 +69,12 @@ class Foreign(System):
                 raise ValueError(f"{id} has the {what} space {space}; a plant needs a Box of one dimension")
         assert isinstance(seen, spaces.Box) and isinstance(acted, spaces.Box)
         if not (np.isfinite(acted.low).all() and np.isfinite(acted.high).all()):
-            raise ValueError(f"{id} has actions without ends, {acted}; inputs need them: wrap it in RescaleAction")
+            raise ValueError(f"env.id={id} has actions without ends; give your environment's action_space finite ends")
+        if not (acted.low < acted.high).all():
+            raise ValueError(
+                f"env.id={id} has an action_space whose low is its high, {acted.low.tolist()}, so nothing moves it; "
+                "give your environment's action_space a low below its high"
+            )
         n_seen, n_u = seen.shape[0], acted.shape[0]
         ranges = {f"x{i + 1}": None for i in range(n_seen)} if states is None else _ranges(states)
         entries, named = (list(ranges), "states") if observed is None else (list(observed), "observed")
@@ -165,7 +170,7 @@ class GymnasiumEnv(ControlEnv):
         dt: float | None = None,
         substeps: int = 1,
         *,
-        dtype: torch.dtype = torch.float64,
+        dtype: torch.dtype | Literal["float32", "float64"] = torch.float64,
         seed: int = 0,
     ) -> None:
         if not isinstance(system, Foreign):
@@ -218,9 +223,9 @@ class GymnasiumEnv(ControlEnv):
             if bool(over[i]):
                 continue
             scaled = (low + (high - low) * 0.5 * (action + 1.0)).astype(np.float32)
-            seen, reward, terminated, _, _ = self.copies.pool[i].step(scaled)
-            after[i] = self.foreign.observed.state(torch.as_tensor(np.asarray(seen), dtype=self.float_type), after[i])
-            paid.reshape(-1)[i], over[i] = float(reward), bool(terminated)
+            seen, reward, terminated = self._next(i, scaled, int(tensordict["step_count"].reshape(-1)[i]) + 1)
+            after[i] = self.foreign.observed.state(torch.as_tensor(seen, dtype=self.float_type), after[i])
+            paid.reshape(-1)[i], over[i] = float(reward), terminated
         self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])
         clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
         out = self._moved(tensordict, self.now.unsqueeze(-2), clipped)
@@ -233,6 +238,30 @@ class GymnasiumEnv(ControlEnv):
         out["truncated"] = out["truncated"] | cut
         out["done"] = out["truncated"].clone()
         return out
+
+    def _next(self, copy: int, action: Any, step: int) -> tuple[Any, Any, bool]:
+        """Return observation, reward and end of a step of one copy.
+
+        Raises:
+            ValueError: The environment gives other than five values, or an observation that is not finite.
+        """
+        try:
+            seen, reward, terminated, _, _ = self.copies.pool[copy].step(action)
+        except ValueError as error:
+            if "values to unpack" not in str(error):
+                raise
+            raise ValueError(
+                f"env.id={self.foreign.id}: its step does not give five values; mend your environment, so that it "
+                "gives observation, reward, terminated, truncated and info"
+            ) from error
+        seen = np.asarray(seen)
+        if not np.isfinite(seen).all():
+            place = int(np.flatnonzero(~np.isfinite(seen))[0])
+            raise ValueError(
+                f"env.id={self.foreign.id}: in step {step} of an episode component {place} of the observation, "
+                f"'{self.foreign.observed.names[place]}', is {seen.reshape(-1)[place]}; mend your environment"
+            )
+        return seen, reward, bool(terminated)
 
     def _begin(self, number: int, rng: np.random.Generator) -> Tensor:
         """Return states in which episodes begin, `(number, n_x)`."""
@@ -296,7 +325,11 @@ class _Observed:
                 f"plant.states has {absent[0]}, which is neither observed nor an angle; {told}: name it in "
                 "plant.angles, with its sine and its cosine, or mend plant.observed"
             )
-        self.width, self.is_angle = len(names), torch.tensor([name in angles for name in states])
+        self.names, self.width, self.is_angle = (
+            list(names),
+            len(names),
+            torch.tensor([name in angles for name in states]),
+        )
         pairs = [angles.get(name, (name, name)) for name in states]
         self.sine, self.cosine = ([names.index(pair[k]) for pair in pairs] for k in (0, 1))
         self.plain = not angles and list(names) == list(states)

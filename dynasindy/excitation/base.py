@@ -80,14 +80,19 @@ class Excitation(TensorDictModuleBase, ABC):
                 f"excitation got {n_u} inputs, duration {duration} s, dt {dt} s; "
                 "allowed are positive numbers: correct them"
             )
+        if duration < dt:
+            raise ValueError(
+                f"excitation.duration is {duration:g} s and env.dt {dt:g} s; allowed is a duration of one control "
+                "period or more: lower env.dt, or excite for longer"
+            )
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
         self._check_size(self.dt, 1)
         self.register_buffer("amplitude", _per_input(amplitude, n_u, "amplitude"))
         self.register_buffer("offset", _per_input(offset, n_u, "offset"))
-        if bool((self.offset.abs() - self.amplitude.abs() >= 1).any()):
+        if bool((self.offset.abs() + self.amplitude.abs() > 1 + 1e-6).any()):
             raise ValueError(
-                f"excitation got offset {self.offset.tolist()} and amplitude {self.amplitude.tolist()}; allowed is a "
-                "range that meets [-1, 1]: move the offset towards 0"
+                f"excitation.amplitude is {self.amplitude.tolist()} about excitation.offset {self.offset.tolist()}; "
+                "allowed is what stays within [-1, 1]: lower the amplitude, or move the offset towards 0"
             )
         self.first = float(careful.get("first", 1.0))
         if not 0 < self.first <= 1:

@@ -523,6 +523,11 @@ class Constraints:
             ValueError: a state or a function does not exist.
         """
         signature = library.signature
+        if own := [state for state, function in known.items() if state == function]:
+            raise ValueError(
+                f"plant.known says that the rate of '{own[0]}' is '{own[0]}' itself; name the state that is its rate, "
+                "or leave it out"
+            )
 
         def _place(find: Callable[[str], int], name: str, key: str) -> int:
             try:

@@ -57,6 +57,8 @@ from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 FORMAT = "dynasindy sparse model 1"
+LONGEST = 1e9
+"""Longest step and delay that a file may have [s]."""
 LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
 LARGEST_FACTOR = 1000
@@ -630,8 +632,8 @@ def _covariance(library: Library, data: dict[str, Any] | None) -> Covariance | N
 def _read(data: dict[str, Any]) -> SindyModel:
     signature = _signature(data["signature"])
     step = data.get("step")
-    if step is not None and (step := _number(step)) < 0:
-        raise TypeError(f"the step of its difference equation is {step} s, which is negative")
+    if step is not None and not 0 < (step := _number(step)) <= LONGEST:
+        raise TypeError(f"step, that of its difference equation, is {step} s; allowed is a time up to {LONGEST:g} s")
     library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
     coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
     place = {name: k for k, name in enumerate(library.names)}
@@ -640,8 +642,8 @@ def _read(data: dict[str, Any]) -> SindyModel:
             coefficients[place[name] if name in place else library.index(name), i] = _number(value)
     with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
         library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
-    if (delay := _number(data.get("delay", 0.0))) < 0:
-        raise TypeError(f"its delay is {delay} s, which is negative")
+    if not 0 <= (delay := _number(data.get("delay", 0.0))) <= LONGEST:
+        raise TypeError(f"delay is {delay} s; allowed is 0 to {LONGEST:g} s")
     model = SindyModel(signature, library)
     model.constraints, model.delay = _constraints(library, data.get("constraints")), delay
     model.set_coefficients(coefficients)

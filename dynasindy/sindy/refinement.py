@@ -130,6 +130,11 @@ class Refinement:
         """
         guess = data if guess is None else guess
         first, longest, rough = (library, coefficients), self.longest_delay, late
+        if longest is not None and longest >= (seconds := len(data) * data.dt):
+            raise ValueError(
+                f"longest_delay is {longest:g} s, and the data last {seconds:g} s; give a delay that they can show, or "
+                "null, where they are to tell"
+            )
         if longest is None:
             longest, rough = self._reach(first, constraints, data, guess)
             longest, rough = max(longest, FARTHER * late), rough or late

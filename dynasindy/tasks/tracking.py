@@ -97,6 +97,10 @@ class Tracking(Task):
                     f"task.{key} names '{absent[0]}', which is no state; the states are "
                     f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
                 )
+        if own := [name for name, rate in zip(outputs, rates, strict=False) if name == rate]:
+            raise ValueError(
+                f"task.rates names '{own[0]}' as its own rate; name the state that is it: mend plant.rates"
+            )
         self.begins = bool(start)
         self.output_names = tuple(outputs)
         self.outputs = [signature.state_index(name) for name in outputs]
@@ -112,6 +116,22 @@ class Tracking(Task):
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.start_ranges(signature, start or {}, "task.start")
         self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
+        outside = _beyond(self.start, self.bounds).any(0)
+        if away := [
+            name for name, out in zip(signature.state_names, outside.tolist()) if out and name in (start or {})
+        ]:
+            place = signature.state_index(away[0])
+            raise ValueError(
+                f"task.start has '{away[0]}' at {self.start[:, place].tolist()}, and task.bounds are "
+                f"{self.bounds[:, place].tolist()}; allowed is a start within the bounds: correct one of them"
+            )
+        for place, name, *ends in zip(self.outputs, outputs, *(self.ends or ((), ())), strict=False):
+            least, most = self.bounds[:, place].tolist()
+            if not least <= ends[0] <= ends[1] <= most:
+                raise ValueError(
+                    f"the targets of '{name}' go from {ends[0]:g} to {ends[1]:g}, and task.bounds from {least:g} to "
+                    f"{most:g}; allowed are targets within the bounds: correct plant.low, plant.high or plant.bounds"
+                )
         self.fence = 0.0
         self.followers: Mapping[int, int] = {}
         self._given = set(start or {})

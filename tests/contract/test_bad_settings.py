@@ -44,12 +44,20 @@ def test_a_misspelt_option_of_any_group(refused, tmp_path, group):
         ("evaluation.every", "0"),
         ("checkpoint.every", "-1"),
         ("scenario.episodes", "0"),
+        ("evaluation", "null"),
+        ("folder", "[a]"),
+        ("env.dtype", "float16"),
+        ("replay.batch_size", "20000"),
+        ("agent.noise_min", "0.5"),
+        ("+scenario.windows", "[[1]]"),
+        ("plant.rates", "[alpha_a,alpha_p]"),
+        ("+plant.bounds", "{alpha_a: 0.01}"),
     ],
 )
 def test_a_bad_value_of_any_part(refused, tmp_path, key, given):
     """One of each kind; tests/scripts/test_schema.py has more of them."""
     line = refused("train", "experiment=smoke", "planning=dyna", f"{key}={given}", cwd=tmp_path)
-    assert key.rpartition(".")[2].strip("_") in line or given.strip("[]") in line
+    assert key.rpartition(".")[2].strip("_+") in line or given.strip("[]") in line
 
 
 @pytest.mark.parametrize(
@@ -108,7 +116,15 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
         ("identify", ["data=csv", "data.path=FILE"], "FILE"),
         ("identify", ["sensors=bench", "data=csv", "data.path=log.csv"], "sensors"),
         ("identify", ["system=tras", "plant.library=['1',u_a,'sinh(alpha_a)']", "excitation.duration=10000"], "'sinh'"),
+        ("identify", ["data=csv", "data.path=log.csv", "data.inputs=[]"], "data.inputs"),
+        ("identify", ["data=csv", "data.path=log.csv", "data.states=[a,a]"], "data.states"),
+        ("identify", ["system=pendulum", "horizons=[-1]"], "horizons"),
+        ("identify", ["system=pendulum", "env.dt=3"], "'env.dt'"),
+        ("identify", ["system=pendulum", "planning=dyna"], "'planning'"),
+        ("rig", ["system=pendulum", "planner=5"], "planner"),
+        ("train", ["system=black_box"], "plant.low"),
         ("evaluate", [], "run"),
+        ("evaluate", ["run=nowhere", "scenarios=[]"], "scenarios"),
         ("evaluate", ["run=nowhere"], "nowhere"),
         ("evaluate", ["run=nowhere", "formats=[onnx]"], "formats"),
         ("check", ["run=FOLDER"], "FOLDER"),
@@ -165,3 +181,160 @@ def test_a_command_that_does_not_exist(tmp_path):
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert "'trian'" in done.stderr and "'train'" in done.stderr
+
+
+SHORT = ("system=pendulum", "experiment=gradient_smoke", "scenario.episodes=2", "excitation.duration=3")
+LOG = ("data=csv", "data.path=log.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "key"),
+    [
+        ("train", ("device=null",), "device"),
+        ("train", ("env.dt=1000",), "env.dt"),
+        ("train", ("plant.low=[0.5]", "plant.high=[-0.5]"), "high"),
+        ("train", ("+plant.bounds={theta: 0.5}", "+plant.start={theta: [1, 2]}"), "plant.start"),
+        ("train", ("plant.amplitude=[0.8]", "plant.offset=[0.5]"), "plant.amplitude"),
+        ("train", ("longest_delay=1e9",), "longest_delay"),
+        ("identify", (*LOG, "data.states=[theta,u]", "data.inputs=[u]"), "data.states"),
+        ("identify", (*LOG, "data.states={a: theta, b: theta}", "data.inputs=[u]"), "data.states"),
+        ("identify", (*LOG, "data.states={theta: theta, Omega: {derivative_of: Omega}}"), "data.states"),
+        ("identify", (*LOG, "plant.known={theta: theta}"), "plant.known"),
+        ("identify", (*LOG, "longest_delay=1e9"), "longest_delay"),
+        ("identify", ("data=csv", "data.path=tiny.csv"), "'theta'"),
+    ],
+)
+def test_a_setting_that_makes_no_sense_beside_another_one(command, log, tmp_path, name, words, key):
+    (tmp_path / "log.csv").write_text(log.read_text())
+    heading, *rows = log.read_text().splitlines()
+    time, *rest = zip(*(row.split(",") for row in rows))
+    tiny = [[f"{float(value) * 1e-300!r}" for value in rest[0]], *rest[1:]]
+    (tmp_path / "tiny.csv").write_text("\n".join([heading, *map(",".join, zip(time, *tiny))]))
+    before = sorted(tmp_path.iterdir())
+    done = command(name, *(SHORT if name == "train" else ()), *words, cwd=tmp_path)
+    lines = [line for line in done.err.splitlines() if line.startswith("error: ")]
+    assert (done.code, len(lines)) == (2, 1) and "Traceback" not in done.err and key in lines[0], done
+    assert name == "train" or sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(("key", "value"), [("step", 0), ("step", 1e300), ("delay", 1e300), ("delay", -1)])
+def test_a_number_of_a_model_file_that_is_none(refused, planned, tmp_path, key, value):
+    import json
+
+    record = json.loads((planned / "model.json").read_text())
+    (tmp_path / "model.json").write_text(json.dumps(record | {key: value}))
+    assert key in refused("train", "model=model.json", *TASK, cwd=tmp_path)
+
+
+def test_a_controller_of_another_plant(command, planned, tmp_path):
+    done = command("rig", "system=tras", f"controller={planned}/controller.json", "folder=run", cwd=tmp_path)
+    assert done.code == 2 and done.err.count("\n") == 1 and "theta" in done.err
+    assert not list(tmp_path.rglob("*.csv"))
+
+
+PLANT = """
+import torch
+from dynasindy.systems import Signature, System
+
+class Failing(System):
+    def __init__(self):
+        super().__init__(Signature(("p", "v"), ("m", "m/s"), ("force",), (2.0, 3.0)))
+        self.count = 0
+
+    def forward(self, x, u):
+        self.count += 1
+        if self.count > 200:
+            {fault}
+        p, v = x.unbind(-1)
+        return torch.stack((v, 3 * u[..., 0] - v - 2 * p), -1)
+"""
+YAML = """# @package _global_
+system: {_target_: failing.Failing}
+plant: {outputs: [p], rates: [v], low: [-0.5], high: [0.5], library: polynomial, amplitude: [0.8], offset: [0.0]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "key"),
+    [
+        ("{}['mass']", "KeyError"),
+        ("assert False", "AssertionError"),
+        ("next(iter(()))", "StopIteration"),
+        ("raise SystemExit(3)", "SystemExit"),
+        ("raise MemoryError", "MemoryError"),
+        ("torch.set_default_dtype(torch.float64)", "set_default_dtype"),
+    ],
+)
+def test_a_plant_that_fails_in_the_middle_of_a_run_is_named(command, tmp_path, monkeypatch, fault, key):
+    (tmp_path / "conf" / "system").mkdir(parents=True)
+    (tmp_path / "conf" / "system" / "failing.yaml").write_text(YAML)
+    (tmp_path / "failing.py").write_text(PLANT.replace("{fault}", fault))
+    monkeypatch.syspath_prepend(tmp_path)
+    words = ("--config-dir", str(tmp_path / "conf"), "system=failing", *SHORT[1:], "task.max_steps=60", "folder=run")
+    done = command("train", *words, cwd=tmp_path)
+    lines = [line for line in done.err.splitlines() if line.startswith("error: ")]
+    assert (done.code, len(lines)) == (2, 1) and "Traceback" not in done.err, done
+    assert key in lines[0] and (key == "set_default_dtype" or ("Failing.forward" in lines[0] and "line 13" in lines[0]))
+    monkeypatch.setenv("DYNASINDY_TRACEBACK", "1")
+    assert key == "set_default_dtype" or fault in command("train", *words[:-1], "folder=again", cwd=tmp_path).err
+
+
+ENVIRONMENT = """
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+class Mass(gymnasium.Env):
+    def __init__(self, low=-1.0, high=1.0, nan=False, values=5):
+        self.action_space = Box(np.full(1, low, np.float32), np.full(1, high, np.float32))
+        self.observation_space = Box(-10.0, 10.0, (2,))
+        self.nan, self.values = nan, values
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x, self.count = self.np_random.uniform(-0.1, 0.1, 2).astype(np.float32), 0
+        return self.x.copy(), {}
+
+    def step(self, action):
+        self.count += 1
+        self.x += np.float32(0.05) * np.array([self.x[1], 3 * action[0] - self.x[1] - 2 * self.x[0]], np.float32)
+        if self.nan and self.count == 21:
+            self.x[1] = np.nan
+        return (self.x.copy(), 0.0, False, False, {})[: self.values]
+
+for name, options in {"Nan": {"nan": True}, "Four": {"values": 4}, "Same": {"low": 1.0},
+                      "Endless": {"low": -np.inf, "high": np.inf}}.items():
+    gymnasium.register(f"{name}-v0", entry_point=Mass, kwargs=options, disable_env_checker=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys"),
+    [
+        ("Nan", ("step 21", "component 1", "'v'")),
+        ("Four", ("step", "five values")),
+        ("Same", ("action_space", "low")),
+        ("Endless", ("action_space", "finite ends")),
+    ],
+)
+def test_an_environment_of_gymnasium_that_misbehaves(command, tmp_path, monkeypatch, kind, keys):
+    (tmp_path / "masses.py").write_text(ENVIRONMENT)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = ("plant.states={p: 1.0, v: 2.0}", "plant.inputs=[force]", "plant.outputs=[p]", "plant.library=polynomial")
+    words += ("plant.low=[-0.5]", "plant.high=[0.5]", f"env.id=masses:{kind}-v0", "env.dt=0.05", "folder=run")
+    done = command("train", "system=gymnasium", *SHORT[1:], *words, cwd=tmp_path)
+    lines = [line for line in done.err.splitlines() if line.startswith("error: ")]
+    assert (done.code, len(lines)) == (2, 1) and "Traceback" not in done.err, done
+    assert all(key in lines[0] for key in keys), lines
+
+
+def test_latest_names_the_newest_run_and_those_before_it(command, tmp_path):
+    import os
+
+    for age, name in enumerate(("third", "second", "first")):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "config.yaml").write_text("a: 1\n")
+        os.utime(tmp_path / "runs" / name / "config.yaml", (1e9 + age, 1e9 + age))
+    for word, name in (("latest", "first"), ("latest~2", "third"), ("latest~3", "latest~3")):
+        done = command("export", f"run={word}", cwd=tmp_path)
+        assert done.code == 2 and name in done.err

@@ -84,13 +84,15 @@ def test_samples_are_the_signal_at_multiples_of_the_step():
 
 
 def test_an_experiment_has_at_least_one_period_and_periods_are_rounded():
-    assert Chirp(1, duration=0.01, dt=0.05).n_steps == 1
+    assert Chirp(1, duration=0.05, dt=0.05).n_steps == 1
+    with pytest.raises(ValueError, match="dt"):
+        Chirp(1, duration=0.01, dt=0.05)
     assert Chirp(1, duration=0.29, dt=0.1).n_steps == 3
 
 
-def test_inputs_are_clipped_at_either_end():
-    u = Prbs(1, amplitude=0.8, offset=-0.6, seed=2).samples()
-    assert sorted(u.unique().tolist()) == pytest.approx([-1.0, 0.2])
+def test_inputs_reach_either_end_of_their_range():
+    u = Prbs(1, amplitude=0.4, offset=-0.6, seed=2).samples()
+    assert sorted(u.unique().tolist()) == pytest.approx([-1.0, -0.2])
 
 
 @pytest.mark.parametrize(
@@ -116,10 +118,10 @@ def test_impossible_settings_are_refused(settings, message):
 
 
 def test_a_range_may_reach_the_limit_and_must_not_lie_beyond_it():
-    assert Chirp(1, amplitude=0.5, offset=1.49).samples().max() == 1.0
-    with pytest.raises(ValueError, match="towards"):
-        Chirp(1, amplitude=0.5, offset=1.5)
-    assert Chirp(1, amplitude=-0.5, offset=1.2).samples().min() < 1.0  # a negative amplitude turns the wave round
+    assert Chirp(1, amplitude=0.5, offset=0.5).samples().max() <= 1.0
+    for amplitude in (0.5, -0.5):  # a negative amplitude turns the wave round
+        with pytest.raises(ValueError, match="amplitude"):
+            Chirp(1, amplitude=amplitude, offset=0.6)
 
 
 @pytest.mark.parametrize("dt", [0.05, 2.0])
