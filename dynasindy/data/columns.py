@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
-from dynasindy.data.headings import PER_MINUTE, in_radians, is_rate_of, named_by, parts_of, split_unit, units_of
+from dynasindy.data.headings import PER_MINUTE, find_names, in_radians, is_rate_of, parts_of, split_unit, units_of
 from dynasindy.data.table import REGULAR, ColumnSummary, correct_map, summarise_columns
 from dynasindy.findings import Finding, LogError, note
 
@@ -150,9 +150,9 @@ def infer(
     words = {names[h]: text for h, text in look.worded.items() if h in names}
     dates = [names[h] for h in look.dated if h in names]
     empty = [name for h, name in names.items() if h not in {*look.numeric, *look.worded}]
-    named = _names([*(inputs or ()), *(states or ())], names.values())
-    driving = _names(inputs, words) if inputs is not None else {name for name in words if INPUT.fullmatch(name)}
-    if worded := [name for name in words if name in driving]:
+    named = {found for name in (*(inputs or ()), *(states or ())) for found in find_names(name, names.values())}
+    driving = [found for name in inputs or () for found in find_names(name, words)]
+    if worded := [name for name in words if name in driving or (inputs is None and INPUT.fullmatch(name))]:
         raise LogError("log.worded_input", file=path, column=worded[0], text=words[worded[0]])
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name
         timed = not any(names[heading] not in named for heading in look.growing)
@@ -194,12 +194,6 @@ def infer(
     return left, found
 
 
-def _names(named: Iterable[str], columns: Iterable[str]) -> set[str]:
-    """Return the names of columns that a user named, with their units or without."""
-    columns = [*columns]
-    return {found for name in named for found in (*named_by(name, columns), split_unit(name)[0])}
-
-
 def _without_roles(
     path: str, look: ColumnSummary, clock: str, inputs: Sequence[str], out: Sequence[Finding], dt: float | None
 ) -> LogError:
@@ -234,7 +228,7 @@ def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, ke
     Raises:
         ValueError: there is no such column.
     """
-    named = {name: named_by(name, [*columns]) or named_by(split_unit(name)[0], [*columns]) for name in names}
+    named = {name: find_names(name, columns) for name in names}
     if absent := [split_unit(name)[0] for name, found in named.items() if not found]:
         raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
     return {found[0]: columns[found[0]] for found in named.values()}

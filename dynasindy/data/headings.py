@@ -141,6 +141,12 @@ def named_by(name: str, headings: Sequence[str]) -> list[str]:
     return next(filter(None, ([h for h in headings if alike(h)] for alike in same)), [])
 
 
+def find_names(name: str, names: Iterable[str]) -> list[str]:
+    """Return which names of columns, without their units, a name or a heading means: `angle_deg` means `angle`."""
+    names = [*names]
+    return named_by(name, names) or named_by(split_unit(plain_heading(name))[0], names)
+
+
 def parts_of(heading: str) -> tuple[str, str]:
     """Return the name and the unit of a heading of time: `t_ms` is in ms as `t [ms]` is, and `millis` as well."""
     name, unit = split_unit(heading)

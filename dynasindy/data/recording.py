@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dynasindy.data.actuator_scaling import actuator_ranges, with_actuator_ranges
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, columns_of, conversions, infer, row_counter, with_units
-from dynasindy.data.headings import NAME, PER_MINUTE, in_radians, named_by, split_unit, units_of
+from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample, stretches
 from dynasindy.data.table import Table, correct_map, read_columns, select_columns
@@ -156,6 +156,15 @@ class LogReader:
         """Return the files."""
         return (self.path,) if isinstance(self.path, str) else tuple(self.path or ())
 
+    def known_rates(self, names: Sequence[str]) -> dict[str, str]:
+        """Return what is known by the names of the states, which may have been given as the headings are.
+
+        Args:
+            names: Names of the states; of what is none of them the name stays.
+        """
+        given = (self.known or {}).items()
+        return {next(iter(find_names(s, names)), s): next(iter(find_names(r, names)), r) for s, r in given}
+
     def recording(self, plant: Signature | None = None) -> Recording:
         """Read the file, or all files, each of which is segments of its own.
 
@@ -213,7 +222,7 @@ class LogReader:
         scale = tuple(size or 1.0 for size in most.values())
         reach = actuator_units(ranges, [column.unit for column in inputs.values()])
         signature = Signature(tuple(states), units, tuple(inputs), scale, **reach)
-        require_consistent_rates(data, signature, self.known or {}, states, headings, str(self))
+        require_consistent_rates(data, signature, self.known_rates([*states]), states, headings, str(self))
         if plant is not None:
             signature = _of_plant(signature, plant, data.x.isnan().all(0).tolist())
         return Recording(data, signature, (*findings, *left_out), ends)
@@ -288,7 +297,7 @@ class LogReader:
         findings += table.findings
         states_end = len(names) - len(inputs)
         table = self._complete(path, _hold_inputs(table, states_end, findings), states_end, findings)
-        states = with_units(states, table.headings, True, self.known)
+        states = with_units(states, table.headings, True, self.known_rates([*states]))
         inputs = with_units(inputs, table.headings, False)
         t, of_time = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)

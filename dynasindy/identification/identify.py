@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from dynasindy.data.headings import named_by
 from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, weak
 from dynasindy.identification import verdict
@@ -62,10 +61,8 @@ class LoggedData(LogReader):
         Rates that are known and that neither the file nor the plant has become states that the model tells.
         """
         source = Source.of(self.recording(None if system is None else system.signature), self.validation_share)
-        given = self.known or {}
-        names = {n: named_by(n, source.signature.state_names) for n in {*given, *given.values()}}
-        known = {next(iter(names[s]), s): next(iter(names[r]), r) for s, r in given.items()}
-        return source if system is not None and system.known else source.with_rates(known)
+        known = system is not None and system.known
+        return source if known else source.with_rates(self.known_rates(source.signature.state_names))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,9 @@ def test_units_at_the_end_of_a_name_count_as_those_in_brackets(tmp_path, heading
     assert found.signature.state_names == ("angle", "rate") and found.signature.state_units == ("rad", "rad/s")
     assert found.transitions.dt == pytest.approx(0.01)
     assert found.transitions.x[:, 0].numpy() == pytest.approx(ANGLE[:-1], abs=1e-8)
+    _, angle, _, command = headings.split(",")
+    named = LoggedData(str(tmp_path / "l.csv"), [angle], [command]).recording()
+    assert (named.signature.state_names, named.signature.input_names) == (("angle",), ("u",))
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 
 from dynasindy.data.columns import Column, with_units
 from dynasindy.data.headings import in_radians
+from dynasindy.data.recording import LogReader
 from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
 from dynasindy.systems import Pendulum
@@ -139,6 +140,15 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     assert told["units"] == {"angle": ("deg", "rad"), "speed": ("rpm", "rad/s")}
     kept = LoggedData(path, told["kept"]).recording(None)
     assert kept.signature.state_units == ("deg", "rpm", "rpm")
+
+
+def test_a_known_rate_is_named_as_its_heading_is(tmp_path):
+    """A speed behind a gear of 50 is the slope of nothing, unless somebody says so."""
+    path, _ = swinging(tmp_path / "log.csv", "time [s],angle_deg,speed_rpm,rotor [rpm],u", 50 * 30 / math.pi)
+    assert LogReader(path).recording().signature.state_units == ("rad", "rpm", "rpm")
+    with pytest.raises(LogError) as error:
+        LogReader(path, known={"angle_deg": "speed_rpm"}).recording()
+    assert error.value.finding.code == "log.rate_units" and error.value.finding.values["rate"] == "speed"
 
 
 def test_a_rough_speed_is_that_of_its_angle_and_a_rotor_with_a_gear_is_not(tmp_path):
