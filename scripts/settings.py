@@ -156,7 +156,7 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
     for group, node in nodes(tree):
         if "_target_" not in node:
             continue
-        hints, required, free = _parameters(_builder(node, group))
+        hints, required, free = parameters(_builder(node, group))
         given = {name: value for name, value in node.items() if name not in HYDRA}
         for name in () if free else given.keys() - hints.keys():
             raise ValueError(unknown_name(str(name), hints.keys() - GIVEN, group))
@@ -168,10 +168,11 @@ def _arguments(tree: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 @cache
-def _parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
+def parameters(builder: Any) -> tuple[dict[str, Any], set[str], bool]:
     """Return the annotations of a class or function by argument, which it needs, and whether it takes others."""
     function = builder.__init__ if isinstance(builder, type) else builder  # a class may hide its own in a metaclass
     try:
+        # Fields of a dataclass may be inherited from another module, whose names are known to the class alone.
         hints = get_type_hints(builder if is_dataclass(builder) else function, include_extras=True)
         parameters = list(inspect.signature(function).parameters.values())[isinstance(builder, type) :]
     except (NameError, TypeError, ValueError, AttributeError):  # another library's, that does not say

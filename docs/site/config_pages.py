@@ -22,7 +22,7 @@ import yaml
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
 from cli import entries, heading  # noqa: E402
-from settings import CHECKING, EXPORTING, LARGEST, TOP  # noqa: E402
+from settings import CHECKING, EXPORTING, LARGEST, TOP, parameters  # noqa: E402
 
 CONF = REPOSITORY / "conf"
 GROUPS = {
@@ -194,17 +194,9 @@ def _typed(kind: Any) -> Mapping[str, Any]:
     return get_type_hints(kind, include_extras=True) if is_typeddict(kind) else {}
 
 
-@cache
 def _hints(target: str) -> Mapping[str, Any]:
     """Return the annotations of what a group builds, with those of the settings that it passes on."""
-    function = _built(target)
-    if function is None:
-        return {}
-    found = get_type_hints(function, include_extras=True)
-    for inner in map(get_args, list(found.values())):
-        if len(inner) == 2 and isinstance(inner[1], type) and inner[0] is Any:
-            found = get_type_hints(inner[1], include_extras=True) | found
-    return found
+    return parameters(pkgutil.resolve_name(target))[0] if target.startswith("dynasindy.") else {}
 
 
 def _built(target: str) -> Any:
