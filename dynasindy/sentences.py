@@ -924,7 +924,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines between the "
     "jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each step. If the "
     "samples were even and only their times were written late, give a counter as the time and {dt:data.dt}",
-    "log.stop": "{count} samples with {state} at {value:g}, a stop or saturation, were masked",
+    "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
+    "log.labels": "{columns:list} hold whole numbers that hardly ever change, as labels of trials and modes do; if "
+    "they are such, leave them out of the states: {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.differentiated": "{state} was reconstructed from {of}",
     "log.short_stretches": "{count} samples in stretches under {least} samples have no rate; they were skipped",

@@ -116,6 +116,11 @@ def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[
     return [note("log.converted", units=both, kept=as_map(kept, headings))]
 
 
+def _is_label(column: Array) -> bool:
+    """Tell whether a column holds whole numbers that change in few rows only."""
+    return len(column) > 1 and bool((np.diff(column) != 0).mean() < RARE and (column == column.round()).all())
+
+
 def infer(
     path: str,
     time: str = CLOCK,
@@ -189,6 +194,9 @@ def infer(
     out = [note(f"log.{why}", columns=columns) for why, columns in left_out.items() if columns]
     if not left or not found or not timed:
         raise _without_roles(path, look, clock, list(found), out, dt)
+    labels = [name for name, column in left.items() if name not in named and _is_label(look.moving[column.name])]
+    if labels and (rest := [name for name in left if name not in labels]):
+        out.append(note("log.labels", columns=labels, states=rest))
     if findings is not None:
         findings += out
     return left, found
@@ -210,6 +218,8 @@ def _without_roles(
     return LogError("log.no_roles", **facts, lacks=lacks, guess=guess)
 
 
+RARE = 0.01
+"""Share of the rows in which a label changes at most."""
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
 COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")

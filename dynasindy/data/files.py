@@ -91,7 +91,7 @@ def read_file(path: Path) -> RawTable:
     except MemoryError:
         raise
     except Exception as error:  # of some library, about a file that is damaged or none of its format
-        if str(path) in str(error):
+        if isinstance(error, ValueError | OSError) and str(path) in str(error):
             raise
         raise ValueError(
             f"{path} cannot be read as {path.suffix} ({' '.join(str(error).split())[:200]}); allowed is a whole file "

@@ -62,6 +62,7 @@ CAUSES = {
     1e2: "hundredths of a unit beside the unit, as cm beside m/s",
     1e-2: "m beside cm/s",
     1e-6: "a time in us without its unit",
+    86400.0: "a time in days without its unit",
     1.0: "one of them counted the other way",
 }
 """What a factor between the slope of a state and its rate comes from."""

@@ -44,6 +44,8 @@ PASSING = 0.05
 all samples and of the range, what single samples that fail stay below, and beyond."""
 USUAL, SPIKE = 0.9, 20
 """Share of the samples that say how far one is off the line between its neighbours, and how many times that is none."""
+FROZEN = 20
+"""Samples with one value from which on a sensor froze whose samples change in nearly every row."""
 STREAM = 0.2
 """Part of the rows without an input from which on they are those of another stream."""
 LONG = 10
@@ -514,14 +516,14 @@ def _of_plant(log: Signature, plant: Signature, unmeasured: Sequence[bool]) -> S
 
 
 def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
-    """Tell at which rows a state rests exactly at an end of its range for some time: a stop or a saturation, `(N,)`."""
+    """Tell at which rows a state rests exactly at a stop, at the end of its range, or its sensor froze, `(N,)`."""
     mask = np.zeros(len(next(iter(x.values()))), dtype=bool)
     for name, column in x.items():
         rows = np.flatnonzero(np.isfinite(column))  # lost samples say nothing of a stop, and do not end it
         value = column[rows]
         if not len(value) or np.ptp(value) == 0:
             continue
-        for end in (value.min(), value.max()):
+        for end in dict.fromkeys((value.min(), value.max(), *_frozen(value))):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], value == end, [False]])))
             rests = [pair for pair in zip(edges[::2], edges[1::2], strict=True) if pair[1] - pair[0] >= STOP]
             rests = [(first, last) for first, last in rests if first == 0 or _is_stop(value, first, last)]
@@ -533,6 +535,19 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
                 findings.append(note("log.stop", count=int(own.sum()), state=name, value=float(end)))
                 mask |= own
     return mask
+
+
+def _frozen(value: Array) -> list[float]:
+    """Return the values at which samples stand that change from row to row otherwise, and jump there and away."""
+    steps = np.abs(np.diff(value))
+    begins = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]])))
+    runs = [pair for pair in zip(begins[::2], begins[1::2], strict=True) if pair[1] - pair[0] >= FROZEN]
+    others = (steps == 0).sum() - sum(last - first for first, last in runs)
+    if not runs or others > PASSING * len(value):
+        return []
+    usual = np.median(steps[steps > 0])
+    met = [first for first, last in runs if first > 0 and last < len(steps) and steps[[first - 1, last]].min() > usual]
+    return [float(value[first]) for first in met]
 
 
 def _is_stop(value: Array, first: int, last: int) -> bool:

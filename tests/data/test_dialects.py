@@ -221,6 +221,35 @@ def test_a_signal_that_jumps_or_is_noisy_keeps_all_its_samples(tmp_path, noise):
     assert "log.spikes" not in {each.code for each in found.findings}
 
 
+def test_samples_of_a_sensor_that_froze_in_motion_are_masked(tmp_path):
+    angle = ANGLE.copy()
+    angle[60:100] = angle[60]
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
+    (stop,) = [each for each in found.findings if each.code == "log.stop"]
+    assert stop.values == {"count": 40, "state": "angle", "value": pytest.approx(ANGLE[60], abs=1e-6)}
+    assert len(found.transitions) == ROWS - 1 - 41
+
+
+def test_labels_that_hardly_change_are_said(tmp_path):
+    trial = [f"{k // 100}" for k in range(ROWS)]
+    clock = np.tile(T[:100], 3)
+    found = recording(
+        tmp_path / "l.csv", table(["time", "trial", "angle", "rate", "u"], clock, trial, ANGLE, RATE, COMMAND)
+    )
+    (labels,) = [each for each in found.findings if each.code == "log.labels"]
+    assert labels.values == {"columns": ["trial"], "states": ["angle", "rate"]}
+    path = str(tmp_path / "l.csv")
+    assert LoggedData(path, states=labels.values["states"]).recording(None).signature.state_names == ("angle", "rate")
+
+
+@pytest.mark.parametrize("ending", ["mf4", "mcap", "tdms", "h5", "mat", "parquet", "xlsx", "npz"])
+def test_a_file_that_is_none_of_its_format_is_named_in_a_line(tmp_path, ending):
+    path = tmp_path / f"l.{ending}"
+    path.write_bytes(bytes(range(1, 256)))
+    with pytest.raises(ValueError, match=path.name):
+        LoggedData(str(path)).recording(None)
+
+
 def test_a_time_without_values_is_named_or_replaced_by_the_sampling_time(tmp_path):
     text = table(["X_Value", "angle", "rate", "u"], [""] * ROWS, ANGLE, RATE, COMMAND, separator="\t")
     with pytest.raises(LogError) as error:
