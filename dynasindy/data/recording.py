@@ -408,8 +408,8 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
         unit: Its unit.
         findings: What was decided; what is done here is added.
     """
-    seen = np.isfinite(x)
-    values = x[seen]
+    measured = np.isfinite(x)
+    values = x[measured]
     if len(values) < 2:
         return x
     width, steps = float(np.ptp(values)), np.diff(values)
@@ -426,7 +426,7 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
         if begins > 0.05 * turn or left[jumps].max() > 3 * np.abs(steps[~jumps]).max():
             continue
         found = x.copy()
-        found[seen] = np.unwrap(values, period=turn)
+        found[measured] = np.unwrap(values, period=turn)
         findings.append(note("log.unwrapped", state=name, turn=turn, times=int(jumps.sum()), counts=turn in counts))
         return found
     return x

@@ -105,11 +105,11 @@ def _beside(t: Array, grid: Array) -> NDArray[np.int64]:
 
 def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
     """Return one state with lost samples at even times, `(n,)`, by those samples of it that there are."""
-    seen = np.isfinite(column)
-    if seen.sum() < FEWEST:
+    measured = np.isfinite(column)
+    if measured.sum() < FEWEST:
         return np.full(len(grid), np.nan)
     steps = np.concatenate([[0], np.cumsum(jumps)])  # jumps until each sample
-    return _between_jumps(t[seen], column[seen, None], np.diff(steps[seen]) > 0, grid)[:, 0]
+    return _between_jumps(t[measured], column[measured, None], np.diff(steps[measured]) > 0, grid)[:, 0]
 
 
 def _means(t: Array, u: Array, grid: Array, dt: float) -> Array:

@@ -78,6 +78,14 @@ class Table:
         """Return the numbers below a heading, `(rows,)`."""
         return self.values[:, self.headings.index(heading)]
 
+    def edit(self, values: Array, without: Collection[str], names: Mapping[str, str]) -> Table:
+        """Return the table with other values, without some columns and with new headings of others."""
+        columns = [k for k, heading in enumerate(self.headings) if heading not in without]
+        headings = tuple(names.get(self.headings[k], self.headings[k]) for k in columns)
+        words = {names.get(heading, heading): each for heading, each in self.words.items() if heading not in without}
+        dated = frozenset(names.get(heading, heading) for heading in self.dated if heading not in without)
+        return replace(self, headings=headings, values=values[:, columns], words=words, dated=dated)
+
 
 def read_columns(path: Path) -> Table:
     """Read a file; a file that was read just before is not read again.
@@ -132,15 +140,8 @@ def _with_whole_dates(table: Table) -> Table:
         return table
     values = table.values.copy()
     values[:, table.headings.index(clocks[0])] += dated[days[0]]
-    kept = [k for k, heading in enumerate(table.headings) if heading != days[0]]
     time = days[0] if is_clock(days[0]) or not is_clock(clocks[0]) else clocks[0]
-    headings = tuple(time if table.headings[k] == clocks[0] else table.headings[k] for k in kept)
-    words = {
-        time if heading == clocks[0] else heading: each for heading, each in table.words.items() if heading != days[0]
-    }
-    return replace(
-        table, headings=headings, values=values[:, kept], words=words, dated=table.dated - {clocks[0]} | {time}
-    )
+    return table.edit(values, days, {clocks[0]: time})
 
 
 CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
@@ -172,12 +173,10 @@ def _with_one_clock(table: Table) -> Table:
                 at = np.clip(np.searchsorted(then, now, side="right") - 1, 0, len(then) - 1)
                 values[:, k] = values[at, k] if held else np.interp(now, then, values[:, k])
                 moved.append(name)
-    kept = [k for k, name in enumerate(table.headings) if name not in others]
     unit = split_unit(first)[1]
-    names = [(f"time [{unit}]" if unit else "time") if h == first else h for h in table.headings]
     second = note("log.second_clock", columns=moved, clocks=others, first=first)
-    kept_names = tuple(names[k] for k in kept)
-    return replace(table, headings=kept_names, values=values[:, kept], findings=(*table.findings, second))
+    edited = table.edit(values, others, {first: f"time [{unit}]" if unit else "time"})
+    return replace(edited, findings=(*table.findings, second))
 
 
 def grows(column: Array) -> bool:
