@@ -13,7 +13,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 from trust import nodes
 
 import dynasindy
@@ -114,8 +114,8 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
     if isinstance(error, MissingConfigException) and error.options:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)
-    if isinstance(error, MissingMandatoryValue):
-        return f"{error.full_key} is not given; give {error.full_key}=VALUE, of which --help says more"
+    if lacking := re.search(r"Missing mandatory value: ([\w.]+)", text):  # also where another key takes it from there
+        return f"{lacking[1]} is not given; give {lacking[1]}=VALUE, of which --help says more"
     if part and not isinstance(error, ValueError):
         return f"{part} got a setting of the wrong type or name ({text}); compare it with conf/"
     if text.startswith("Error merging override "):
