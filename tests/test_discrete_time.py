@@ -52,7 +52,7 @@ def test_a_fit_that_fails_leaves_the_model_as_it_was(method):
     data = steps_of_the_map(30)
     before, r = (model.equations(), model.step, model.sums.count, model.covariance), model.sums.r.clone()
     moved = model.predict(data.x, data.u, DT)
-    with pytest.raises(ValueError, match=r"1 of 30 samples give functions that are not finite"):
+    with pytest.raises(ValueError, match="1 of 30 samples"):
         getattr(model, method)(replace(data, u=data.u.index_fill(0, torch.tensor(2), torch.inf)))
     assert (model.equations(), model.step, model.sums.count, model.covariance) == before and model.step == DT
     assert torch.equal(model.sums.r, r) and torch.equal(model.predict(data.x, data.u, DT), moved)
@@ -62,7 +62,7 @@ def test_samples_that_are_refused_leave_a_model_without_a_step():
     """What is added next may be of any other step."""
     model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")
     data = steps_of_the_map(30)
-    with pytest.raises(ValueError, match=r"1 of 30 samples give functions that are not finite"):
+    with pytest.raises(ValueError, match="1 of 30 samples"):
         model.absorb(replace(data, u=data.u.index_fill(0, torch.tensor(2), torch.inf)))
     assert model.step == 0.0 and model.sums.count == 0
     model.absorb(replace(data, dt=2 * DT))
@@ -77,7 +77,7 @@ def test_samples_are_counted_when_those_that_tell_nothing_are_left_out(gaps):
         data.x[3:, 1] = torch.nan
     else:
         data = replace(data, segment=torch.arange(12) // 4, substeps=4)
-    with pytest.raises(ValueError, match="3 whole steps without gaps; allowed are 4 or more"):
+    with pytest.raises(ValueError, match=r"3 whole steps.* 4 "):
         model.fit(data)
 
 
@@ -101,7 +101,7 @@ def test_a_log_of_a_map_that_no_differential_equation_is_leads_to_a_controller_o
     assert prediction.controlled
     for target in (-0.08, 0.0, 0.08):
         assert flown(controller, target) == pytest.approx(target, abs=0.004)  # 2 % of the range
-    with pytest.raises(ValueError, match=r"a step of 0\.25 s and cannot move by 0\.1 s"):
+    with pytest.raises(ValueError, match=r"0\.25 s .* 0\.1 s"):
         dynasindy.plan(model, {"a": (-0.1, 0.1)}, dt=0.1)
     assert dynasindy.plan(model, {"a": (-0.1, 0.1)}, updates=1).dt == DT
 

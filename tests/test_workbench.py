@@ -119,7 +119,7 @@ def test_without_a_log_all_states_are_to_be_measured(model):
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, updates=1, rollouts=4, window=5)
     assert controller.observer is None
     assert controller.dt == 0.05
-    with pytest.raises(ValueError, match="measurement of Omega is nan"):
+    with pytest.raises(ValueError, match="Omega is nan"):
         controller.act({"theta": 0.1}, [0.3])
 
 
@@ -151,7 +151,7 @@ def test_an_output_that_no_input_moves_is_refused(model):
 
 
 def test_a_control_period_fits_the_log(log, model):
-    with pytest.raises(ValueError, match=r"no multiple of the log's sampling time 0.01 s"):
+    with pytest.raises(ValueError, match=r"sampling time 0.01 s"):
         dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
 
 
@@ -212,7 +212,7 @@ def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
 
 
 def test_a_delay_needs_a_log(late):
-    with pytest.raises(ValueError, match=r"act 0.08 s late, which only an observer makes up for; give log="):
+    with pytest.raises(ValueError, match=r"0.08 s late.* log="):
         dynasindy.plan(late, {"theta": (-0.6, 0.6)}, **SHORT)
 
 
@@ -277,9 +277,7 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
 def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
     task = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     controller = Controller(lambda tensordict: tensordict, ControlSetup(task, 0.05))
-    with pytest.raises(
-        ValueError, match="no range of targets, low and high, to fly steps in; give forecast a scenario"
-    ):
+    with pytest.raises(ValueError, match=r"low and high.* scenario"):
         forecast(controller, model)
 
 
@@ -321,7 +319,7 @@ def test_targets_that_no_input_holds_are_told(model):
 
 
 def test_the_package_says_what_it_has():
-    with pytest.raises(AttributeError, match=r"it has Controller, .*, forecast, identify, load, plan, read"):
+    with pytest.raises(AttributeError, match=r"Controller, .*, plan, read"):
         dynasindy.train  # noqa: B018
 
 
@@ -402,7 +400,7 @@ def test_errors_of_logs_name_arguments_and_no_settings_of_scripts(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"correct path$"):
         dynasindy.read(tmp_path / "data.csv")
     (tmp_path / "data.csv").write_text("time,angle,torque\n0,1,5\n1,2,6\n")
-    with pytest.raises(LogError, match=r", by time, inputs and states\.") as error:
+    with pytest.raises(LogError, match=r"inputs and states\.") as error:
         dynasindy.read(tmp_path / "data.csv")
     assert error.value.finding.code == "log.no_roles"
     with pytest.raises(LogError, match=r"^inputs names 'force'") as error:

@@ -420,11 +420,11 @@ class _Augmented(Altered):
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x + count)`, of states `(*batch, n_x + count)`."""
-        states, constants = x.split([self.signature.n_x, self.count], -1)
-        dx: Tensor = self.system(states, u)
-        if self.pushed:
-            dx = dx.index_add(-1, torch.tensor(self.pushed), constants)
-        return torch.cat([dx, torch.zeros_like(constants)], -1)
+        n_x = self.signature.n_x
+        rates = list(self.system(x[..., :n_x], u).unbind(-1))
+        for k, state in enumerate(self.pushed):
+            rates[state] = rates[state] + x[..., n_x + k]
+        return torch.stack([*rates, *[torch.zeros_like(rates[0])] * self.count], -1)
 
     def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
         """Return machine code of the system's own, with the constants."""
@@ -434,6 +434,10 @@ class _Augmented(Altered):
         if self._code is None or self._code[0] is not own:
             self._code = own, Machine(own.program.with_constants(self.pushed, self.count), own.dtype)
         return self._code[1]
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave machine code out of copies and pickles; it is made again when needed."""
+        return {**super().__getstate__(), "_code": None}
 
 
 class _Kinematic(System):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -584,8 +585,9 @@ def _condense(flow: Flow) -> Tensor:
     starts = moves[~windows.joined, :, :n_start]
     moves[~windows.joined, :, :n_start] = torch.eye(n_start, dtype=nodes.dtype).view(*starts.shape)
     own, slopes = moves.numpy(), s[:, -1, :, :n_x].numpy()
-    for j in joined.tolist():
-        own[j] += slopes[j - 1] @ own[j - 1]
+    with np.errstate(all="ignore"):  # what runs away is told by what is left of it
+        for j in joined.tolist():
+            own[j] += slopes[j - 1] @ own[j - 1]
     return moves
 
 

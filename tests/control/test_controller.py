@@ -227,7 +227,7 @@ def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_b
     env, policy = setting()
     controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
     assert "sets" in str(controller)
-    with pytest.raises(ValueError, match=r"'speed'.* theta; leave out Omega"):
+    with pytest.raises(ValueError, match=r"'speed'.* theta"):
         controller.act({"theta": 0.1, "speed": 0.0}, [0.3])
 
 

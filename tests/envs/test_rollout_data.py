@@ -145,12 +145,11 @@ def test_a_recording_ends_where_the_plant_leaves_its_bounds():
 def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     plant, u = Growing(), torch.ones(1000, 1)
     data = record_plant(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
-    advice = r"excitation\.amplitude, another excitation\.offset, or excitation\.first=0\.1"
-    with pytest.raises(Diverged, match=rf"in the excitation q ran away, beyond 1000 m, after 3.81 s.*{advice}"):
+    with pytest.raises(Diverged, match=r"q .* 1000 m, after 3.81 s.*excitation\.first=0\.1"):
         before_leaving(data, plant.signature, {}, "excitation")
     with pytest.raises(Diverged, match=r"wider plant\.bounds"):
         before_leaving(data, plant.signature, {"q": 4.0}, "excitation")
-    with pytest.raises(ValueError, match=r"plant\.bounds has speed"):
+    with pytest.raises(ValueError, match=r"bounds.* speed"):
         before_leaving(data, plant.signature, {"speed": 4.0}, "excitation")
     lost = record_plant(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
     with pytest.raises(Diverged, match="after 10 s"):

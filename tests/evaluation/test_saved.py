@@ -181,8 +181,7 @@ def test_a_run_that_nobody_can_make_again_is_saved_on_demand_only(run, tmp_path,
     (run / "origin.json").unlink()
     if commit is not None:
         (run / "origin.json").write_text(json.dumps({"command": "x", "commit": commit}))
-    helps = "commit, run it once more, and save that, or give" if commit == "abc1234-dirty" else "give"
-    with pytest.raises(ValueError, match=rf"nobody can make it again exactly; {helps} any_commit=true"):
+    with pytest.raises(ValueError, match="any_commit=true"):
         keep_run(run, tmp_path / "kept")
     assert not (tmp_path / "kept").exists()
     keep_run(run, tmp_path / "kept", any_commit=True)

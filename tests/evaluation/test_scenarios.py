@@ -222,8 +222,7 @@ def test_a_simulation_that_breaks_down_by_its_steps_alone_says_so() -> None:
 
     task = Tracking(Stiff().signature, Step([[1.0]]), ["h"], [], TrackingReward(error_weights=(1.0,)))
     env, push = ControlEnv(Stiff(), task, 0.05, 5), lambda td: td.set("action", torch.ones(*td.batch_size, 1))
-    told = "scenario 'stiff': in control period 1 the simulation of the plant breaks down, as its Runge-Kutta steps of "
-    with pytest.raises(Diverged, match=rf"{told}0\.01 s are too long; give env\.substeps=\d0, or a shorter env\.dt$"):
+    with pytest.raises(Diverged, match=r"'stiff': .*period 1 .* 0\.01 s .*substeps=\d0, .*env\.dt$"):
         evaluate(env, push, Scenario("stiff", Step([[1.0]]), episodes=1, seconds=1.0))
 
 

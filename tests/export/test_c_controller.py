@@ -277,9 +277,9 @@ def test_the_source_says_what_is_observed(pendulum, rotors):
 def test_a_policy_or_a_model_of_another_kind_is_refused(pendulum):
     controller = pendulum()
     controller.policy = lambda tensordict: tensordict
-    with pytest.raises(ValueError, match="allowed is the actor"):
+    with pytest.raises(ValueError, match="actor"):
         controller_sources(controller)
-    with pytest.raises(ValueError, match="name is '1 a'; allowed are a letter"):
+    with pytest.raises(ValueError, match="'1 a'"):
         controller_sources(pendulum(), "1 a")
 
 
@@ -368,7 +368,7 @@ def test_a_delay_is_whole_periods_and_a_rest(pendulum, delay, late, part, steps)
 def test_a_model_of_another_kind_is_refused(pendulum):
     observer = pendulum().observer
     observer.model = Oracle(observer.model.signature, system=observer.model)
-    with pytest.raises(ValueError, match="works on a Oracle, which is not written in C"):
+    with pytest.raises(ValueError, match="Oracle"):
         _Filter.of(observer)
 
 
@@ -382,7 +382,7 @@ def test_a_stop_may_be_at_one_side_alone():
 def test_stops_at_states_that_do_not_exist_are_refused(pendulum, positions):
     controller = pendulum()
     controller.observer.stops = replace(controller.observer.stops, positions=positions)
-    with pytest.raises(ValueError, match="allowed are whole numbers from 0 to 1"):
+    with pytest.raises(ValueError, match="0 to 1"):
         controller_sources(controller)
 
 

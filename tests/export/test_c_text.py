@@ -30,7 +30,7 @@ def test_a_number_is_exact_and_finite():
     for value in (0.1, -1e-300, 3, 1 / 3, 5e22):
         assert float(number(value).strip("()")) == value
     assert number(-2.5) == "(-2.5)"
-    with pytest.raises(ValueError, match="inf stands where a finite number belongs"):
+    with pytest.raises(ValueError, match=r"inf .*finite"):
         number(math.inf)
     with pytest.raises(ValueError, match="nan stands"):
         number(math.nan)
@@ -49,7 +49,7 @@ def test_a_single_is_the_same_float_again():
 
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a" * 32, "é", "a\n"])
 def test_what_begins_no_name_of_c_is_refused(name):
-    with pytest.raises(ValueError, match="allowed are a letter, then"):
+    with pytest.raises(ValueError, match="letter"):
         module_name(name)
 
 

@@ -14,7 +14,7 @@ def test_without_a_compiler_one_line_says_so(pendulum, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     assert compiler() is None
-    with pytest.raises(FileNotFoundError, match="no C compiler was found; install gcc or clang"):
+    with pytest.raises(FileNotFoundError, match="gcc or clang"):
         Native(controller_sources(pendulum(observer=False)))
 
 
@@ -25,7 +25,7 @@ def test_two_controllers_of_one_name_live_side_by_side(pendulum):
     assert first[0] == first[1]
     assert one.act([0.1, 0.0], [0.12])[0] == first[0]
     assert other.act([0.1, 0.0], [0.12])[0] != first[1]
-    with pytest.raises(ValueError, match="1 numbers are given where 2 belong"):
+    with pytest.raises(ValueError, match=r"1 .* where 2"):
         one.act([0.1], [0.12])
 
 

@@ -56,7 +56,7 @@ def test_a_function_of_ones_own_needs_a_formula():
     register_function("without_formula", torch.atan)
     model = SindyModel(SIGNATURE, ["without_formula(a)"])
     model.set_coefficients(torch.tensor([[1.0, 0.0]]))
-    with pytest.raises(ValueError, match="function 'without_formula', which has no formula"):
+    with pytest.raises(ValueError, match="'without_formula'"):
         formulas(model)
     register_function("with_formula", lambda z: 1 / (1 + z**2), formula="1 / (1 + square({0}))")
     model = SindyModel(SIGNATURE, ["with_formula(2 a)"])

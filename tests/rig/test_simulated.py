@@ -94,7 +94,7 @@ def test_a_rehearsal_without_bounds_warns_of_where_the_plant_cannot_be():
     words = r"not finite, of h, where h is -0\.98 m"
     with pytest.warns(UserWarning, match=words), rehearsal(Tank(), 0.05):
         pass
-    with pytest.raises(ValueError, match=r"plant\.bounds has depth"), rehearsal(Tank(), 0.05, bounds={"depth": 1.0}):
+    with pytest.raises(ValueError, match=r"bounds.* depth"), rehearsal(Tank(), 0.05, bounds={"depth": 1.0}):
         pass
 
 

@@ -344,12 +344,12 @@ def test_what_was_learnt_is_restored_and_what_is_none_is_refused():
     again.load_state_dict(ours.state_dict())
     assert torch.equal(again.q, ours.q) and again.nis == ours.nis and again.learnt
     for wrong in ([1.0], [1.0, 0.0, 1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
-        with pytest.raises(ValueError, match="a process noise > 0 for each of 3 states"):
+        with pytest.raises(ValueError, match=r"process noise > 0 .* 3"):
             again.load_state_dict({"process_noise": wrong, "nis": 1.0})
 
 
 def test_a_delay_beyond_all_memory_is_refused():
-    with pytest.raises(ValueError, match=r"delay is 0\.6 s, the observer allows 0\.5 s"):
+    with pytest.raises(ValueError, match=r"0\.6 s, .* 0\.5 s"):
         observer(delay=0.6).ahead(torch.zeros(3), torch.zeros(22, 1))
 
 
@@ -382,5 +382,5 @@ def test_a_model_in_discrete_time_is_filtered_as_in_the_textbook():
     theirs = textbook(y, u, 1e-2, (first.mean, first.covariance))[0]
     torch.testing.assert_close(ours.follow(y, u)[0][1:], theirs, rtol=0, atol=1e-7)
     ours.dt = 1.5 * DT
-    with pytest.raises(ValueError, match=r"a step of 0\.05 s and cannot move by 0\.075 s"):
+    with pytest.raises(ValueError, match=r"0\.05 s .* 0\.075 s"):
         ours.follow(y, u)

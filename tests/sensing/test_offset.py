@@ -165,7 +165,7 @@ def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
             again = Observer(plant, observer.sensors, env)
             again.load_state_dict(observer.state_dict())
             assert torch.equal(again.scale, observer.scale)
-            with pytest.raises(ValueError, match="a range > 0 for each of 1 pushes"):
+            with pytest.raises(ValueError, match=r"range > 0 .* 1"):
                 again.load_state_dict(observer.state_dict() | {"push_ranges": [-1.0]})
     # The estimate lags behind what is pushed, too, so that more is left than of a level that is known.
     assert left[True] < 0.01 and left[False] > 0.01 / 0.07
