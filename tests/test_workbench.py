@@ -124,7 +124,7 @@ def test_without_a_log_all_states_are_to_be_measured(model):
 
 
 def test_a_task_of_ones_own_is_taken_as_it_is(model):
-    own = Tracking(model.signature, RandomStep([0.0], [0.2]), ("Omega",), ("Omega",), TrackingReward((1.0,)))
+    own = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
     assert dynasindy.plan(model, own, dt=0.1, updates=1, rollouts=4, window=5).setup.task is own
 
 
