@@ -542,8 +542,8 @@ def _frozen(value: Array) -> list[float]:
     steps = np.abs(np.diff(value))
     begins = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]])))
     runs = [pair for pair in zip(begins[::2], begins[1::2], strict=True) if pair[1] - pair[0] >= FROZEN]
-    others = (steps == 0).sum() - sum(last - first for first, last in runs)
-    if not runs or others > PASSING * len(value):
+    long = sum(last - first for first, last in runs)
+    if not 0 < long <= STREAM * len(value) or (steps == 0).sum() - long > PASSING * len(value):
         return []
     usual = np.median(steps[steps > 0])
     met = [first for first, last in runs if first > 0 and last < len(steps) and steps[[first - 1, last]].min() > usual]

@@ -230,6 +230,12 @@ def test_samples_of_a_sensor_that_froze_in_motion_are_masked(tmp_path):
     assert len(found.transitions) == ROWS - 1 - 41
 
 
+def test_levels_that_are_held_are_those_of_no_frozen_sensor(tmp_path):
+    levels = np.array([0.0, 3.0, 1.0, 4.0, 2.0, -1.0])[np.arange(ROWS) // 25 % 6]
+    found = recording(tmp_path / "l.csv", table(["time", "level", "rate", "u"], T, levels, RATE, COMMAND))
+    assert {each.values["value"] for each in found.findings if each.code == "log.stop"} <= {-1.0, 4.0}
+
+
 def test_labels_that_hardly_change_are_said(tmp_path):
     trial = [f"{k // 100}" for k in range(ROWS)]
     clock = np.tile(T[:100], 3)
