@@ -46,6 +46,9 @@ USUAL, SPIKE = 0.9, 20
 """Share of the samples that say how far one is off the line between its neighbours, and how many times that is none."""
 FROZEN = 20
 """Samples with one value from which on a sensor froze whose samples change in nearly every row."""
+FAULTY, LONG_FROZEN = 0.05, 0.2
+"""Part of the range by which a spike is off at least; part of the samples that are spikes, or stand for a moment, at
+most; and part of them in which a sensor may be frozen."""
 STREAM = 0.2
 """Part of the rows without an input from which on they are those of another stream."""
 LONG = 10
@@ -388,9 +391,9 @@ def without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: list
     before, value, after = x[rows[:-2]], x[rows[1:-1]], x[rows[2:]]
     off = np.abs(value - 0.5 * (before + after))
     usual, (low, high) = float(np.quantile(off, USUAL)), np.quantile(value, [1 - USUAL, USUAL])
-    far = (off > max(SPIKE * usual, PASSING * (high - low))) & (np.abs(after - before) < 0.1 * off)
+    far = (off > max(SPIKE * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
     spikes = rows[1:-1][far]
-    if not usual or not 0 < len(spikes) <= PASSING * len(rows):
+    if not usual or not 0 < len(spikes) <= FAULTY * len(rows):
         return x
     found = {"count": len(spikes), "line": int(lines[spikes[0]]), "value": float(x[spikes[0]])}
     findings.append(note("log.spikes", state=name, **found))
@@ -543,7 +546,7 @@ def _frozen(value: Array) -> list[float]:
     begins = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]])))
     runs = [pair for pair in zip(begins[::2], begins[1::2], strict=True) if pair[1] - pair[0] >= FROZEN]
     long = sum(last - first for first, last in runs)
-    if not 0 < long <= STREAM * len(value) or (steps == 0).sum() - long > PASSING * len(value):
+    if not 0 < long <= LONG_FROZEN * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
         return []
     usual = np.median(steps[steps > 0])
     met = [first for first, last in runs if first > 0 and last < len(steps) and steps[[first - 1, last]].min() > usual]
