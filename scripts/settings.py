@@ -112,6 +112,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
         for name in sorted(get_type_hints(Recipe).keys() - tree.keys() - {"sensors"}) if file else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
+        if "save" in tree:  # a run may be kept without any scenario
+            hints["scenarios"] = list[str]
         if "train" not in tree and not file:  # a plant has words for the task of an experiment, which is not built
             hints = {key: hint for key, hint in hints.items() if key not in EXPERIMENT}
         for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, hints)):
