@@ -55,7 +55,7 @@ def test_a_part_that_refuses_its_settings_stops_the_build():
         replace(recipe(), env=partial(ControlEnv, dt=-1.0)).build()
 
 
-@pytest.mark.parametrize("sizes", [(10**15, 16), (1000, 10**15)])
+@pytest.mark.parametrize("sizes", [(10**15, 16), (10**15, 10**15)])
 def test_storages_that_memory_cannot_hold_stop_the_build(sizes):
     with pytest.raises(ValueError, match=rf"replay\.capacity={sizes[0]}, .*batch_size={sizes[1]} .* GB; allowed is"):
         replace(recipe(), replay=partial(DynaReplay, *sizes)).build()

@@ -139,7 +139,7 @@ class Car(System):
 
 def test_a_state_that_nothing_depends_on_may_run_on():
     car = Car()
-    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), ("Omega",), TrackingReward((1.0,)), max_steps=600)
+    task = Tracking(car.signature, Step([[0.5]]), ("Omega",), (None,), TrackingReward((1.0,)), max_steps=600)
     env = ControlEnv(car, task, dtype=torch.float64)
 
     def constant(tensordict):
@@ -228,7 +228,7 @@ def test_the_overshoot_is_that_of_flights():
     """A car that is pushed with 0.5 goes to 0.5 as 0.5 (1 - exp(-t)), beyond targets of 0.2, 0.25 and 0.4."""
     car = Car()
     steps = Step([[0.2], [0.25], [0.4]])
-    task = Tracking(car.signature, steps, ("Omega",), ("Omega",), TrackingReward((1.0,)), low=[0.0], high=[0.5])
+    task = Tracking(car.signature, steps, ("Omega",), (None,), TrackingReward((1.0,)), low=[0.0], high=[0.5])
 
     def constant(tensordict):
         return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
