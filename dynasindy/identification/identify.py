@@ -61,8 +61,12 @@ class LoggedData(LogReader):
         Rates that are known and that neither the file nor the plant has become states that the model tells.
         """
         source = Source.of(self.recording(None if system is None else system.signature), self.validation_share)
-        known = system is not None and system.known
-        return source if known else source.with_rates(self.known_rates(source.signature.state_names))
+        if system is not None and system.known:
+            return source
+        known = self.known_rates(source.signature.state_names)
+        for name in known.keys() - set(known.values()):
+            source.signature.state_index(name)  # refuses what is no state
+        return source.with_rates(known)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ def test_a_misspelt_option_of_any_group(refused, tmp_path, group):
         ("task.max_steps", "0"),
         ("world_model.library", "nothing"),
         ("system._target_", "no.such"),
+        ("system._target_", "builtins.print"),
         ("evaluation.every", "0"),
         ("checkpoint.every", "-1"),
         ("scenario.episodes", "0"),

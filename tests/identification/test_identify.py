@@ -218,6 +218,11 @@ def test_no_delay_stands_for_a_rate_that_is_missing(angle_alone):
     assert weak("fit.no_delay", states=["angle"]) in found.findings and "model.delay" not in codes(found.findings)
 
 
+def test_what_is_known_of_no_state_is_refused(angle_alone):
+    with pytest.raises(ValueError, match="'angel'"):
+        LoggedData(angle_alone, known={"angel": "angle_rate"}).load(None, EXCITATION)
+
+
 def test_a_rate_that_is_known_needs_no_state_of_its_own(angle_alone):
     known = {"angle": "angle_rate"}
     source = LoggedData(angle_alone, known=known).load(None, EXCITATION)
