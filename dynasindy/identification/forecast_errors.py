@@ -406,11 +406,10 @@ def with_start_states(model: SindyModel, data: Transitions) -> Transitions:
 
     Args:
         model: a fitted model.
-        data: the recording; where a state was not measured, the first one of each segment is estimated.
+        data: the recording; the first states of each segment are those that its first samples tell, as one sample is
+            noisy and lacks what no sensor sees.
     """
     late = delay_inputs(data, model.delay)
-    if not bool(data.x.isnan().any()):
-        return late
     x, back = late.x.double().clone(), _beside(data)[0]
     for first in (back == 0).nonzero().flatten().tolist():
         rest = data.segment[first:] == data.segment[first]

@@ -295,10 +295,11 @@ class FitReport:
         lines = [f"fit of {self.samples} transitions{each}, which took {self.seconds:.3g} s"]
         counts = {name: f"{count} term{'s' * (count != 1)}" for name, count in self.terms.items()}
         moves, it = ("'", "it") if self._source[0].step is None else ("[k+1] - {0}[k]", f"it, {CHANGE},")
+        simulated = any(each.code == "fit.trajectories" for each in self.findings)  # then it is noise of single samples
         for state, part in self.residual.items():
             left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
-            missed = "" if state in self.unmeasured else f"; {left}"
+            missed = "" if simulated or state in self.unmeasured else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
         unscaled = [note("fit.unscaled", states=[*self.unscaled])] if self.unscaled else []
         known = [str(each) for each in self.accuracy]

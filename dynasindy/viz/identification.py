@@ -214,11 +214,12 @@ def _fit(real: Array, predicted: Array, whole: str) -> str:
     """Return the error of a prediction in words, in percent of the range of what it predicts, which is `whole`."""
     if np.isnan(real).all():
         return "not measured"
-    if not np.isfinite(predicted).all():
-        return "runs away"
     seen = ~np.isnan(real)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rmse, wide = float(np.sqrt(np.mean((real - predicted)[seen] ** 2))), float(np.ptp(real[seen]))
+    if not np.isfinite(predicted).all() or not np.isfinite(rmse):
+        return "runs away"
     real, predicted = real[seen], predicted[seen]
-    rmse, wide = float(np.sqrt(np.mean((real - predicted) ** 2))), float(np.ptp(real))
     if not wide > 0:
         return f"RMSE {rmse:.2g}"
     percent = 100 * rmse / wide
