@@ -789,7 +789,8 @@ def _settling(
         end if each is None or math.isinf(each) else format_duration(each, digits=3) for each in (slowest, model)
     )
     return (
-        f"between opposite targets, and as if inputs had no limits, all but {100 * closed:g} % of the way is done after {own} "
+        "between opposite targets, and as if inputs had no limits, all but "
+        f"{100 * closed:g} % of the way is done after {own} "
         f"with the model, and after {shown} with the slowest of {plants} plants with other coefficients"
         f"{'' if all_stable else ' that are stable'}, {worst}; threshold: {format_duration(limit, digits=3)}"
     )
