@@ -291,3 +291,5 @@ def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         controller.act([0.0, 0.0], [900.0])
+    with pytest.warns(UserWarning, match=r"-1\.01"):
+        Controller(policy, env).act([0.0, 0.0], [-1.01])
