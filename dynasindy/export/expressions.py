@@ -1,7 +1,7 @@
 """Names, numbers and equations as parts of other languages, and the templates of C that they are filled into.
 
 Equations are written by the code that writes them for torch, `dynasindy.sindy.codegen`: what terms share is computed
-once, operators are infix, and what is called are `functions.FORMULA_FUNCTIONS` alone.
+once, operators are infix, and what is called are `FORMULA_FUNCTIONS` alone.
 
 Names of states and units come from files that anybody wrote: none of them can become code, or end a comment. An
 identifier is made of letters and digits alone, a comment holds neither end nor beginning of one, and a number is a
@@ -22,8 +22,8 @@ from torch import Tensor
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import InfixWriter
 from dynasindy.sindy.equations import mapping
-from dynasindy.sindy.functions import FORMULA_FUNCTIONS
 from dynasindy.sindy.library import Library
+from dynasindy.systems.tangents import FORMULA_FUNCTIONS
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 PLAIN = str.maketrans({"°": "deg", "²": "^2", "³": "^3", "·": "*", "µ": "u"})

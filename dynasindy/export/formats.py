@@ -66,7 +66,7 @@ def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any]
 
     Args:
         model: The model.
-        calls: What is called for each of `functions.FORMULA_FUNCTIONS`.
+        calls: What is called for each of `FORMULA_FUNCTIONS`.
 
     Raises:
         ValueError: The model has a function without a formula.

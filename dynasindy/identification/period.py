@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dynasindy.envs import ControlEnv
 from dynasindy.findings import Finding, note, weak
 from dynasindy.identification.source import Source
 from dynasindy.identification.verdict import logged_input_ranges
 from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
-from dynasindy.planning.plan_settings import LONGEST, SETTLED, TIME_CONSTANTS, settles
+from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
@@ -74,7 +75,7 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         if samples:
             return _chosen(samples * step, pace.kind, pace.seconds)
         return _chosen(step, f"sample_{pace.kind}", pace.seconds)
-    seconds = _settling_time(model, task, usual, x, u)
+    seconds = settles(ControlEnv(model, task, usual), x, u)
     if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
         return _chosen(slow, "settles", seconds)
     if usual < PERIOD - step:
@@ -107,7 +108,7 @@ def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: floa
         wanted = longest if logged else step * max(1, math.floor(longest / step + 1e-6))
         facts = {"cause": pace.kind, "value": pace.seconds, "periods": pace.seconds / dt}
         return weak("control.other_period", **facts, wanted=wanted, log=logged)
-    seconds = _settling_time(model, task, dt, x, u, math.exp(-TIME_CONSTANTS))
+    seconds = settles(ControlEnv(model, task, dt), x, u, math.exp(-TIME_CONSTANTS))
     if (slow := _lengthened(dt, seconds / LONGEST, longest, step)) > dt * (1 + 1e-6):
         facts = {"cause": "settles", "value": seconds, "periods": LONGEST * dt}
         return weak("control.other_period", **facts, wanted=slow, log=False)
@@ -179,13 +180,6 @@ class _Pace:
     def kind(self) -> str:
         """Which of the two it is."""
         return "doubling" if self.grows else "oscillation"
-
-
-def _settling_time(model: SindyModel, task: Tracking, dt: float, x: Tensor, u: Tensor, share: float = SETTLED) -> float:
-    """Return the time in which outputs settle to a share of a step, see `settles` [s]."""
-    from dynasindy.envs import ControlEnv  # and TorchRL with it, which a fit does without
-
-    return settles(ControlEnv(model, task, dt), x, u, share)
 
 
 def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:

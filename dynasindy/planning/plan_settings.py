@@ -16,19 +16,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
+from dynasindy.envs import ControlEnv
 from dynasindy.planning.equilibria import Equilibria, find_equilibria, growth, modes, slopes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
-
-if TYPE_CHECKING:
-    from dynasindy.envs import ControlEnv
 
 GROWN = 30.0
 """Growth of a deviation within an episode beyond which a plant has to be held. Of the twin rotor it is 5."""

@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,12 +20,10 @@ from scipy.linalg import expm, solve_discrete_are
 from torch import Tensor
 from torch.nn.functional import pad
 
+from dynasindy.envs import ControlEnv
 from dynasindy.planning.equilibria import Equilibria
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Tracking
-
-if TYPE_CHECKING:
-    from dynasindy.envs import ControlEnv
 
 DEGREE = 3
 """Degree of the polynomials through the rests."""

@@ -222,7 +222,7 @@ def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Fact
 
 
 class InfixWriter(_FieldWriter):
-    """Write sums with infix operators; what is called are `functions.FORMULA_FUNCTIONS` alone.
+    """Write sums with infix operators; what is called are `FORMULA_FUNCTIONS` alone.
 
     Args:
         library: candidate functions.
@@ -255,7 +255,7 @@ class InfixWriter(_FieldWriter):
         return f"{total} + {a} * {b}"
 
 
-def program(library: Library, coefficients: Tensor) -> Program:
+def write_program(library: Library, coefficients: Tensor) -> Program:
     """Return the sparse model dx/dt = Xi' Theta(x, u) in formulas.
 
     Args:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.safe_io import FileError
-from dynasindy.systems.tangents import parsed
+from dynasindy.systems.tangents import FORMULA_FUNCTIONS, parsed
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,6 @@ class FunctionError(FileError):
         self.missing = missing
 
 
-FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
-"""What a formula may call: functions of C's <math.h>, and the sign, the square, and the larger one of two."""
 SMALLEST_ROOT = 1e-3
 """Number below which `sqrt` is that of this one, so that its slope stays finite at zero and roots of less are none."""
 

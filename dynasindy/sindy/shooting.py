@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from dynasindy.sentences import setting
-from dynasindy.sindy.codegen import generate, program
+from dynasindy.sindy.codegen import generate, write_program
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator, chained
 from dynasindy.systems.integrators import moved
-from dynasindy.systems.interpreter import simulate
+from dynasindy.systems.interpreter import simulate_program
 from dynasindy.systems.transitions import Transitions
 
 ENOUGH = 10_000
@@ -226,8 +226,8 @@ def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
     if not bool(estimate.xi.isfinite().all()):
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
     try:
-        formulas = program(estimate.library, estimate.xi)
-        return simulate(formulas, estimate.nodes, windows.inputs, windows.dt, windows.substeps)
+        formulas = write_program(estimate.library, estimate.xi)
+        return simulate_program(formulas, estimate.nodes, windows.inputs, windows.dt, windows.substeps)
     except (ValueError, OSError):
         pass  # a function has no formula, or there is no compiler
     field, x, states = generate(estimate.library, estimate.xi), estimate.nodes, []

@@ -19,16 +19,15 @@ from torch import Tensor
 from dynasindy.systems.compiler import load_library
 from dynasindy.systems.machine import Program
 from dynasindy.systems.steps import steps_of
-from dynasindy.systems.tangents import parsed
+from dynasindy.systems.tangents import FORMULA_FUNCTIONS, parsed
 
 WIDTH = 32
-"""Rows that are handled at once, as in `c/interpreter.c`."""
+"""Rows that are handled at once."""
 OPERATIONS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.USub)
-FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
-"""What instructions do, in the order of `c/interpreter.c`."""
+"""What instructions do, those of `FORMULA_FUNCTIONS` behind them, in the order of `c/interpreter.c`."""
 
 
-def simulate(program: Program, x: Tensor, u: Tensor, dt: float, substeps: int) -> Tensor:
+def simulate_program(program: Program, x: Tensor, u: Tensor, dt: float, substeps: int) -> Tensor:
     """Advance states over periods that follow each other, see `dynasindy.systems.integrators.trajectory`.
 
     Args:
@@ -76,7 +75,7 @@ class _Listing(NamedTuple):
 
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
-    return load_library(text, ("simulate",), fast=False)
+    return load_library(text.replace("@width@", str(WIDTH)), ("simulate",), fast=False)
 
 
 @lru_cache(maxsize=512)
@@ -104,8 +103,8 @@ def _listing(program: Program, constants: int) -> _Listing:
                 own, operands = OPERATIONS.index(type(operator)), [left, right]
             case ast.UnaryOp(ast.USub(), operand):
                 own, operands = OPERATIONS.index(ast.USub), [operand]
-            case ast.Call(ast.Name(name), operands) if name in FUNCTIONS:
-                own = len(OPERATIONS) + FUNCTIONS.index(name)
+            case ast.Call(ast.Name(name), operands) if name in FORMULA_FUNCTIONS:
+                own = len(OPERATIONS) + FORMULA_FUNCTIONS.index(name)
             case _:
                 raise ValueError(f"{text[:60]!r} is no part of a formula")
         first, *others = map(_place, operands)

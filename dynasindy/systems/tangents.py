@@ -1,8 +1,8 @@
 """Derivatives of formulas: from straight-line code of values to straight-line code of values and slopes.
 
-Formulas are in operators, numbers and `functions.FORMULA_FUNCTIONS`, as `dynasindy.sindy.codegen`
-writes them. Every value carries the derivatives that are not zero, by the variables that it depends on (forward mode).
-They call one function more: `exceeds(a, b)` is 1 where a > b, else 0.
+Formulas are in operators, numbers and `FORMULA_FUNCTIONS`, as `dynasindy.sindy.codegen` writes them. Every value
+carries the derivatives that are not zero, by the variables that it depends on (forward mode). They call one function
+more: `exceeds(a, b)` is 1 where a > b, else 0.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 Slopes = dict[int, str]
 """Text of each derivative that is not zero, by the number of the variable."""
 
+FORMULA_FUNCTIONS = ("sin", "cos", "exp", "tanh", "sqrt", "fabs", "sign", "square", "larger")
+"""What a formula may call: functions of C's <math.h>, and the sign, the square, and the larger one of two."""
 _SLOPE = {
     "sin": "cos({0})",
     "cos": "-sin({0})",

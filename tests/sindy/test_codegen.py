@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.codegen import generate, program
+from dynasindy.sindy.codegen import generate, write_program
 from dynasindy.sindy.functions import register_function, unregister_function
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.named_libraries import build_library
@@ -128,7 +128,7 @@ def reference(library, xi, x, u, dt, substeps, stops=None):
 def test_states_and_derivatives_equal_double_precision(name):
     library, xi = made([A, *FEATURES[name]])
     x, u = drawn(67)  # not a multiple of the rows that are handled at once
-    code = Machine(program(library, xi))
+    code = Machine(write_program(library, xi))
     samples, _ = code.integrate(x, u, 0.1, 3)
     torch.testing.assert_close(samples, reference(library, xi, x, u, 0.1, 3)[0].float(), rtol=2e-5, atol=2e-6)
     a, b = code.sensitivities(x, u, 0.1, 2)
@@ -147,7 +147,7 @@ def test_functions_hold_far_from_zero():
         xi = torch.zeros(4, 2, dtype=torch.float64)
         xi[k, 0] = 1.0
         x = x.clamp(-30, 8)
-        moved = Machine(program(library, xi)).integrate(x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0]
+        moved = Machine(write_program(library, xi)).integrate(x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0]
         slope = (reference(library, xi, x, u, 1.0, 1)[0][:, 0, 0] - x[:, 0].double()).float()
         torch.testing.assert_close(moved, slope, rtol=1e-5, atol=4e-6)
 
@@ -158,17 +158,17 @@ def test_stops_hold_positions_and_say_where_they_were_touched():
     xi[:, 1] = torch.tensor([0.0, 0.0, 5.0])
     stops = Stops((0,), (1,), (-0.3,), (0.4,))
     x, u = drawn(97, reach=0.5)
-    samples, touched = Machine(program(library, xi)).integrate(x, u, 0.4, 4, stops)
+    samples, touched = Machine(write_program(library, xi)).integrate(x, u, 0.4, 4, stops)
     wanted, where = reference(library, xi, x, u, 0.4, 4, stops)
     torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
     assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
-    assert not Machine(program(library, xi)).integrate(x, u, 0.4, 4)[1].any()
+    assert not Machine(write_program(library, xi)).integrate(x, u, 0.4, 4)[1].any()
 
 
 def test_shapes_of_a_batch_stay():
     library, xi = made([A, B, U])
     x, u = drawn(24)
-    code = Machine(program(library, xi))
+    code = Machine(write_program(library, xi))
     samples, touched = code.integrate(x.reshape(2, 3, 4, 2), u.reshape(2, 3, 4, 1), 0.1, 5)
     assert samples.shape == (2, 3, 4, 5, 2) and touched.shape == (2, 3, 4)
     assert torch.equal(samples.flatten(0, 2), code.integrate(x, u, 0.1, 5)[0])
@@ -183,10 +183,10 @@ def test_what_runs_away_is_not_finite_and_leaves_other_rows_alone():
     xi[:] = torch.tensor([[50.0, 0.0]])
     x, u = drawn(40)
     x[3] = 1e20
-    samples = Machine(program(library, xi)).integrate(x, u, 0.1, 5)[0]
+    samples = Machine(write_program(library, xi)).integrate(x, u, 0.1, 5)[0]
     assert not samples[3, -1, 0].isfinite()
     x[3] = 0.0
-    alone = Machine(program(library, xi)).integrate(x, u, 0.1, 5)[0]
+    alone = Machine(write_program(library, xi)).integrate(x, u, 0.1, 5)[0]
     assert torch.equal(samples[4:], alone[4:]) or torch.allclose(samples[4:], alone[4:], equal_nan=True)
 
 
@@ -198,7 +198,7 @@ def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
         drawn_kinds = torch.randint(4, xi.shape, generator=rng)
         changed = torch.where(drawn_kinds == 0, 0.0, torch.where(drawn_kinds == 1, 1.0, xi))
         changed = torch.where(drawn_kinds == 2, torch.full_like(xi, 3.0), changed)  # as the number in the sine
-        found = Machine(program(library, changed), torch.float64).integrate(x, u, 0.1, 2)[0]
+        found = Machine(write_program(library, changed), torch.float64).integrate(x, u, 0.1, 2)[0]
         torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
 
 
@@ -207,7 +207,7 @@ def test_a_name_that_is_registered_anew_is_the_new_function():
     for formula, compute in (("2.0 * {0}", lambda z: 2.0 * z), ("{0} * {0}", lambda z: z * z)):
         register_function("twice_test", compute, formula=formula)
         library, xi = made([A, of("twice_test", "b")])
-        found = Machine(program(library, xi), torch.float64).integrate(x, u, 0.1, 1)[0]
+        found = Machine(write_program(library, xi), torch.float64).integrate(x, u, 0.1, 1)[0]
         torch.testing.assert_close(found, reference(library, xi, x, u, 0.1, 1)[0], rtol=1e-13, atol=1e-14)
     unregister_function("twice_test")
 
@@ -216,7 +216,7 @@ def test_a_function_without_a_formula_is_refused():
     register_function("wild_test", lambda z: torch.special.erf(z))
     library, xi = made([A, of("wild_test", "a")])
     with pytest.raises(ValueError, match="wild_test"):
-        Machine(program(library, xi))
+        Machine(write_program(library, xi))
     model = SindyModel(SIGNATURE, library)
     model.set_coefficients(xi)
     x, u = drawn(4)
@@ -275,7 +275,7 @@ def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
     register_function("half_test", lambda z: z / 2, formula="{0} / 2")
     library = Library(SIGNATURE, [of("third_test", "a"), of("half_test", "a")])
     xi = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
-    code, (x, u) = Machine(program(library, xi)), drawn(5)
+    code, (x, u) = Machine(write_program(library, xi)), drawn(5)
     torch.testing.assert_close(code.integrate(x, u, 0.3, 1)[0], reference(library, xi, x, u, 0.3, 1)[0].float())
     slopes = code.sensitivities(x, u, 0.3, 1)[0][:, :, 0]
     wanted = torch.tensor([math.exp(0.1), 1.5 * (math.exp(0.1) - 1)])  # of a' = a / 3, b' = a / 2 over 0.3 s

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.systems.interpreter import simulate
+from dynasindy.systems.interpreter import simulate_program
 from dynasindy.systems.machine import Program
 
 ROWS = 70  # more than are handled at once, and no multiple of that
@@ -28,7 +28,7 @@ def numbers(*shape, seed=0):
 def test_a_formula_says_what_numpy_says(formula, known):
     x, u = numbers(ROWS, 2), numbers(ROWS, 1, 1, seed=1)
     program = Program(2, 1, (("v0", formula),), ("v0", "x[0]"), (1.5, -0.25), step=1.0)
-    change = (simulate(program, x, u, 1.0, 1)[:, 0] - x).numpy()
+    change = (simulate_program(program, x, u, 1.0, 1)[:, 0] - x).numpy()
     a, b = x.T.numpy()
     np.testing.assert_allclose(change[:, 0], known(a, b, u[:, 0, 0].numpy()), rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(change[:, 1], a, rtol=1e-12)
@@ -36,7 +36,7 @@ def test_a_formula_says_what_numpy_says(formula, known):
 
 def test_an_oscillator_swings_as_its_solution_and_rows_do_not_mix():
     x, u = numbers(ROWS, 2), torch.zeros(ROWS, 50, 0, dtype=torch.float64)
-    ends = simulate(Program(2, 0, (), ("x[1]", "-x[0]")), x, u, 0.02, 4).numpy()
+    ends = simulate_program(Program(2, 0, (), ("x[1]", "-x[0]")), x, u, 0.02, 4).numpy()
     a, b = x.T.numpy()[..., None]
     t = 0.02 * np.arange(1, 51)
     np.testing.assert_allclose(ends[..., 0], a * np.cos(t) + b * np.sin(t), atol=1e-9)
@@ -45,11 +45,12 @@ def test_an_oscillator_swings_as_its_solution_and_rows_do_not_mix():
 
 def test_inputs_are_held_over_their_period():
     u = numbers(3, 20, 1)
-    ends = simulate(Program(1, 1, (), ("u[0]",)), torch.zeros(3, 1, dtype=torch.float64), u, 0.1, 2)
+    ends = simulate_program(Program(1, 1, (), ("u[0]",)), torch.zeros(3, 1, dtype=torch.float64), u, 0.1, 2)
     np.testing.assert_allclose(ends, 0.1 * u.cumsum(1), atol=1e-12)
 
 
 @pytest.mark.parametrize("formula", ["x[7]", "x[0] % 2", "open(x[0])", "sin", "y"])
 def test_what_is_no_formula_is_refused(formula):
+    none = torch.zeros(1, 1, 0, dtype=torch.float64)
     with pytest.raises(ValueError, match="formula"):
-        simulate(Program(1, 0, (), (formula,)), numbers(1, 1), torch.zeros(1, 1, 0, dtype=torch.float64), 0.1, 1)
+        simulate_program(Program(1, 0, (), (formula,)), numbers(1, 1), none, 0.1, 1)

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { W = 32 };
+enum { W = @width@ };
 enum { ADD, SUB, MUL, DIV, NEGATIVE, SIN, COS, EXP, TANH, SQRT, FABS, SIGN, SQUARE, LARGER };
 
 #define EACH(value) for (int r = 0; r < W; r++) { double p = a[r], q = b[r]; (void)p; (void)q; c[r] = (value); } break
