@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -221,12 +221,8 @@ def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Fact
     return {f: n for f, n in left.items() if n}
 
 
-class InfixWriter(_FieldWriter):
-    """Write sums with infix operators; what is called are `FORMULA_FUNCTIONS` alone.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+class _FormulaWriter(Writer):
+    """Write with infix operators; what is called are `FORMULA_FUNCTIONS` alone.
 
     Raises:
         ValueError: a function has no formula.
@@ -247,6 +243,18 @@ class InfixWriter(_FieldWriter):
                 f"register_function('{name}', ..., formula='1 / (1 + square({{0}}))')"
             )
         return formula.format(*args)
+
+
+class InfixWriter(_FormulaWriter, _FieldWriter):
+    """Write the sums of a sparse model with infix operators.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
+
+    Raises:
+        ValueError: a function has no formula.
+    """
 
     def _zero(self) -> str:
         return "0.0"
@@ -275,3 +283,37 @@ class _MachineWriter(InfixWriter):
 
     def _plus_scaled(self, total: str, value: str, c: float) -> str:
         return f"{total} + {self._constant(c)} * {value}"
+
+
+def write_functions(library: Library, shapes: Sequence[Factor]) -> tuple[Program, list[int | None]]:
+    """Return the functions of a library in formulas, and where among the constants the numbers of some factors are.
+
+    Args:
+        library: candidate functions.
+        shapes: factors; None stands for the number of one that the library lacks.
+
+    Raises:
+        ValueError: a function has no formula.
+    """
+    writer, signature = _FunctionWriter(library, shapes), library.signature
+    text = writer.named, tuple(writer.results)
+    program = Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step)
+    return program, [writer.numbers.get(shape) for shape in shapes]
+
+
+class _FunctionWriter(_FormulaWriter):
+    """Write functions; the number of each of `shapes` is a constant of its own."""
+
+    def __init__(self, library: Library, shapes: Sequence[Factor]) -> None:
+        super().__init__(library.signature)
+        self.shapes, self.numbers = set(shapes), dict[Factor, int]()
+        self.results = [self._product({f.base: f.power for f in own.factors}) or "1.0" for own in library.features]
+
+    def _scaled(self, factor: Factor) -> list[str]:
+        if factor.base not in self.shapes:
+            return super()._scaled(factor)
+        if factor.base not in self.numbers:
+            self.numbers[factor.base] = len(self.constants)
+            self._constant(factor.frequency)
+        number, args = f"k[{self.numbers[factor.base]}]", [self.variable[v] for v in factor.variables]
+        return [*args, number] if function(factor.function).parametric else [f"({a} * {number})" for a in args]

@@ -1,23 +1,27 @@
-"""Predictions of a sparse model with their derivatives by its coefficients and by the start state, as torch code."""
+"""Predictions of a sparse model with their derivatives by its coefficients and by the start state."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.codegen import Writer
+from dynasindy.sindy.codegen import Writer, write_functions
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Feature, Library
-from dynasindy.systems.steps import steps_of
+from dynasindy.systems.compiler import compiler
+from dynasindy.systems.interpreter import Slopes
+from dynasindy.systems.steps import between, steps_of
 
 Values = tuple[Tensor, Tensor, Tensor]
 
 
-class Slopes:
+class TorchSlopes:
     """Evaluate the functions of a library and their derivatives.
 
     Args:
@@ -207,17 +211,43 @@ class Propagator:
         self.xi = xi[rows]
         position = torch.zeros(len(used), dtype=torch.int64)
         position[rows] = torch.arange(len(rows))
-        self.features, self.states = position[parameters.features], parameters.states
+        self._own = position[parameters.features], parameters.states
         self.n_x, self.shapes, self.step = xi.shape[1], tuple(shapes), library.step
-        self.slopes = Slopes(library.subset(rows.tolist()), self.shapes)
-        self.jacobian = _summed(self.xi, self.slopes.by_state, self.n_x)
-        self.of_shapes = _summed(self.xi, self.slopes.by_shape, len(self.shapes))
+        self._library = library.subset(rows.tolist())
+
+    @cached_property
+    def _code(self) -> Slopes | None:
+        """The functions as instructions; None where one of them has no formula, or there is no compiler."""
+        try:
+            functions = write_functions(self._library, self.shapes)
+        except ValueError:
+            return None
+        return Slopes(*functions) if compiler() else None
+
+    @cached_property
+    def slopes(self) -> TorchSlopes:
+        """The functions and their slopes as torch code."""
+        return TorchSlopes(self._library, self.shapes)
+
+    @cached_property
+    def jacobian(self) -> Tensor:
+        """The matrix by which slopes of functions by the states become those of the rates."""
+        return _summed(self.xi, self.slopes.by_state, self.n_x)
+
+    @cached_property
+    def of_shapes(self) -> Tensor:
+        """The same of slopes by the shapes."""
+        return _summed(self.xi, self.slopes.by_shape, len(self.shapes))
 
     def slopes_by_state(self, x: Tensor, u: Tensor) -> Tensor:
         """Return the derivatives of the rates by the states, `(N, n_x, n_x)`."""
+        if self._code and x.dtype == u.dtype == torch.float64:
+            return self._code.rates_by_state(self.xi, x, u)
         return (self.slopes(x, u)[1] @ self.jacobian).unflatten(-1, (self.n_x, self.n_x))
 
-    def transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
+    def transfer(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Return the states one sampling interval later, and their derivatives by what the interval begins with.
 
         A step k1 .. k4 of h moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and
@@ -227,26 +257,58 @@ class Propagator:
 
         Args:
             x: states, `(B, n_x)`.
-            u: inputs, `(B, n_u)`.
+            u: inputs at the start of the interval, `(B, n_u)`.
             dt: length of the interval [s].
             substeps: Runge-Kutta steps in it; a difference equation has its own.
+            u_end: inputs at its end, see `Transitions`.
 
         Returns:
             States, `(B, n_x)`, and derivatives by the states before, the shapes and the coefficients,
             `(B, n_x, n_x + S + P)`.
         """
+        if self._code:
+            last = None if u_end is None else u_end.unsqueeze(1)
+            ends, slopes = self._code.trajectories(self.xi, self._own, x, u.unsqueeze(1), dt, substeps, last)
+            return ends[:, 0], slopes[:, 0]
         stages = 4 * substeps * (len(self.xi) + len(self.jacobian) + self.n_x)
         length = max(1, MOST // stages)
-        parts = [self._transfer(*part, dt, substeps) for part in zip(x.split(length), u.split(length), strict=True)]
-        return torch.cat([end for end, _ in parts]), torch.cat([slopes for _, slopes in parts])
+        ends = [None] * max(1, math.ceil(len(x) / length)) if u_end is None else u_end.split(length)
+        parts = zip(x.split(length), u.split(length), ends, strict=False)
+        found = [self._transfer(a, b, dt, substeps, end) for a, b, end in parts]
+        return torch.cat([end for end, _ in found]), torch.cat([slopes for _, slopes in found])
 
-    def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
+    def trajectories(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return states after intervals that follow each other, and their derivatives by what the first begins with.
+
+        Args:
+            x: states at the start, `(W, n_x)`.
+            u: inputs at the start of each interval, `(W, L, n_u)`.
+            dt: length of an interval [s].
+            substeps: Runge-Kutta steps in it; a difference equation has its own.
+            u_end: inputs at its end, see `Transitions`.
+
+        Returns:
+            States, `(W, L, n_x)`, and derivatives by the states x, the shapes and the coefficients,
+            `(W, L, n_x, n_x + S + P)`.
+        """
+        if self._code:
+            return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end)
+        ends, slopes = [], list[Tensor]()
+        for k in range(u.shape[1]):
+            x, moved = self.transfer(x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
+            ends.append(x)
+            slopes.append(_chained(moved, slopes[-1]) if slopes else moved)
+        return torch.stack(ends, 1), torch.stack(slopes, 1)
+
+    def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None) -> tuple[Tensor, Tensor]:
         (h, count, difference), stages = steps_of(self.step, dt, substeps), []
         parts = [(0.0, h)] if difference else [(0.0, h / 6), (h / 2, h / 3), (h / 2, h / 3), (h, h / 6)]
-        for _ in range(count):
+        for k in range(count):
             dx, total = torch.zeros_like(x), torch.zeros_like(x)
             for ahead, weight in parts:
-                values = self.slopes(x + ahead * dx, u)
+                values = self.slopes(x + ahead * dx, between(u, u_end, (k + ahead / h) / count))
                 dx = values[0] @ self.xi
                 total = total + weight * dx
                 stages.append(values)
@@ -273,14 +335,15 @@ class Propagator:
             by_shape = torch.stack([by_shape @ self.of_shapes for _, _, by_shape in stages], 1)
             by_shape = by_shape.unflatten(-1, (self.n_x, len(self.shapes)))
             columns.append(torch.einsum("bxyq,bqys->bxs", moved, by_shape))
-        own = x.new_empty(len(x), self.n_x, len(self.features))
-        for state in self.states.unique().tolist():
-            mine = self.states == state
-            own[:, :, mine] = moved[:, :, state] @ theta[:, :, self.features[mine]]
+        features, states = self._own
+        own = x.new_empty(len(x), self.n_x, len(features))
+        for state in states.unique().tolist():
+            mine = states == state
+            own[:, :, mine] = moved[:, :, state] @ theta[:, :, features[mine]]
         return x, torch.cat([*columns, own], -1)
 
 
-def chained(moved: Tensor, s: Tensor) -> Tensor:
+def _chained(moved: Tensor, s: Tensor) -> Tensor:
     """Return the sensitivities after an interval of those before it, both `(B, n_x, n_x + S + P)`."""
     n_x = moved.shape[1]
     after = moved[..., :n_x] @ s

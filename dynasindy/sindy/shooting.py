@@ -16,7 +16,7 @@ from dynasindy.sindy.codegen import generate, write_program
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import news
-from dynasindy.sindy.sensitivity import Parameters, Propagator, chained
+from dynasindy.sindy.sensitivity import Parameters, Propagator
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.interpreter import simulate_program
 from dynasindy.systems.transitions import Transitions
@@ -173,25 +173,11 @@ class Flow:
         return cls(estimate, parameters, windows, _states_of(estimate, windows))
 
     @cached_property
-    def steps(self) -> Tensor:
-        """Derivatives of the end of each interval by its beginning, shapes and Xi, `(W, L, n_x, n_x + S + P)`.
-
-        Intervals that follow each other cost as many small operations as there are of them. Here the states are known,
-        and all intervals are computed side by side.
-        """
-        estimate, windows = self.estimate, self.windows
-        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
-        begins = torch.cat([estimate.nodes.unsqueeze(1), self.predicted[:, :-1]], 1).flatten(0, 1)
-        steps = propagator.transfer(begins, windows.inputs.flatten(0, 1), windows.dt, windows.substeps)[1]
-        return steps.unflatten(0, self.predicted.shape[:2])
-
-    @cached_property
     def s(self) -> Tensor:
         """Derivatives of the states by the window's start, shapes and Xi, `(W, L, n_x, n_x + S + P)`."""
-        slopes = [self.steps[:, 0]]
-        for step in self.steps.unbind(1)[1:]:
-            slopes.append(chained(step, slopes[-1]))
-        return torch.stack(slopes, 1)
+        estimate, windows = self.estimate, self.windows
+        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
+        return propagator.trajectories(estimate.nodes, windows.inputs, windows.dt, windows.substeps)[1]
 
     def part(self, rows: slice) -> Flow:
         """Return the trajectories of some of the windows."""

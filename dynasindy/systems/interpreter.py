@@ -1,4 +1,4 @@
-"""Trajectories of formulas that change from one call to the next, as those of a fit do: nothing is compiled for them.
+"""Trajectories and slopes of formulas that change with each call, as those of a fit do: nothing is compiled for them.
 
 `dynasindy.systems.machine` compiles a vector field, which takes the time of thousands of its steps. Here formulas are a
 list of instructions, each of which is done for many rows at once.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import ctypes
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
@@ -18,24 +19,28 @@ from torch import Tensor
 
 from dynasindy.systems.compiler import load_library
 from dynasindy.systems.machine import Program
-from dynasindy.systems.steps import steps_of
-from dynasindy.systems.tangents import FORMULA_FUNCTIONS, parsed
+from dynasindy.systems.steps import Steps, steps_of
+from dynasindy.systems.tangents import FORMULA_FUNCTIONS, Tangents, parsed
 
 WIDTH = 32
 """Rows that are handled at once."""
 OPERATIONS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.USub)
-"""What instructions do, those of `FORMULA_FUNCTIONS` behind them, in the order of `c/interpreter.c`."""
+CALLS = (*FORMULA_FUNCTIONS, "exceeds")
+"""What instructions do, operators first, in the order of `c/interpreter.c`."""
 
 
-def simulate_program(program: Program, x: Tensor, u: Tensor, dt: float, substeps: int) -> Tensor:
+def simulate_program(
+    program: Program, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
+) -> Tensor:
     """Advance states over periods that follow each other, see `dynasindy.systems.integrators.trajectory`.
 
     Args:
         program: the vector field.
         x: states at the start of the first period, `(rows, n_x)` float64.
-        u: inputs held over each period, `(rows, T, n_u)` float64.
+        u: inputs at the start of each period, `(rows, T, n_u)` float64.
         dt: length of a period [s].
         substeps: Runge-Kutta steps in it.
+        u_end: inputs at the end of each period, see `Transitions`.
 
     Returns:
         States at the end of each period, `(rows, T, n_x)`.
@@ -46,15 +51,112 @@ def simulate_program(program: Program, x: Tensor, u: Tensor, dt: float, substeps
     """
     listing = _listing(replace(program, constants=()), len(program.constants))
     h, steps, difference = steps_of(program.step, dt, substeps)
-    x, u, ends = x.contiguous(), u.contiguous(), x.new_empty(*u.shape[:2], program.n_x)
     constants = torch.tensor([*program.constants, *listing.numbers], dtype=torch.float64)
-    room = x.new_empty((listing.values + 3 * program.n_x) * WIDTH)
-    sizes = (program.n_x, program.n_u, len(constants), listing.values)
-    places = [ctypes.c_void_p(tensor.data_ptr()) for tensor in (listing.code, listing.results, constants)]
-    data = [ctypes.c_void_p(tensor.data_ptr()) for tensor in (x, u, ends, room)]
+    ends, room = x.new_empty(*u.shape[:2], program.n_x), x.new_empty((listing.values + 4 * program.n_x) * WIDTH)
+    sizes = (program.n_x, program.n_u, len(constants), listing.values + program.n_x)
+    places = map(_data, (listing.code, listing.results, constants))
     rows, periods, count = (ctypes.c_long(n) for n in (len(x), u.shape[1], len(listing.code)))
+    whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
+    data = map(_data, (*whole, ends, room))
     _library().simulate(rows, periods, *sizes, count, *places, ctypes.c_double(h), steps, int(difference), *data)
     return ends
+
+
+class Slopes:
+    """Differentiate a model that is sparse in functions: dx/dt = Xi' Theta(x, u).
+
+    Args:
+        functions: formulas of the functions, as a program whose results they are.
+        shapes: places among its constants of the numbers by which to differentiate, too, None of one that it lacks.
+
+    Raises:
+        ValueError: a formula holds something that is none.
+    """
+
+    def __init__(self, functions: Program, shapes: Sequence[int | None] = ()) -> None:
+        self.program, self.n_shapes = functions, len(shapes)
+        self._listing = _slopes_listing(
+            replace(functions, constants=(), step=None), len(functions.constants), (*shapes,)
+        )
+
+    def rates_by_state(self, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """Return the derivatives of the rates by the states, `(B, n_x, n_x)`."""
+        none = torch.zeros(0, dtype=torch.int64)
+        after = self._passed(xi, (none, none), x, u.unsqueeze(1), None, Steps(1.0, 1, True))[1]
+        return after[:, 0, :, : xi.shape[1]] - torch.eye(xi.shape[1], dtype=after.dtype)
+
+    def trajectories(
+        self,
+        xi: Tensor,
+        parameters: tuple[Tensor, Tensor],
+        x: Tensor,
+        u: Tensor,
+        dt: float,
+        substeps: int,
+        u_end: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor]:
+        """Return states after periods that follow each other, and their derivatives by what they depend on.
+
+        Args:
+            xi: coefficients, `(n_functions, n_x)`.
+            parameters: function and state of each coefficient by which to differentiate, `(P,)` int64 both.
+            x: states at the start of the first period, `(rows, n_x)` float64.
+            u: inputs at the start of each period, `(rows, T, n_u)` float64.
+            dt: length of a period [s].
+            substeps: Runge-Kutta steps in it; a difference equation has its own.
+            u_end: inputs at the end of each period, see `Transitions`.
+
+        Returns:
+            States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the shapes and
+            the coefficients, `(rows, T, n_x, n_x + S + P)`.
+
+        Raises:
+            FileNotFoundError: there is no compiler.
+        """
+        return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps))
+
+    def _passed(
+        self, xi: Tensor, parameters: tuple[Tensor, Tensor], x: Tensor, u: Tensor, u_end: Tensor | None, steps: Steps
+    ) -> tuple[Tensor, Tensor]:
+        listing, n_x, (rows, periods, n_u) = self._listing, self.program.n_x, u.shape
+        features, states = (xi != 0).nonzero(as_tuple=True)
+        rates = torch.stack([states, listing.functions[features]]).int(), xi[features, states]
+        by_state, state_places = _summed(xi, listing.by_state, n_x)
+        by_shape, shape_places = _summed(xi, listing.by_shape, max(self.n_shapes, 1))
+        sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
+        sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
+        constants = torch.tensor([*self.program.constants, *listing.numbers], dtype=torch.float64)
+        own, columns = torch.stack(parameters).int(), n_x + self.n_shapes + len(parameters[0])
+        sizes = (n_x, n_u, len(constants), listing.values, len(xi), self.n_shapes, own.shape[1])
+        stages = 4 * (len(xi) + state_places.shape[1] + shape_places.shape[1] + 2 * n_x)
+        room = x.new_empty((listing.values + stages + n_x * (steps.number + 2 + 3 * columns)) * WIDTH)
+        ends, slopes = x.new_empty(rows, periods, n_x), x.new_empty(rows, periods, n_x, columns)
+        whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
+        arguments = [
+            *(*map(ctypes.c_long, (rows, periods)), *sizes, *map(ctypes.c_long, (listing.first, len(listing.code)))),
+            *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
+            *(int(steps.difference), *whole, ends, slopes, room),
+        ]
+        _library().sensitivities(
+            *(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments)
+        )
+        return ends, slopes
+
+
+def _data(tensor: Tensor | None) -> ctypes.c_void_p:
+    return ctypes.c_void_p(None if tensor is None else tensor.data_ptr())
+
+
+def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tensor], Tensor]:
+    """Return how slopes of rates are sums of slopes of functions, and the rates and variables of those not zero.
+
+    `slopes`, `(3, n)`, are the function, the variable and the place of each.
+    """
+    function, variable, place = slopes
+    each, state = (xi[function] != 0).nonzero(as_tuple=True)
+    keys, to = (state * width + variable[each]).unique(return_inverse=True)
+    places = torch.stack([keys // width, keys % width]).int()
+    return (torch.stack([to, place[each]]).int(), xi[function[each], state]), places
 
 
 class _Listing(NamedTuple):
@@ -64,7 +166,7 @@ class _Listing(NamedTuple):
         code: operation, operands and result of each, `(N, 4)` int32.
         results: where the rate of each state is, `(n_x,)` int32.
         numbers: what stands in the formulas, behind the constants of the program.
-        values: how many values there are, with room for the next states behind them.
+        values: how many values there are.
     """
 
     code: Tensor
@@ -73,52 +175,122 @@ class _Listing(NamedTuple):
     values: int
 
 
+class _SlopesListing(NamedTuple):
+    """Hold the instructions of functions and of their slopes.
+
+    Attributes:
+        code: operation, operands and result of each, `(N, 4)` int32.
+        first: how many of them compute the functions; the others compute slopes.
+        functions: where each function is, `(n_functions,)`.
+        by_state: function, state and place of each slope that is not zero, `(3, n)`.
+        by_shape: the same by the numbers inside functions.
+        numbers: what stands in the formulas, behind the constants of the program.
+        values: how many values there are.
+    """
+
+    code: Tensor
+    first: int
+    functions: Tensor
+    by_state: Tensor
+    by_shape: Tensor
+    numbers: tuple[float, ...]
+    values: int
+
+
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
-    return load_library(text.replace("@width@", str(WIDTH)), ("simulate",), fast=False)
+    return load_library(text.replace("@width@", str(WIDTH)), ("simulate", "sensitivities"), fast=True)
 
 
 @lru_cache(maxsize=512)
 def _listing(program: Program, constants: int) -> _Listing:
     """Return the instructions of a program whose constants are left out, so many as there are."""
-    formulas = [*(formula for _, formula in program.lines), *program.results]
-    trees = [parsed(formula) for formula in formulas]
-    numbers = list(
-        dict.fromkeys(number for tree in trees for n in ast.walk(tree) if (number := _number(n)) is not None)
-    )
-    known = program.n_x + program.n_u + constants + len(numbers)
-    places = {f"x[{i}]": i for i in range(program.n_x)}
-    places |= {f"u[{j}]": program.n_x + j for j in range(program.n_u)}
-    places |= {f"k[{k}]": program.n_x + program.n_u + k for k in range(constants)}
-    places |= {repr(number): known - len(numbers) + k for k, number in enumerate(numbers)}
-    code: list[tuple[int, int, int, int]] = []
+    writer = _Instructions(program, constants, [*program.lines, *(("", result) for result in program.results)])
+    results = torch.tensor(writer.places[len(program.lines) :], dtype=torch.int32)
+    return _Listing(writer.listed(), results, writer.numbers, writer.values)
 
-    def _place(node: ast.expr) -> int:
+
+@lru_cache(maxsize=512)
+def _slopes_listing(program: Program, constants: int, shapes: tuple[int | None, ...]) -> _SlopesListing:
+    """Return the instructions of functions, whose constants are left out, and of their slopes."""
+    n_x, n_functions = program.n_x, len(program.results)
+    numbered = {f"x[{i}]": i for i in range(n_x)}
+    numbered |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
+    tangents = Tangents(numbered, [f"u[{j}]" for j in range(program.n_u)])
+    for name, formula in program.lines:
+        tangents.line(name, formula)
+    found = [tangents.last(result) for result in program.results]
+    own = {name for name, _ in program.lines}
+    values = [line for line in tangents.lines if line[0] in own] + [("", text) for text, _ in found]
+    slopes = [(k, variable, text) for k, (_, row) in enumerate(found) for variable, text in sorted(row.items())]
+    inner = [line for line in tangents.lines if line[0] not in own]
+    writer = _Instructions(program, constants, [*values, *inner, *(("", text) for *_, text in slopes)])
+    first, places = writer.counts[len(values) - 1], writer.places[len(values) + len(inner) :]
+    table = torch.tensor([(k, v, place) for (k, v, _), place in zip(slopes, places, strict=True)]).reshape(-1, 3).long()
+    by_shape = table[table[:, 1] >= n_x] - torch.tensor([0, n_x, 0])
+    return _SlopesListing(
+        writer.listed(),
+        first,
+        torch.tensor(writer.places[len(values) - n_functions : len(values)]),
+        table[table[:, 1] < n_x].mT,
+        by_shape.mT,
+        writer.numbers,
+        writer.values,
+    )
+
+
+class _Instructions:
+    """Write formulas as instructions, each value once.
+
+    Args:
+        program: the states, inputs and constants.
+        constants: how many there are.
+        lines: name, if it has one, and formula of each value.
+
+    Attributes:
+        places: where the value of each line is.
+        counts: how many instructions there are after each line.
+        numbers: what stands in the formulas; it comes behind the constants.
+        values: how many values there are.
+    """
+
+    def __init__(self, program: Program, constants: int, lines: Sequence[tuple[str, str]]) -> None:
+        trees = [parsed(formula) for _, formula in lines]
+        found = (number for tree in trees for n in ast.walk(tree) if (number := _number(n)) is not None)
+        self.numbers = tuple(dict.fromkeys(found))
+        names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
+        names += [*(f"k[{k}]" for k in range(constants)), *map(repr, self.numbers)]
+        self._place_of = {name: place for place, name in enumerate(names)}
+        self._code: list[tuple[int, int, int, int]] = []
+        self.values, self.places, self.counts = len(names), list[int](), list[int]()
+        for (name, _), tree in zip(lines, trees, strict=True):
+            self.places.append(self._place(tree))
+            self.counts.append(len(self._code))
+            self._place_of |= {name: self.places[-1]} if name else {}
+
+    def listed(self) -> Tensor:
+        """Return operation, operands and result of each instruction, `(N, 4)` int32."""
+        return torch.tensor(self._code, dtype=torch.int32).reshape(-1, 4)
+
+    def _place(self, node: ast.expr) -> int:
         """Return where a formula's value is, once what computes it is in the list."""
         text = ast.unparse(node) if (number := _number(node)) is None else repr(number)
-        if text in places:
-            return places[text]
+        if text in self._place_of:
+            return self._place_of[text]
         match node:
             case ast.BinOp(left, operator, right) if type(operator) in OPERATIONS:
                 own, operands = OPERATIONS.index(type(operator)), [left, right]
             case ast.UnaryOp(ast.USub(), operand):
                 own, operands = OPERATIONS.index(ast.USub), [operand]
-            case ast.Call(ast.Name(name), operands) if name in FORMULA_FUNCTIONS:
-                own = len(OPERATIONS) + FORMULA_FUNCTIONS.index(name)
+            case ast.Call(ast.Name(name), operands) if name in CALLS:
+                own = len(OPERATIONS) + CALLS.index(name)
             case _:
                 raise ValueError(f"{text[:60]!r} is no part of a formula")
-        first, *others = map(_place, operands)
-        place = places[text] = known + len(code)
-        code.append((own, first, others[0] if others else first, place))
+        first, *others = map(self._place, operands)
+        place = self._place_of[text] = self.values
+        self.values += 1
+        self._code.append((own, first, others[0] if others else first, place))
         return place
-
-    found = []
-    for name, tree in zip([*(name for name, _ in program.lines), *program.results], trees, strict=True):
-        found.append(_place(tree))
-        places[name] = found[-1]
-    listed = torch.tensor(code, dtype=torch.int32).reshape(-1, 4)
-    results = torch.tensor(found[len(program.lines) :], dtype=torch.int32)
-    return _Listing(listed, results, tuple(numbers), known + len(code) + program.n_x)
 
 
 def _number(node: ast.AST) -> float | None:

@@ -113,6 +113,17 @@ def steps_of(step: float | None, seconds: float, substeps: int, name: str = "the
     return Steps(step, count, True)
 
 
+def between(u: Tensor, u_end: Tensor | None, share: float) -> Tensor:
+    """Return inputs a share of an interval after its start, `(*batch, n_u)`.
+
+    Args:
+        u: inputs at its start, `(*batch, n_u)`.
+        u_end: inputs at its end, to which they move in a straight line; held if None.
+        share: part of the interval.
+    """
+    return u if u_end is None or not share else torch.lerp(u, u_end, share)
+
+
 def split_delay(delay: float, dt: float) -> tuple[int, float]:
     """Return a delay [s] in whole control periods of dt [s] and the rest [s]."""
     whole = int(delay / dt + 1e-6)

@@ -37,14 +37,16 @@ class Tangents:
 
     Args:
         variables: number of each variable, by its text, e.g. `{"x[0]": 0, "u[0]": 1}`.
+        others: texts of those by which nothing is differentiated.
 
     Attributes:
         lines: name and formula of every value and slope, in the order in which they are computed.
     """
 
-    def __init__(self, variables: Mapping[str, int]) -> None:
+    def __init__(self, variables: Mapping[str, int], others: Sequence[str] = ()) -> None:
         self.lines: list[tuple[str, str]] = []
         self._slopes: dict[str, Slopes] = {text: {number: "1"} for text, number in variables.items()}
+        self._slopes |= {text: {} for text in others}
 
     def line(self, name: str, formula: str) -> None:
         """Add a value and its derivatives.

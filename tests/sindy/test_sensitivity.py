@@ -9,8 +9,8 @@ from dynasindy.sindy import functions, sensitivity
 from dynasindy.sindy.functions import Function, register_function
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import build_library, paper_table
-from dynasindy.sindy.sensitivity import Parameters, Propagator, Slopes, chained
-from dynasindy.systems import Tras, Xi, rk4
+from dynasindy.sindy.sensitivity import Parameters, Propagator, TorchSlopes
+from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
 
 LIBRARY = paper_table(Xi().signature)
@@ -27,40 +27,93 @@ def model() -> tuple[torch.Tensor, Parameters]:
     return xi, Parameters.where((xi != 0) | others)
 
 
-def test_sensitivities_are_those_of_autograd_through_the_integrator():
+@pytest.fixture(params=["code", "torch"])
+def path(request, monkeypatch):
+    """Both ways to the same numbers; there is nothing else than torch where no compiler is."""
+    if request.param == "torch":
+        monkeypatch.setattr(sensitivity, "compiler", lambda: None)
+    return request.param
+
+
+def integrated(field, x, u, u_end, h, count):
+    """Runge-Kutta steps under inputs that move in a straight line from u to u_end."""
+    for k in range(count):
+        a, b, c = (u + (k + share) / count * (u_end - u) for share in (0, 0.5, 1))
+        k1 = field(x, a)
+        k2 = field(x + h / 2 * k1, b)
+        k3 = field(x + h / 2 * k2, b)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + field(x + h * k3, c))
+    return x
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_sensitivities_are_those_of_autograd_through_the_integrator(path, linear):
     xi, parameters = model()
     x, u, h = draw(5, 6, seed=3), draw(5, 2, seed=4), 0.1
+    u_end = draw(5, 2, seed=5) if linear else u
     propagator = Propagator(LIBRARY, xi, parameters)
-    ours, s = propagator.transfer(x, u, h, 3)
+    ours, s = propagator.transfer(x, u, h, 3, u_end if linear else None)
 
-    def predict(x, values, u):
+    def predict(x, values, u, u_end):
         changed = torch.zeros_like(xi).index_put((parameters.features, parameters.states), values)
         rest = parameters.write(xi, torch.zeros(len(parameters), dtype=xi.dtype))
-        for _ in range(3):
-            x = rk4(lambda x, u: LIBRARY(x, u) @ (changed + rest), x, u, h / 3)
-        return x
+        return integrated(lambda x, u: LIBRARY(x, u) @ (changed + rest), x, u, u_end, h / 3, 3)
 
     values = parameters.read(xi)
-    assert torch.allclose(ours, torch.stack([predict(a, values, b) for a, b in zip(x, u)]), rtol=1e-12)
-    by_x, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1)), (0, None, 0))(x, values, u)
-    assert torch.allclose(s[:, :, :6], by_x, rtol=1e-9, atol=1e-12)
-    assert torch.allclose(s[:, :, 6:], by_xi, rtol=1e-9, atol=1e-12)
+    predicted = torch.stack([predict(a, values, b, c) for a, b, c in zip(x, u, u_end)])
+    torch.testing.assert_close(ours, predicted, rtol=1e-12, atol=1e-14)
+    by_x, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1)), (0, None, 0, 0))(x, values, u, u_end)
+    torch.testing.assert_close(s[:, :, :6], by_x, rtol=1e-12, atol=1e-13)
+    torch.testing.assert_close(s[:, :, 6:], by_xi, rtol=1e-12, atol=1e-13)
+    slopes = torch.func.vmap(torch.func.jacrev(lambda x, u: LIBRARY(x, u) @ xi))(x, u)
+    torch.testing.assert_close(propagator.slopes_by_state(x, u), slopes, rtol=1e-12, atol=1e-13)
 
 
-def test_start_states_move_with_the_matrix_exponential_and_chain_over_intervals():
+@pytest.mark.parametrize("linear", [False, True])
+def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, linear):
+    """More rows than are handled at once, and windows of three intervals of two steps each."""
+    words = ["tanh(~2 a)", "u^2 tanh(~2 a)^3 b", "max(0, b - .25)", "a", "slack(a, b; ~0.5)", "sin(2 a)", "u"]
+    library, rows = Library(TWO, map(parse, words)), 70
+    assert len(library.shapes) == 2
+    numbers, xi = torch.tensor([2.0, 0.5]).double(), draw(len(words), 2, seed=1)
+    x, u, u_end = draw(rows, 2), draw(rows, 3, 1, seed=2), draw(rows, 3, 1, seed=3)
+    u_end = u_end if linear else u
+
+    def field(x, u, xi, numbers):
+        (a, b), v = x.unbind(-1), u[..., 0]
+        t = torch.tanh(numbers[0] * a)
+        slack = (a - b - numbers[1]).clamp_min(0) - (b - a - numbers[1]).clamp_min(0)
+        functions = t, v**2 * t**3 * b, (b - 0.25).clamp_min(0), a, slack, torch.sin(2 * a), v
+        return torch.stack(functions, -1) @ xi
+
+    def predict(x, numbers, xi, u, u_end):
+        ends = []
+        for begin, end in zip(u, u_end):
+            x = integrated(lambda x, u: field(x, u, xi, numbers), x, begin, end, 0.1, 2)
+            ends.append(x)
+        return torch.stack(ends)
+
+    propagator = Propagator(library, xi, Parameters.where(xi != 0), library.shapes)
+    ours, s = propagator.trajectories(x, u, 0.2, 2, u_end if linear else None)
+    rest = x, numbers, xi, u, u_end
+    torch.testing.assert_close(ours, torch.func.vmap(predict, (0, None, None, 0, 0))(*rest), rtol=1e-12, atol=1e-14)
+    by_x, by_number, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1, 2)), (0, None, None, 0, 0))(*rest)
+    wanted = torch.cat([by_x, by_number, by_xi.mT.flatten(-2)], -1)
+    torch.testing.assert_close(s, wanted, rtol=1e-11, atol=1e-13)
+
+
+def test_start_states_move_with_the_matrix_exponential_and_chain_over_intervals(path):
     signature = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
     matrix = np.array([[0.0, 1.0], [-4.0, -0.4]])
     library = Library(signature, [variable("a"), variable("b"), variable("u")])
     xi = torch.from_numpy(np.vstack([matrix.T, [[0.0, 3.0]]]))
     propagator = Propagator(library, xi, Parameters.where(torch.zeros(3, 2).bool()))
-    x, s = draw(4, 2), torch.eye(2).double().expand(4, 2, 2)
+    s = propagator.trajectories(draw(4, 2), draw(4, 3, 1), 0.1, 10)[1]
     for k in range(3):
-        x, moved = propagator.transfer(x, draw(4, 1, seed=k), 0.1, 10)
-        s = chained(moved, s)
-    assert np.allclose(s, expm(0.3 * matrix), atol=1e-8)
+        assert np.allclose(s[:, k], expm(0.1 * (k + 1) * matrix), atol=1e-8)
 
 
-def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula():
+def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula(path):
     """x+ = x + h (c x^2 + d u): by x 1 + 2 h c x, by c h x^2, by d h u; two steps by the chain rule."""
     signature = Signature(("x",), ("-",), ("u",), (1.0,))
     library = Library(signature, [variable("x") * variable("x"), variable("u")], step=0.5)
@@ -82,7 +135,9 @@ def points(n: int = 9, n_x: int = 2, n_u: int = 1) -> tuple[torch.Tensor, torch.
     return tuple(3 * torch.rand(n, k, generator=generator, dtype=torch.float64) - 1.2 for k in (n_x, n_u))
 
 
-def full(slopes: Slopes, library: Library, x: torch.Tensor, u: torch.Tensor, n_shapes: int = 0) -> list[torch.Tensor]:
+def full(
+    slopes: TorchSlopes, library: Library, x: torch.Tensor, u: torch.Tensor, n_shapes: int = 0
+) -> list[torch.Tensor]:
     """Functions, derivatives by the states and by the numbers, the zeros filled in."""
     theta, by_state, by_shape = slopes(x, u)
     tables = [torch.zeros(len(x), len(library), n, dtype=x.dtype) for n in (library.signature.n_x, n_shapes)]
@@ -100,7 +155,7 @@ def test_slopes_of_every_function_are_differences_of_its_values(name):
     number = {"frequency": 0.3 if known.parametric else -2.5, "fitted": True} if known.parametric or not pair else {}
     library = Library(TWO, [of(name, *("a", "b")[not pair :], **number)])
     x, u = points()
-    theta, by_state, by_shape = full(Slopes(library, library.shapes), library, x, u, len(library.shapes))
+    theta, by_state, by_shape = full(TorchSlopes(library, library.shapes), library, x, u, len(library.shapes))
     torch.testing.assert_close(theta, library(x, u), rtol=1e-12, atol=1e-14)
     for j, step in enumerate(1e-6 * torch.eye(2).double()):
         wanted = (library(x + step, u) - library(x - step, u)) / 2e-6
@@ -117,7 +172,7 @@ def test_slopes_of_products_and_powers_by_states_and_by_the_numbers_inside():
     x, u = points()
     (a, b), v = x.numpy().T, u[:, 0].numpy()
     t, q = np.tanh(2 * a), 1 / (1 + 3 * np.cos(b) ** 2)
-    theta, by_state, by_shape = full(slopes := Slopes(library, library.shapes), library, x, u, 2)
+    theta, by_state, by_shape = full(slopes := TorchSlopes(library, library.shapes), library, x, u, 2)
     expected = [v**2 * t**3 * b, a**2 * q**2, t, t, b**4, v, 1 + 0 * v]
     np.testing.assert_allclose(theta.numpy().T, expected, rtol=1e-12)
     none, sech2 = 0 * a, 1 / np.cosh(2 * a) ** 2
@@ -143,7 +198,7 @@ def test_negative_powers_and_functions_of_two_variables(monkeypatch):
     library = Library(TWO, [variable("b", -2) * variable("a"), of("angle_of", "a", "b"), of("arc", "a")])
     x, u = points()
     a, b = x.numpy().T
-    _, by_state, _ = full(Slopes(library), library, x, u)
+    _, by_state, _ = full(TorchSlopes(library), library, x, u)
     np.testing.assert_allclose(by_state[:, 0].numpy().T, [b**-2, -2 * a * b**-3], rtol=1e-10)
     np.testing.assert_allclose(by_state[:, 1].numpy().T, [b / (a**2 + b**2), -a / (a**2 + b**2)], rtol=1e-10)
     np.testing.assert_allclose(by_state[:, 2].numpy().T, [1 / (a**2 + 1), 0 * a], rtol=1e-10)
@@ -151,7 +206,7 @@ def test_negative_powers_and_functions_of_two_variables(monkeypatch):
 
 def test_functions_of_the_inputs_alone_have_no_slopes():
     library = Library(TWO, [CONSTANT, variable("u", 2), of("tanh", "u", frequency=2.0)])
-    slopes = Slopes(library)
+    slopes = TorchSlopes(library)
     theta, by_state, by_shape = slopes(*points(4))
     assert slopes.by_state == slopes.by_shape == [] and by_state.shape == by_shape.shape == (4, 0)
     assert torch.equal(theta[:, 0], torch.ones(4).double())
@@ -161,7 +216,7 @@ def test_functions_of_the_inputs_alone_have_no_slopes():
 def test_slopes_of_libraries_are_those_of_autograd(name):
     library = build_library(name, Tras().signature)
     x, u = points(4, 6, 2)
-    theta, by_state, _ = full(slopes := Slopes(library), library, x, u)
+    theta, by_state, _ = full(slopes := TorchSlopes(library), library, x, u)
     expected = torch.func.vmap(torch.func.jacrev(library), (0, 0))(x, u)
     assert torch.allclose(theta, library(x, u), rtol=1e-12)
     assert torch.allclose(by_state, expected, rtol=1e-10, atol=1e-12)
@@ -171,6 +226,7 @@ def test_slopes_of_libraries_are_those_of_autograd(name):
 
 
 def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
+    monkeypatch.setattr(sensitivity, "compiler", lambda: None)
     xi, parameters = model()
     propagator, x, u = Propagator(LIBRARY, xi, parameters), draw(7, 6, seed=3), draw(7, 2, seed=4)
     at_once = propagator.transfer(x, u, 0.1, 2)

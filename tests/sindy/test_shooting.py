@@ -346,7 +346,7 @@ def test_sensitivities_of_a_window_are_chained_from_those_of_its_intervals():
     windows = Windows.of(data, 40)
     estimate = Estimate(LIBRARY, column(A, B, 0.0, 0.0), torch.tensor([[Y0]]).double())
     flow = Flow.of(estimate, Parameters.where(TWO), windows)
-    assert np.allclose(flow.steps[..., 0, 0], math.exp(A * DT), atol=1e-9)
+    assert np.allclose(flow.s[:, 0, 0, 0], math.exp(A * DT), atol=1e-9)
     for place, step in ((1, (1e-5, 0.0)), (2, (0.0, 1e-5))):
         up, down = (motion(A + sign * step[0], B + sign * step[1], Y0, INPUTS) for sign in (1, -1))
         assert np.allclose(flow.s[0, :, 0, place], (up - down)[1:] / 2e-5, atol=1e-7)

@@ -1,14 +1,14 @@
-/* Trajectories of a vector field whose formulas are a list of instructions: nothing is compiled for each field.
-   Each value is an array of W rows, so that an instruction is read once for all of them. */
+/* Trajectories of a vector field whose formulas are a list of instructions, and their derivatives: nothing is compiled
+   for each field. Each value is an array of W rows, so that an instruction is read once for all of them. */
 #include <math.h>
 #include <string.h>
 
 enum { W = @width@ };
-enum { ADD, SUB, MUL, DIV, NEGATIVE, SIN, COS, EXP, TANH, SQRT, FABS, SIGN, SQUARE, LARGER };
+enum { ADD, SUB, MUL, DIV, NEGATIVE, SIN, COS, EXP, TANH, SQRT, FABS, SIGN, SQUARE, LARGER, EXCEEDS };
 
 #define EACH(value) for (int r = 0; r < W; r++) { double p = a[r], q = b[r]; (void)p; (void)q; c[r] = (value); } break
 
-static void rates(long n, const int *restrict code, double (*v)[W])
+static void evaluate(long n, const int *restrict code, double (*v)[W])
 {
     for (long k = 0; k < n; k++, code += 4) {
         const double *a = v[code[1]], *b = v[code[2]];
@@ -28,19 +28,33 @@ static void rates(long n, const int *restrict code, double (*v)[W])
         case SIGN: EACH((double)((p > 0) - (p < 0)));
         case SQUARE: EACH(p * p);
         case LARGER: EACH(p < q ? q : p); /* p, if that is no number */
+        case EXCEEDS: EACH((double)(p > q));
         }
     }
 }
 
-/* x: (rows, n_x) and u: (rows, periods, n_u) give ends: (rows, periods, n_x). The first values of `room` are states and
+static const double ahead[4] = {0, 0.5, 0.5, 1};
+
+/* Inputs of W rows a share of their interval after its begin: u, or between u and u_end where there is one. `every`
+   intervals of a row follow each other. */
+static void put_inputs(double (*v)[W], long first, int width, int n_u, long every, const double *u, const double *u_end,
+                       double share)
+{
+    for (int j = 0; j < n_u; j++)
+        for (int r = 0; r < W; r++) {
+            long at = (first + (r < width ? r : 0)) * every * n_u + j;
+            v[j][r] = u_end ? u[at] + share * (u_end[at] - u[at]) : u[at];
+        }
+}
+
+/* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x). The first values of `room` are states and
    inputs, then come `n_k` constants; behind all `n_v` values are 4 n_x arrays of the steps. Of a difference equation a
    step has one stage. */
 void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long n, const int *code, const int *results,
               const double *constants, double h, int steps, int difference, const double *x, const double *u,
-              double *ends, double *room)
+              const double *u_end, double *ends, double *room)
 {
     double (*v)[W] = (double (*)[W])room, (*at)[W] = v + n_v, (*sum)[W] = at + n_x, (*once)[W] = sum + n_x;
-    static const double ahead[4] = {0, 0.5, 0.5, 1};
     for (int k = 0; k < n_k; k++)
         for (int r = 0; r < W; r++) v[n_x + n_u + k][r] = constants[k];
     for (long first = 0; first < rows; first += W) {
@@ -48,8 +62,8 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long 
         for (int i = 0; i < n_x; i++)
             for (int r = 0; r < W; r++) at[i][r] = x[(first + (r < width ? r : 0)) * n_x + i];
         for (long t = 0; t < periods; t++) {
-            for (int j = 0; j < n_u; j++)
-                for (int r = 0; r < W; r++) v[n_x + j][r] = u[((first + (r < width ? r : 0)) * periods + t) * n_u + j];
+            const double *begin = u + t * n_u, *end = u_end ? u_end + t * n_u : NULL;
+            put_inputs(v + n_x, first, width, n_u, periods, begin, end, 0);
             for (int s = 0; s < steps; s++) {
                 for (int stage = 0; stage < (difference ? 1 : 4); stage++) {
                     for (int i = 0; i < n_x; i++) {
@@ -62,8 +76,9 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long 
                         }
                         for (int r = 0; r < W; r++) v[n_v - n_x + i][r] = at[i][r] + size * k[r];
                     }
+                    if (end) put_inputs(v + n_x, first, width, n_u, periods, begin, end, (s + ahead[stage]) / steps);
                     if (stage) memcpy(v, v + n_v - n_x, n_x * sizeof *v); /* all at once: a rate may be another state */
-                    rates(n, code, v);
+                    evaluate(n, code, v);
                 }
                 for (int i = 0; i < n_x; i++) {
                     const double *k = v[results[i]];
@@ -75,6 +90,201 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long 
             }
             for (int r = 0; r < width; r++)
                 for (int i = 0; i < n_x; i++) ends[((first + r) * periods + t) * n_x + i] = at[i][r];
+        }
+    }
+}
+
+/* Sums: `to[k]` of what is computed grows by `by[k]` times `from[k]` of the values. */
+struct sums { int n; const int *to, *from; const double *by; };
+/* A matrix that is mostly zero: row and column of each element that is not. */
+struct places { int n; const int *row, *column; };
+/* What the steps of W rows read and write: states at the begin of each, rates, and, of the stages of a step, functions,
+   slopes of the rates by states and by numbers inside functions, and weights of the rates in an end. */
+struct flow {
+    int n_x, n_f, stages, steps;
+    double h;
+    const int *code, *features;
+    struct sums rates, by_state, by_shape;
+    struct places state_places, shape_places;
+    double (*v)[W], (*at)[W], (*rate)[W], (*theta)[W], (*of_state)[W], (*of_shape)[W], (*weight)[W], (*moved)[W];
+};
+
+static void add_up(struct sums sums, int n, double (*v)[W], double (*result)[W])
+{
+    memset(result, 0, n * sizeof *result);
+    for (int k = 0; k < sums.n; k++) {
+        const double *p = v[sums.from[k]], by = sums.by[k];
+        double *restrict c = result[sums.to[k]];
+        for (int r = 0; r < W; r++) c[r] += by * p[r];
+    }
+}
+
+/* One stage of step s, by the first `n` instructions; of all of them there are slopes, too. */
+static void pass_stage(const struct flow *f, int s, int stage, long n, int slopes)
+{
+    double (*at)[W] = f->at + s * f->n_x, (*next)[W] = at + f->n_x, size = f->h * ahead[stage];
+    double part = f->stages == 1 ? f->h : f->h / (stage == 1 || stage == 2 ? 3 : 6);
+    for (int i = 0; i < f->n_x; i++)
+        for (int r = 0; r < W; r++) f->v[i][r] = stage ? at[i][r] + size * f->rate[i][r] : at[i][r];
+    evaluate(n, f->code, f->v);
+    add_up(f->rates, f->n_x, f->v, f->rate);
+    for (int i = 0; i < f->n_x; i++)
+        for (int r = 0; r < W; r++) next[i][r] = (stage ? next[i][r] : at[i][r]) + part * f->rate[i][r];
+    if (!slopes) return;
+    for (int k = 0; k < f->n_f; k++) memcpy(f->theta + stage * f->n_f + k, f->v + f->features[k], sizeof *f->v);
+    add_up(f->by_state, f->state_places.n, f->v, f->of_state + stage * f->state_places.n);
+    add_up(f->by_shape, f->shape_places.n, f->v, f->of_shape + stage * f->shape_places.n);
+}
+
+/* Weights of the rates of a stage times their slopes by the states. */
+static void move_weights(const struct flow *f, int stage)
+{
+    double (*a)[W] = f->weight + stage * f->n_x, (*moved)[W] = f->moved + stage * f->n_x;
+    double (*slopes)[W] = f->of_state + stage * f->state_places.n;
+    memset(moved, 0, f->n_x * sizeof *moved);
+    for (int k = 0; k < f->state_places.n; k++) {
+        const double *p = a[f->state_places.row[k]], *q = slopes[k];
+        double *restrict c = moved[f->state_places.column[k]];
+        for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
+    }
+}
+
+/* From the weights of the states after a step to those of its rates, and of the states before. */
+static void weigh_stages(const struct flow *f, double (*after)[W])
+{
+    long n = (long)f->n_x * W;
+    double *end = *after, *a = *f->weight, *p = *f->moved, h = f->h;
+    if (f->stages == 1) {
+        for (long k = 0; k < n; k++) a[k] = h * end[k];
+        move_weights(f, 0);
+        for (long k = 0; k < n; k++) end[k] += p[k];
+        return;
+    }
+    for (long k = 0; k < n; k++) a[3 * n + k] = h / 6 * end[k];
+    for (int stage = 3; stage > 0; stage--) {
+        double own = stage == 1 ? 1 : 2, size = h * ahead[stage];
+        move_weights(f, stage);
+        for (long k = 0; k < n; k++) a[(stage - 1) * n + k] = own * a[3 * n + k] + size * p[stage * n + k];
+    }
+    move_weights(f, 0);
+    for (long k = 0; k < n; k++) end[k] += (p[k] + p[n + k]) + (p[2 * n + k] + p[3 * n + k]);
+}
+
+/* What the rates of all stages add to the derivatives of a state after the interval, by their weights in it. */
+static void add_own(const struct flow *f, int n_p, const int *feature, const int *state, double (*own)[W])
+{
+    int n_x = f->n_x, n_f = f->n_f;
+    if (f->stages == 1) {
+        for (int k = 0; k < n_p; k++) {
+            const double *p = f->weight[state[k]], *q = f->theta[feature[k]];
+            for (int r = 0; r < W; r++) own[k][r] += p[r] * q[r];
+        }
+        return;
+    }
+    for (int k = 0; k < n_p; k++) {
+        const double *p = f->weight[state[k]], *q = f->theta[feature[k]];
+        double *restrict c = own[k];
+        for (int r = 0; r < W; r++)
+            c[r] += (p[r] * q[r] + p[n_x * W + r] * q[n_f * W + r]) +
+                    (p[2 * n_x * W + r] * q[2 * n_f * W + r] + p[3 * n_x * W + r] * q[3 * n_f * W + r]);
+    }
+}
+
+static void add_shapes(const struct flow *f, double (*own)[W])
+{
+    for (int stage = 0; stage < f->stages; stage++)
+        for (int k = 0; k < f->shape_places.n; k++) {
+            const double *p = f->weight[stage * f->n_x + f->shape_places.row[k]];
+            const double *q = f->of_shape[stage * f->shape_places.n + k];
+            double *restrict c = own[f->shape_places.column[k]];
+            for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
+        }
+}
+
+/* From the derivatives of an interval's end by its begin to those by the begin of the first interval. */
+static void chain(int n_x, long columns, double (*own)[W], double (*before)[W], double (*s)[W])
+{
+    for (int i = 0; i < n_x; i++, own += columns, s += columns) {
+        memset(s, 0, n_x * sizeof *s);
+        memcpy(s + n_x, own + n_x, (columns - n_x) * sizeof *s);
+        for (int j = 0; j < n_x; j++)
+            for (long k = 0; k < columns; k++) {
+                const double *p = own[j], *q = before[j * columns + k];
+                double *restrict c = s[k];
+                for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
+            }
+    }
+}
+
+/* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x), and their
+   derivatives by the states x, the numbers inside functions and the coefficients, slopes: (rows, periods, n_x,
+   n_x + n_s + n_p). The first `n_values` instructions compute functions, the others their slopes. A step k1 .. k4 of h
+   moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and a1 = h/6 + h/2 a2 J2 times the
+   errors of its four rates, where J are the slopes of the rates by the states: so each function is weighed once. */
+void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n_f, int n_s, int n_p,
+                   long n_values, long n, const int *code, const int *features, int n_rates, const int *rates,
+                   const double *rates_by, int n_states, const int *states, const double *states_by, int n_shapes,
+                   const int *shapes, const double *shapes_by, int n_state_places, const int *state_places,
+                   int n_shape_places, const int *shape_places, const int *parameters, const double *constants,
+                   double h, int steps, int difference, const double *x, const double *u, const double *u_end,
+                   double *ends, double *slopes, double *room)
+{
+    struct flow f = {n_x, n_f, difference ? 1 : 4, steps, h, code, features,
+                     {n_rates, rates, rates + n_rates, rates_by}, {n_states, states, states + n_states, states_by},
+                     {n_shapes, shapes, shapes + n_shapes, shapes_by},
+                     {n_state_places, state_places, state_places + n_state_places},
+                     {n_shape_places, shape_places, shape_places + n_shape_places},
+                     NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL};
+    long columns = n_x + n_s + n_p, size = n_x * columns;
+    f.v = (double (*)[W])room;
+    f.at = f.v + n_v;
+    f.rate = f.at + (steps + 1) * n_x;
+    f.theta = f.rate + n_x;
+    f.of_state = f.theta + 4 * n_f;
+    f.of_shape = f.of_state + 4 * n_state_places;
+    f.weight = f.of_shape + 4 * n_shape_places;
+    f.moved = f.weight + 4 * n_x;
+    double (*own)[W] = f.moved + 4 * n_x, (*s)[W] = own + size, (*spare)[W] = s + size;
+    for (int k = 0; k < n_k; k++)
+        for (int r = 0; r < W; r++) f.v[n_x + n_u + k][r] = constants[k];
+    for (long first = 0; first < rows; first += W) {
+        int width = rows - first < W ? (int)(rows - first) : W;
+        for (int i = 0; i < n_x; i++)
+            for (int r = 0; r < W; r++) f.at[i][r] = x[(first + (r < width ? r : 0)) * n_x + i];
+        for (long t = 0; t < periods; t++) {
+            const double *begin = u + t * n_u, *end = u_end ? u_end + t * n_u : NULL;
+            if (t) memcpy(f.at, f.at + steps * n_x, n_x * sizeof *f.at);
+            put_inputs(f.v + n_x, first, width, n_u, periods, begin, end, 0);
+            memset(own, 0, size * sizeof *own);
+            for (int i = 0; i < n_x; i++)
+                for (int r = 0; r < W; r++) own[i * columns + i][r] = 1;
+            /* Backwards: all steps but the last are passed once without slopes, and once with them. */
+            for (int pass = 0; pass < 2 * steps - 1; pass++) {
+                int at = pass < steps ? pass : 2 * steps - 2 - pass, with = pass >= steps - 1;
+                for (int stage = 0; stage < f.stages; stage++) {
+                    double share = (at + ahead[stage]) / steps;
+                    if (end) put_inputs(f.v + n_x, first, width, n_u, periods, begin, end, share);
+                    pass_stage(&f, at, stage, with ? n : n_values, with);
+                }
+                for (int i = 0; with && i < n_x; i++) {
+                    weigh_stages(&f, own + i * columns);
+                    add_shapes(&f, own + i * columns + n_x);
+                    add_own(&f, n_p, parameters, parameters + n_p, own + i * columns + n_x + n_s);
+                }
+            }
+            if (t) {
+                double (*before)[W] = s;
+                chain(n_x, columns, own, before, spare);
+                s = spare;
+                spare = before;
+            }
+            else memcpy(s, own, size * sizeof *s);
+            for (int r = 0; r < width; r++) {
+                long place = (first + r) * periods + t;
+                for (int i = 0; i < n_x; i++) ends[place * n_x + i] = f.at[steps * n_x + i][r];
+                double *to = slopes + place * size;
+                for (long k = 0; k < size; k++) to[k] = s[k][r];
+            }
         }
     }
 }
