@@ -46,12 +46,15 @@ class LinearModel:
     Attributes:
         order: past samples that it reads.
         seen: states that it reads and predicts, bool `(n_x,)`: those that were measured twice in a row.
-        weights: of past outputs and inputs, newest first, and of one, `(order * (n_y + n_u) + 1, n_y)`.
+        weights: of past outputs and inputs, newest first, of inputs at the end of an interval, and of one,
+            `(order * (n_y + n_u) + n_linear + 1, n_y)`.
+        linear: inputs that move within an interval, which it also reads at its end, bool `(n_u,)`.
     """
 
     order: int
     seen: Tensor
     weights: Tensor
+    linear: Tensor
 
     @classmethod
     def fit(cls, data: Transitions, steps: int, most: int) -> LinearModel:
@@ -67,7 +70,7 @@ class LinearModel:
         models = [cls._of_order(data, order) for order in ORDERS if order <= most]
         errors = [model._error(data, steps) if model else math.inf for model in models]
         best = models[min(range(len(models)), key=errors.__getitem__)]
-        return best or cls(1, _seen(data), torch.zeros(0))
+        return best or cls(1, _seen(data), torch.zeros(0), data.linear_inputs)
 
     @classmethod
     def _of_order(cls, data: Transitions, order: int) -> LinearModel | None:
@@ -79,7 +82,8 @@ class LinearModel:
         if not bool(seen.any()) or len(columns) < 2 * columns.shape[1]:
             return None
         scale = columns.norm(dim=0).clamp_min(1e-300)
-        return cls(order, seen, least_squares(columns / scale, target) / scale.unsqueeze(-1))
+        weights = least_squares(columns / scale, target) / scale.unsqueeze(-1)
+        return cls(order, seen, weights, data.linear_inputs)
 
     def predict(self, data: Transitions, starts: Tensor, later: Tensor) -> Tensor:
         """Predict from some rows on, `(S, T, n_x)`; infinite where it runs away.
@@ -98,8 +102,9 @@ class LinearModel:
         outputs = data.x[past][..., self.seen].double()
         inputs = torch.cat([data.u[past[:, 1:]].flip(1), data.u[later]], 1).double()
         lost, n_y, n_u = outputs.isnan().flatten(1).any(-1), outputs.shape[-1], inputs.shape[-1]
-        own, driven, constant = self.weights.split([self.order * n_y, self.order * n_u, 1])
-        forced = constant.expand(len(starts), later.shape[1], n_y).clone()
+        sizes = self.order * n_y, self.order * n_u, int(self.linear.sum()), 1
+        own, driven, ending, constant = self.weights.split(sizes)
+        forced = constant + data.last_inputs[later][..., self.linear].double() @ ending
         for k, weights in enumerate(driven.split(n_u)):
             forced += inputs[:, self.order - 1 - k : self.order - 1 - k + later.shape[1]] @ weights
         # Of the outputs themselves each needs the one before: a loop of few and small products.
@@ -141,7 +146,8 @@ def _rows(data: Transitions, order: int) -> Tensor:
 
 def _regressors(data: Transitions, rows: Tensor, order: int, seen: Tensor) -> Tensor:
     past = rows.unsqueeze(-1) - torch.arange(order)
-    parts = [data.x[past][..., seen].flatten(1), data.u[past].flatten(1), torch.ones(len(rows), 1)]
+    parts = [data.x[past][..., seen].flatten(1), data.u[past].flatten(1)]
+    parts += [data.last_inputs[rows][:, data.linear_inputs], torch.ones(len(rows), 1)]
     return torch.cat([part.double() for part in parts], -1)
 
 
@@ -325,7 +331,7 @@ def _predicted(model: SindyModel, data: Transitions, starts: Tensor, later: Tens
     """Return what a model predicts for some rows after each start, `(S, T, n_x)`, infinite where it runs away."""
     late = delay_inputs(data, model.delay)
     begin = estimate(model, late, starts - length, length)[1]
-    return _simulated(model, begin, late.u[later], data.dt).nan_to_num(math.inf, math.inf, -math.inf)
+    return _simulated(model, begin, late.inputs_of(later), data.dt).nan_to_num(math.inf, math.inf, -math.inf)
 
 
 def _real(data: Transitions, starts: Tensor, later: Tensor, ahead: Tensor) -> Tensor:
@@ -368,16 +374,16 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
     """
     after = rows.unsqueeze(-1) + torch.arange(length)
     measured = torch.cat([data.x[rows].unsqueeze(1), data.x_next[after]], 1)
-    mask, inputs = ~measured.isnan(), data.u[after]
+    mask, inputs = ~measured.isnan(), data.inputs_of(after)
     guess = settle_lag_states(reconstruct(data, rate_states(model.library, model.constraints)), model.followers)
     x = guess.x[rows].double()
     scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
-    n, damping = len(scale), torch.full((len(rows),), 1e-3, dtype=torch.float64)
+    damping = torch.full((len(rows),), 1e-3, dtype=torch.float64)
     path = torch.cat([x.unsqueeze(1), _simulated(model, x, inputs, data.dt)], 1)
     sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
     for _ in range(8):
         nudged = x + NUDGE * torch.diag(scale).unsqueeze(1)
-        moved = _simulated(model, nudged, inputs.expand(n, *inputs.shape), data.dt)
+        moved = _simulated(model, nudged, inputs, data.dt)
         slopes = (torch.cat([nudged.unsqueeze(2), moved], 2) - path) / NUDGE  # by each state [its range]
         weight = mask / sigma
         columns = (slopes * weight).flatten(2).permute(1, 2, 0)
@@ -425,11 +431,14 @@ def _rms(path: Tensor, measured: Tensor, mask: Tensor) -> Tensor:
     return (error.square().sum((0, 1)) / mask[sound].sum((0, 1)).clamp_min(1)).sqrt()
 
 
-def _simulated(model: SindyModel, x: Tensor, u: Tensor, dt: float) -> Tensor:
-    """Predict states after each interval, `(*batch, T, n_x)`."""
+def _simulated(model: SindyModel, x: Tensor, inputs: tuple[Tensor, Tensor | None], dt: float) -> Tensor:
+    """Predict states after each interval, `(*batch, T, n_x)`, under inputs at both ends of each."""
+    wide = (*x.shape[:-1], *inputs[0].shape[-2:])
+    u, u_end = (None if u is None else u.double().expand(wide) for u in inputs)
+    assert u is not None
     with torch.no_grad():
         substeps = min(max(1, math.ceil(dt / LONGEST_STEP - 1e-9)), MOST_STEPS)
-        return model.simulate(x, u.double(), dt, substeps)[..., 1:, :]
+        return model.simulate(x, u, dt, substeps, u_end)[..., 1:, :]
 
 
 def _errors(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:

@@ -71,6 +71,8 @@ class Source:
         both, cut = Transitions.cat([self.training, self.validation]), len(self.training)
         end, begin = self.training.x_next[-1:], self.validation.x[:1]
         on = bool(((end == begin) | (end.isnan() & begin.isnan())).all())
+        if on and both.u_end is not None:
+            both.u_end[cut - 1] = torch.where(both.linear_inputs, both.u[cut], both.u_end[cut - 1])
         return replace(both, segment=both.segment - (on * (torch.arange(len(both)) >= cut)).long())
 
     def __repr__(self) -> str:

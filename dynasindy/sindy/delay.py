@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.regression import Rows, least_squares
+from dynasindy.systems.steps import between
 from dynasindy.systems.transitions import Transitions
 
 FIRST, FARTHEST = 10, 80
@@ -28,10 +29,11 @@ Cost = Callable[[float], float]
 def delay_inputs(data: Transitions, delay: float) -> Transitions:
     """Return a recording whose inputs act `delay` seconds later; before its first sample the first input held.
 
-    A delay that is no whole number of samples changes the input within an interval; its mean is taken.
+    A delay that is no whole number of samples changes a held input within an interval; its mean is taken. That is also
+    where an input that moves in straight lines begins the interval; where it ends it is taken, too.
 
     Args:
-        data: the recording, under zero-order hold.
+        data: the recording.
         delay: delay [s], 0 or more.
 
     Raises:
@@ -44,7 +46,13 @@ def delay_inputs(data: Transitions, delay: float) -> Transitions:
         return data
     places, begin = torch.arange(len(data)), data.segment_starts()
     late, later = (data.u[torch.maximum(places - int(whole) - more, begin)] for more in (0, 1))
-    return replace(data, u=(1 - part) * late + part * later)
+    u = (1 - part) * late + part * later
+    if data.u_end is None:
+        return replace(data, u=u)
+    rows = places - int(whole)
+    share = (1 - part) * (rows >= begin).to(u.dtype).unsqueeze(-1)
+    moved = between(*data.inputs_of(torch.maximum(rows, begin)), share)
+    return replace(data, u=u, u_end=torch.where(data.linear_inputs, moved, u))
 
 
 def rows_after_delay(data: Transitions, longest: float) -> Tensor:

@@ -110,7 +110,7 @@ class _Search:
         self.guess = reconstruct(data, self.rates, self.noisy)
         self.input = signal in model.signature.input_names
         place = (model.signature.input_names if self.input else model.signature.state_names).index(signal)
-        held = self.guess.u if self.input else 0.5 * (self.guess.x + self.guess.x_next)
+        held = self.guess.mean_inputs if self.input else 0.5 * (self.guess.x + self.guess.x_next)
         self.follows, self.moved = held[:, place], place if self.input else _moved(model, place)[0]
 
     def best(self, plain: _Search) -> LagStateCandidate | None:

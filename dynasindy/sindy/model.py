@@ -160,19 +160,21 @@ class SindyModel(WorldModel):
         x, u = (t.movedim(-1, 0).contiguous().movedim(0, -1) for t in (x, u))
         return moved(self, x, u, dt, substeps)
 
-    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+    def simulate(self, x0: Tensor, u: Tensor, dt: float, substeps: int = 1, u_end: Tensor | None = None) -> Tensor:
         """Predict trajectories open loop.
 
         Args:
             x0: start states, `(*batch, n_x)`.
-            u: inputs held in each interval, `(*batch, T, n_u)`.
+            u: inputs at the start of each interval, `(*batch, T, n_u)`.
             dt: sampling time [s].
             substeps: Runge-Kutta steps per interval.
+            u_end: inputs at its end, to which they move in a straight line, `(*batch, T, n_u)`; held if omitted.
 
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
-        states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps)])
+        last = None if u_end is None else u_end.movedim(-2, 0)
+        states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps, last)])
         return states.movedim(0, -2)
 
     @property
@@ -301,7 +303,8 @@ class SindyModel(WorldModel):
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
             late = delay_inputs(guess, self.initial_delay)
             late = simulate_hidden_states(self.library, first, data, late, rates)
-            guess = replace(_start_lag_states(self.library, first, late, self.followers), u=data.u)
+            started = _start_lag_states(self.library, first, late, self.followers)
+            guess = replace(started, u=data.u, u_end=data.u_end)
         recording = DelayedRecording.of(data, guess, rates, delay)
         seen = recording.seen(delay)
         rows = self._rows(seen)
@@ -531,7 +534,9 @@ def _by_period(data: Transitions) -> Transitions:
             f"a difference equation was given {len(data)} samples that are not whole control periods of {n}; give "
             "whole ones, or one sample per control period"
         )
-    return Transitions(data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n])
+    last = None if data.u_end is None else data.u_end[n - 1 :: n]
+    rows = data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n]
+    return Transitions(*rows, u_end=last)
 
 
 def _with_time(library: Library, time: str | None) -> Library:
@@ -556,8 +561,9 @@ def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, follower
         offs = [torch.zeros_like(end) for end in ends]
         for k, off in enumerate(offs):
             off[:, follower] = torch.exp(-float(xi[:, follower].sum()) * (seconds + k * guess.dt))
-        rates = [field(end, guess.u)[:, others] for end in ends]
-        moved = [field(end + off, guess.u)[:, others] for end, off in zip(ends, offs, strict=True)]
+        inputs = guess.u, guess.last_inputs
+        rates = [field(end, u)[:, others] for end, u in zip(ends, inputs, strict=True)]
+        moved = [field(end + off, u)[:, others] for end, off, u in zip(ends, offs, inputs, strict=True)]
         slope = 0.5 * (moved[0] - rates[0] + moved[1] - rates[1])
         left = (ends[1] - ends[0])[:, others] / guess.dt - 0.5 * (rates[0] + rates[1])
         weight = 1 / left.square().mean(0).clamp_min(1e-300)

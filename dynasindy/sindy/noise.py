@@ -109,7 +109,7 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
         return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
     if bool(coefficients.any()) and bool(_stands_on_steps(data).any()):
         return True
-    error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt)
+    error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt, 1, data.u_end)
     # A constant, too, as a library need not have one.
     functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
     functions = functions / functions.norm(dim=0).clamp_min(1e-300)

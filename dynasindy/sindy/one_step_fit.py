@@ -116,7 +116,7 @@ def one_step_covariance(
 def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
     """Return the part of each state's change from sample to sample that a prediction of it misses (RMS)."""
     data = data.to(torch.float64)
-    predicted = moved(generate(library, xi), data.x, data.u, data.dt, _steps_in(data, library, xi))
+    predicted = moved(generate(library, xi), data.x, data.u, data.dt, _steps_in(data, library, xi), data.u_end)
     parts = (data.x_next - predicted).norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
     return dict(zip(library.signature.state_names, parts.tolist(), strict=True))
 
@@ -131,7 +131,7 @@ def _linear_model(
         the norms, `(S + P,)`.
     """
     propagator = Propagator(library, xi, parameters, library.shapes)
-    predicted, s = propagator.transfer(data.x, data.u, data.dt, _steps_in(data, library, xi))
+    predicted, s = propagator.transfer(data.x, data.u, data.dt, _steps_in(data, library, xi), data.u_end)
     error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
     rows = (jacobian * weight.unsqueeze(-1)).flatten(0, 1)

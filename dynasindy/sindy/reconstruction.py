@@ -183,7 +183,8 @@ def simulate_hidden_states(
         if k and bool(guess.segment[k] == guess.segment[k - 1]):
             x[k] = torch.where(hidden, x_next[k - 1], x[k])
         led = Rates(partial(_led, field, leads[k]), library.step)
-        after = moved(led, x[k], guess.u[k], guess.dt, substeps)
+        u, u_end = guess.inputs_of(k)
+        after = moved(led, x[k], u, guess.dt, substeps, u_end)
         x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
     return replace(guess, x=x, x_next=x_next)
 
@@ -274,7 +275,7 @@ def _moves_on(library: Library, data: Transitions, i: int) -> bool:
     now, past = rows, rows - length
     moved = data.x[now + length, i] - data.x[now, i]
     before = (data.x[now, i] - data.x[past, i]).unsqueeze(-1)
-    sums = torch.cat([torch.zeros_like(data.u[:1]), data.u.cumsum(0)])
+    sums = torch.cat([torch.zeros_like(data.u[:1]), data.mean_inputs.cumsum(0)])
     u, u_past = ((sums[k + length] - sums[k]) / length for k in (now, past))
     columns = torch.cat([library(data.x[now], u), u_past], -1)
     columns = columns[:, columns.isfinite().all(0)]

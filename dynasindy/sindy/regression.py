@@ -139,8 +139,9 @@ def integral_form(library: Theta, data: Transitions) -> Rows:
     """Average the functions over each sampling interval and take the mean rate of change over it.
 
     Under zero-order hold the input is constant within an interval and jumps between two, so neither a centred
-    difference nor a derivative filter is right; the trapezoidal rule within the interval is. A difference equation has
-    its functions where the interval begins, and nothing is averaged.
+    difference nor a derivative filter is right; the trapezoidal rule within the interval is. Inputs that move are
+    taken where the interval ends. A difference equation has its functions where the interval begins, and nothing is
+    averaged.
 
     Args:
         library: `(x, u) -> (N, n_features)`, with a `step` where it is of a difference equation.
@@ -153,9 +154,9 @@ def integral_form(library: Theta, data: Transitions) -> Rows:
     if time_step_of(library) is not None:
         return library(data.x, data.u), (data.x_next - data.x) / data.dt
     if len(data) > AT_ONCE:
-        theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.u))
+        theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.last_inputs))
     else:  # where single operations cost more than what they compute
-        ends = library(torch.cat([data.x, data.x_next]), torch.cat([data.u, data.u]))
+        ends = library(torch.cat([data.x, data.x_next]), torch.cat([data.u, data.last_inputs]))
         theta = 0.5 * (ends[: len(data)] + ends[len(data) :])
     return theta, (data.x_next - data.x) / data.dt
 
@@ -169,10 +170,10 @@ def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
     data = data.to(torch.float64)
     if time_step_of(field) is not None:
         return library(data.x, data.u), (data.x_next - data.x) / data.dt
-    bend = field(data.x, data.u) - field(data.x_next, data.u)
+    bend = field(data.x, data.u) - field(data.x_next, data.last_inputs)
     middle = 0.5 * (data.x + data.x_next) + data.dt / 8 * bend
-    ends = library(data.x, data.u) + library(data.x_next, data.u)
-    return (ends + 4 * library(middle, data.u)) / 6, (data.x_next - data.x) / data.dt
+    ends = library(data.x, data.u) + library(data.x_next, data.last_inputs)
+    return (ends + 4 * library(middle, data.mean_inputs)) / 6, (data.x_next - data.x) / data.dt
 
 
 def means(rows: Rows, count: int) -> Rows:
@@ -437,14 +438,14 @@ def weak_form(theta: Theta, measured: Transitions, guess: Transitions, rates: Ma
     Raises:
         ValueError: no segment has two transitions.
     """
-    functions, changes = [], []
+    functions, changes, inputs = [], [], guess.mean_inputs
     for segment in guess.segment.unique_consecutive().tolist():
         mine = guess.segment == segment
         rows = mine.nonzero().flatten()
         if len(rows) < 2:
             continue
         within = min(half, max(1, (len(rows) - 1) // 2))
-        mean = theta(0.5 * (guess.x[rows] + guess.x_next[rows]), guess.u[rows])
+        mean = theta(0.5 * (guess.x[rows] + guess.x_next[rows]), inputs[rows])
         rate = _rates(measured, guess, rows, rates)
         bump = (1 - torch.linspace(-1, 1, 2 * within + 1, dtype=torch.float64)[1:-1].square()) ** 4
         both = torch.cat([0.5 * (mean[:-1] + mean[1:]), rate], -1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -272,9 +271,8 @@ class Propagator:
             return ends[:, 0], slopes[:, 0]
         stages = 4 * substeps * (len(self.xi) + len(self.jacobian) + self.n_x)
         length = max(1, MOST // stages)
-        ends = [None] * max(1, math.ceil(len(x) / length)) if u_end is None else u_end.split(length)
-        parts = zip(x.split(length), u.split(length), ends, strict=False)
-        found = [self._transfer(a, b, dt, substeps, end) for a, b, end in parts]
+        parts = zip(x.split(length), u.split(length), (u if u_end is None else u_end).split(length), strict=True)
+        found = [self._transfer(a, b, dt, substeps, None if u_end is None else c) for a, b, c in parts]
         return torch.cat([end for end, _ in found]), torch.cat([slopes for _, slopes in found])
 
     def trajectories(

@@ -17,7 +17,7 @@ from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.systems.integrators import moved
+from dynasindy.systems.integrators import trajectory
 from dynasindy.systems.interpreter import simulate_program
 from dynasindy.systems.transitions import Transitions
 
@@ -36,7 +36,7 @@ class Windows:
     Attributes:
         rows: place of the first transition of each window in the recording, `(W,)`.
         first: states measured at the beginning of each window, `(W, n_x)`, NaN where not measured.
-        inputs: inputs held in each interval, `(W, L, n_u)`.
+        inputs: inputs at the start of each interval, `(W, L, n_u)`.
         measured: states measured at the ends of the intervals, `(W, L, n_x)`, zero where not measured.
         mask: 1 where a state was measured at the end of an interval of the recording, else 0, `(W, L, n_x)`.
         joined: whether a window continues the one before, bool `(W,)`.
@@ -46,6 +46,7 @@ class Windows:
             white.
         likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
             every coefficient is as likely as any other.
+        last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
     """
 
     rows: Tensor
@@ -58,6 +59,7 @@ class Windows:
     substeps: int = 1
     lasting: Tensor | None = None
     likely: Tensor | None = None
+    last_inputs: Tensor | None = None
 
     @classmethod
     def of(cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1) -> Windows:
@@ -78,16 +80,18 @@ class Windows:
                 inside.append(torch.arange(length) < len(part))
                 follows.append(joined and k > 0)
         places, within = torch.stack(rows), torch.stack(inside)
+        u, u_end = data.inputs_of(places)
         after = data.x_next[places]
         return cls(
             rows=torch.tensor(starts),
             first=data.x[torch.tensor(starts)],
-            inputs=data.u[places],
+            inputs=u,
             measured=after.nan_to_num(),
             mask=(within.unsqueeze(-1) & ~after.isnan()).to(after.dtype),
             joined=torch.tensor(follows),
             dt=data.dt,
             substeps=substeps,
+            last_inputs=u_end,
         )
 
     def __len__(self) -> int:
@@ -177,12 +181,15 @@ class Flow:
         """Derivatives of the states by the window's start, shapes and Xi, `(W, L, n_x, n_x + S + P)`."""
         estimate, windows = self.estimate, self.windows
         propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
-        return propagator.trajectories(estimate.nodes, windows.inputs, windows.dt, windows.substeps)[1]
+        inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
+        return propagator.trajectories(estimate.nodes, *inputs)[1]
 
     def part(self, rows: slice) -> Flow:
         """Return the trajectories of some of the windows."""
         names = ("rows", "first", "inputs", "measured", "mask", "joined")
-        windows = replace(self.windows, **{name: getattr(self.windows, name)[rows] for name in names})
+        last = None if self.windows.last_inputs is None else self.windows.last_inputs[rows]
+        parts = {name: getattr(self.windows, name)[rows] for name in names}
+        windows = replace(self.windows, **parts, last_inputs=last)
         estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
         part = Flow(estimate, self.parameters, windows, self.predicted[rows])
         part.__dict__["s"] = self.s[rows]
@@ -213,14 +220,14 @@ def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
     try:
         formulas = write_program(estimate.library, estimate.xi)
-        return simulate_program(formulas, estimate.nodes, windows.inputs, windows.dt, windows.substeps)
+        inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
+        return simulate_program(formulas, estimate.nodes, *inputs)
     except (ValueError, OSError):
         pass  # a function has no formula, or there is no compiler
-    field, x, states = generate(estimate.library, estimate.xi), estimate.nodes, []
-    for u in windows.inputs.unbind(1):
-        x = moved(field, x, u, windows.dt, windows.substeps)
-        states.append(x)
-    return torch.stack(states, 1)
+    field, last = generate(estimate.library, estimate.xi), windows.last_inputs
+    ends = None if last is None else last.movedim(1, 0)
+    states = trajectory(field, estimate.nodes, windows.inputs.movedim(1, 0), windows.dt, windows.substeps, ends)
+    return states.movedim(0, 1)
 
 
 def _white(rows: Tensor, windows: Windows) -> Tensor:

@@ -112,7 +112,7 @@ class Oracle(WorldModel):
 def one_step_error(model: System, data: Transitions, substeps: int = 1) -> Tensor:
     """Return the root-mean-square one-step error of each state, relative to its standard deviation, `(n_x,)`."""
     with torch.no_grad():
-        x = moved(model, data.x, data.u, data.dt, substeps)
+        x = moved(model, data.x, data.u, data.dt, substeps, data.u_end)
     return (x - data.x_next).square().mean(0).sqrt() / data.x_next.std(0).clamp_min(1e-300)
 
 
@@ -130,8 +130,9 @@ def open_loop(model: System, data: Transitions, substeps: int = 1) -> Tensor:
     begins = data.begins().nonzero().flatten().tolist()
     with torch.no_grad():
         parts = [
-            trajectory(model, data.x[first], data.u[first:last], data.dt, substeps)
+            trajectory(model, data.x[first], u, data.dt, substeps, u_end)
             for first, last in pairwise([*begins, len(data)])
+            for u, u_end in [data.inputs_of(slice(first, last))]
         ]
     return torch.cat(parts) if parts else torch.empty_like(data.x_next)
 

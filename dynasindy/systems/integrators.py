@@ -1,4 +1,4 @@
-"""How a system moves under a zero-order hold of the inputs, by fixed steps."""
+"""How a system moves under inputs that are held, or move in straight lines, by fixed steps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from dynasindy.systems.base import System
-from dynasindy.systems.steps import Stops, VectorField, steps_of, time_step_of
+from dynasindy.systems.interpreter import simulate_program
+from dynasindy.systems.steps import Stops, VectorField, between, steps_of, time_step_of
 
 COARSE = 1e-3
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""
@@ -21,39 +22,44 @@ AT_ONCE = 1 << 22
 """Numbers of a trajectory that machine code holds at once, all steps of a period included."""
 
 
-def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float) -> Tensor:
+def rk4(f: VectorField, x: Tensor, u: Tensor, dt: float, u_end: Tensor | None = None) -> Tensor:
     """Advance states by one classical fourth-order Runge-Kutta step.
 
     Args:
         f: Vector field, `(x, u) -> dx`.
         x: States, `(*batch, n_x)`.
-        u: Inputs held over the step, `(*batch, n_u)`.
+        u: Inputs at the start of the step, `(*batch, n_u)`.
         dt: Length of the step [s].
+        u_end: Inputs at its end, to which they move in a straight line, `(*batch, n_u)`; held if omitted.
 
     Returns:
         States one step later, `(*batch, n_x)`.
     """
     k1 = f(x, u)
-    k2 = f(torch.add(x, k1, alpha=0.5 * dt), u)
-    k3 = f(torch.add(x, k2, alpha=0.5 * dt), u)
-    k4 = f(torch.add(x, k3, alpha=dt), u)
+    middle = between(u, u_end, 0.5)
+    k2 = f(torch.add(x, k1, alpha=0.5 * dt), middle)
+    k3 = f(torch.add(x, k2, alpha=0.5 * dt), middle)
+    k4 = f(torch.add(x, k3, alpha=dt), u if u_end is None else u_end)
     return torch.add(x, torch.add(k1 + k4, k2 + k3, alpha=2.0), alpha=dt / 6)
 
 
-def _stepped(f: VectorField, x: Tensor, u: Tensor, h: float, difference: bool) -> Tensor:
+def _stepped(f: VectorField, x: Tensor, u: Tensor, h: float, difference: bool, u_end: Tensor | None = None) -> Tensor:
     """Return states, `(*batch, n_x)`, one step of h [s] later: of a difference equation, or a Runge-Kutta step."""
-    return torch.add(x, f(x, u), alpha=h) if difference else rk4(f, x, u, h)
+    return torch.add(x, f(x, u), alpha=h) if difference else rk4(f, x, u, h, u_end)
 
 
-def moved(f: VectorField, x: Tensor, u: Tensor, seconds: float, substeps: int = 1) -> Tensor:
-    """Advance states by some time under held inputs, without stops.
+def moved(
+    f: VectorField, x: Tensor, u: Tensor, seconds: float, substeps: int = 1, u_end: Tensor | None = None
+) -> Tensor:
+    """Advance states by some time, without stops.
 
     Args:
         f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
         x: States, `(*batch, n_x)`.
-        u: Inputs held over the time, `(*batch, n_u)`.
+        u: Inputs at its start, `(*batch, n_u)`.
         seconds: The time [s].
         substeps: Runge-Kutta steps in it; a difference equation has its own.
+        u_end: Inputs at its end, to which they move in a straight line, `(*batch, n_u)`; held if omitted.
 
     Returns:
         States at its end, `(*batch, n_x)`.
@@ -62,8 +68,9 @@ def moved(f: VectorField, x: Tensor, u: Tensor, seconds: float, substeps: int = 
         ValueError: The time is not made of whole steps of a difference equation.
     """
     h, count, difference = steps_of(time_step_of(f), seconds, substeps)
-    for _ in range(count):
-        x = _stepped(f, x, u, h, difference)
+    for k in range(count):
+        begin, end = between(u, u_end, k / count), None if u_end is None else between(u, u_end, (k + 1) / count)
+        x = _stepped(f, x, begin, h, difference, end)
     return x
 
 
@@ -133,20 +140,33 @@ def simulate(
     return repeat_steps(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
 
 
-def trajectory(f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
+def trajectory(
+    f: VectorField, x: Tensor, u: Tensor, dt: float, substeps: int = 1, u_end: Tensor | None = None
+) -> Tensor:
     """Advance states over times that follow each other, as `simulate` does, in little memory.
 
     Args:
         f: Vector field, `(x, u) -> dx`; with an attribute `step` [s] that of a difference equation.
         x: States at the start, `(*batch, n_x)`.
-        u: Inputs held over each time, `(T, *batch, n_u)`, of one time or more.
+        u: Inputs at the start of each time, `(T, *batch, n_u)`, of one time or more.
         dt: Length of each time [s].
         substeps: Runge-Kutta steps in it.
+        u_end: Inputs at its end, to which they move in a straight line, `(T, *batch, n_u)`; held if omitted.
 
     Returns:
         States at the end of each time, `(T, *batch, n_x)`.
     """
     ends = []
+    if u_end is not None:
+        double = x.dtype == u.dtype == torch.float64
+        if double and isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
+            flat = (part.flatten(1, -2).movedim(0, 1) for part in (u.unsqueeze(1), u_end.unsqueeze(1)))
+            found = simulate_program(code.program, x.reshape(-1, x.shape[-1]), next(flat), dt, substeps, next(flat))
+            return found.movedim(1, 0).reshape(*u.shape[:-1], x.shape[-1])
+        for begin, end in zip(u, u_end, strict=True):
+            x = moved(f, x, begin, dt, substeps, end)
+            ends.append(x)
+        return torch.stack(ends)
     for held in u.split(max(1, AT_ONCE // (max(x.numel(), 1) * substeps))):
         ends.append(simulate(f, x, held, dt, substeps)[0][..., -1, :].clone())
         x = ends[-1][-1]

@@ -113,7 +113,7 @@ def steps_of(step: float | None, seconds: float, substeps: int, name: str = "the
     return Steps(step, count, True)
 
 
-def between(u: Tensor, u_end: Tensor | None, share: float) -> Tensor:
+def between(u: Tensor, u_end: Tensor | None, share: float | Tensor) -> Tensor:
     """Return inputs a share of an interval after its start, `(*batch, n_u)`.
 
     Args:
@@ -121,7 +121,7 @@ def between(u: Tensor, u_end: Tensor | None, share: float) -> Tensor:
         u_end: inputs at its end, to which they move in a straight line; held if None.
         share: part of the interval.
     """
-    return u if u_end is None or not share else torch.lerp(u, u_end, share)
+    return u if u_end is None else torch.lerp(u, u_end.to(u.dtype), share)
 
 
 def split_delay(delay: float, dt: float) -> tuple[int, float]:

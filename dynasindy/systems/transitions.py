@@ -8,20 +8,24 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from dynasindy.systems.steps import between
+
 
 @dataclass(frozen=True)
 class Transitions:
-    """Hold N transitions `(x, u, x_next)`, `dt` seconds apart, under zero-order hold of the inputs.
+    """Hold N transitions `(x, u, x_next)`, `dt` seconds apart, under inputs that are held or move in straight lines.
 
     Rows of one segment follow each other in time: where `segment[k] == segment[k + 1]`, `x_next[k]` is `x[k + 1]`.
 
     Attributes:
         x: states at the start of each transition, `(N, n_x)` [SI, or the units of the signature].
-        u: inputs held during each transition, `(N, n_u)` [normalised].
+        u: inputs at the start of each transition, `(N, n_u)` [normalised].
         x_next: states at the end of each transition, `(N, n_x)`.
         dt: time between `x` and `x_next` [s].
         segment: number of the unbroken stretch each row belongs to, `(N,)` int64, in non-decreasing blocks.
         substeps: transitions in a control period, in which the inputs stay as they are.
+        u_end: inputs at the end of each transition, to which they move in a straight line, `(N, n_u)`; equal to `u`
+            where an input is held, None where all are.
     """
 
     x: Tensor
@@ -30,6 +34,7 @@ class Transitions:
     dt: float
     segment: Tensor
     substeps: int = 1
+    u_end: Tensor | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and the sampling time.
@@ -41,6 +46,7 @@ class Transitions:
         n = self.x.shape[0]
         shapes = [tuple(t.shape) for t in (self.x, self.u, self.x_next, self.segment)]
         fits = self.x.ndim == self.u.ndim == 2 and self.x_next.shape == self.x.shape
+        fits &= self.u_end is None or self.u_end.shape == self.u.shape
         if not fits or self.u.shape[0] != n or self.segment.shape != (n,):
             raise ValueError(
                 f"Transitions got shapes x, u, x_next, segment = {shapes}; allowed are (N, n_x), (N, n_u), "
@@ -100,11 +106,45 @@ class Transitions:
             segments.append(part.segment + offset)
             offset += int(part.segment.max()) + 1 if len(part) else 0
         x, u, x_next = (torch.cat([getattr(p, name) for p in parts]) for name in ("x", "u", "x_next"))
-        return cls(x, u, x_next, parts[0].dt, torch.cat(segments), parts[0].substeps)
+        held = all(part.u_end is None for part in parts)
+        u_end = None if held else torch.cat([part.last_inputs for part in parts])
+        return cls(x, u, x_next, parts[0].dt, torch.cat(segments), parts[0].substeps, u_end)
 
     def __len__(self) -> int:
         """Count the transitions."""
         return self.x.shape[0]
+
+    def inputs_of(self, rows: Tensor | slice | int) -> tuple[Tensor, Tensor | None]:
+        """Return the inputs at the start and at the end of some transitions, `(*rows, n_u)`; None if all are held."""
+        return self.u[rows], None if self.u_end is None else self.u_end[rows]
+
+    @property
+    def last_inputs(self) -> Tensor:
+        """Inputs at the end of each transition, `(N, n_u)`."""
+        return self.u if self.u_end is None else self.u_end
+
+    @property
+    def mean_inputs(self) -> Tensor:
+        """Inputs halfway through each transition, `(N, n_u)`."""
+        return between(self.u, self.u_end, 0.5)
+
+    @property
+    def linear_inputs(self) -> Tensor:
+        """Which inputs move within transitions, bool `(n_u,)`."""
+        return (self.last_inputs != self.u).any(0)
+
+    def with_linear_inputs(self, which: Sequence[bool] | None = None) -> Transitions:
+        """Return the transitions under inputs that move in straight lines from sample to sample.
+
+        In the last transition of a segment they are held, as what follows is not known.
+
+        Args:
+            which: inputs that do; the others are held. All if omitted.
+        """
+        move = torch.ones(self.u.shape[1], dtype=torch.bool) if which is None else torch.tensor(which, dtype=torch.bool)
+        goes_on = torch.cat([~self.begins()[1:], torch.zeros(1, dtype=torch.bool)])
+        u_end = torch.where(goes_on.unsqueeze(-1) & move, self.u.roll(-1, 0), self.u)
+        return replace(self, u_end=u_end if bool(move.any()) else None)
 
     def begins(self) -> Tensor:
         """Return which rows begin a segment, bool `(N,)`."""
@@ -124,7 +164,8 @@ class Transitions:
         segment = self.segment[keep]
         breaks = torch.zeros_like(keep)
         breaks[1:] = ((keep.diff() > 1) | (segment.diff() != 0)).long()
-        return replace(self, x=self.x[keep], u=self.u[keep], x_next=self.x_next[keep], segment=breaks.cumsum(0))
+        u, u_end = self.inputs_of(keep)
+        return replace(self, x=self.x[keep], u=u, x_next=self.x_next[keep], segment=breaks.cumsum(0), u_end=u_end)
 
     def last(self, n: int) -> Transitions:
         """Keep the newest `n` rows."""
@@ -134,7 +175,8 @@ class Transitions:
         """Cast states and inputs."""
         if self.x.dtype == self.u.dtype == self.x_next.dtype == dtype:
             return self
-        return replace(self, x=self.x.to(dtype), u=self.u.to(dtype), x_next=self.x_next.to(dtype))
+        u_end = None if self.u_end is None else self.u_end.to(dtype)
+        return replace(self, x=self.x.to(dtype), u=self.u.to(dtype), x_next=self.x_next.to(dtype), u_end=u_end)
 
 
 def _segments(x: Tensor, x_next: Tensor) -> Tensor:

@@ -222,7 +222,7 @@ def test_orders_are_compared_over_all_stretches_that_are_long_enough():
         rows = range(start, start + 5)
         if start and rows[-1] < len(data) and data.segment[start - 1] == data.segment[rows[-1]]:
             misses += [float(data.x_next[k, 0]) ** 2 for k in rows]
-    zero = LinearModel(2, torch.tensor([True, False]), torch.zeros(5, 1, dtype=torch.float64))
+    zero = LinearModel(2, torch.tensor([True, False]), torch.zeros(5, 1, dtype=torch.float64), torch.tensor([False]))
     expected = sum(misses) / len(misses) / float(data.x_next[:, 0].var())
     assert len(misses) == 5 * (7 + 15) and zero._error(data, 5) == pytest.approx(expected)
 
