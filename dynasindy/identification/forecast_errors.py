@@ -334,6 +334,23 @@ def _predicted(model: SindyModel, data: Transitions, starts: Tensor, later: Tens
     return _simulated(model, begin, late.inputs_of(later), data.dt).nan_to_num(math.inf, math.inf, -math.inf)
 
 
+def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, starts: Tensor, steps: int) -> Tensor:
+    """Return what a model predicts after some rows, `(S, steps, n_x)`, infinite where it runs away.
+
+    Its states are estimated on samples before, as many as `forecast_errors` would take, or all that there are.
+
+    Args:
+        model: a fitted model.
+        training: what it was fitted to, its states those of the model.
+        data: the recording, likewise.
+        starts: rows of the last samples that are known, one segment's, `(S,)`.
+        steps: sampling times that are predicted.
+    """
+    longest = min(max(round(characteristic(training) / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
+    length = int(starts.min()) if len(starts) == 1 else _length(model, training, longest, [steps])
+    return _predicted(model, data, starts, starts.unsqueeze(-1) + torch.arange(steps), length)
+
+
 def _real(data: Transitions, starts: Tensor, later: Tensor, ahead: Tensor) -> Tensor:
     """Return what was measured after each start, `(S, T, n_x)`, NaN where nothing was, or beyond its segment."""
     inside = torch.arange(later.shape[1]) < ahead[starts].unsqueeze(-1)

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from benchmarks.common import add_count, commit, output_path, run_command
 from dynasindy.safe_io import Row, write_csv, write_rows
-from dynasindy.systems import Tras, integrate
+from dynasindy.systems import System, Tras, integrate
 from dynasindy.systems.tras import TrasConstants
 
 DT, DELAY, HELD = 0.01, 1, 4.0
@@ -60,18 +60,28 @@ class Rig(Tras):
         return dx + torch.stack((zero, zero, push_a / inertia_a, push_p / k.inertia_p, zero, zero), -1)
 
 
-def record_closed_loop(seconds: float, logs: int, gust: float = 0.0) -> tuple[Tensor, Tensor]:
+def record_closed_loop(
+    seconds: float,
+    logs: int,
+    gust: float = 0.0,
+    plant: System | None = None,
+    noise: tuple[float, float] = NOISE,
+    drift: float = 0.0,
+) -> tuple[Tensor, Tensor]:
     """Fly along random references and return what was logged, several logs side by side.
 
     Args:
         seconds: Length of each flight [s].
         logs: Flights, which differ in references and noise.
         gust: Standard deviation of accelerations that nothing explains, on both axes [rad/s^2].
+        plant: What is flown; `Rig` if omitted.
+        noise: Standard deviation of the speeds of tail and main rotor [rpm].
+        drift: Share by which what the inputs do grows until the end.
 
     Returns:
         Measured states `(T, logs, 6)`, their rates NaN, and commands `(T, logs, 2)`.
     """
-    plant, generator = Rig(), torch.Generator().manual_seed(0)
+    plant, generator = plant or Rig(), torch.Generator().manual_seed(0)
     gains = [torch.tensor(gain, dtype=torch.float64) for gain in (BIAS, PROPORTIONAL, INTEGRAL, DERIVATIVE)]
 
     def _normal(*scale: float) -> Tensor:
@@ -87,7 +97,7 @@ def record_closed_loop(seconds: float, logs: int, gust: float = 0.0) -> tuple[Te
             reference = (2 * drawn - 1) * torch.tensor(RANGE)
         y = x.clone()
         y[:, :2] = STEP * torch.round(x[:, :2] / STEP)
-        y[:, 4:] += _normal(*NOISE)
+        y[:, 4:] += _normal(*noise)
         y[:, 2:4] = (y[:, :2] - (seen[max(0, k - OLD)] if seen else y)[:, :2]) / (OLD * DT)
         error = reference - y[:, :2]
         u = gains[0] + gains[1] * error + gains[2] * integral - gains[3] * y[:, 2:4]
@@ -96,7 +106,7 @@ def record_closed_loop(seconds: float, logs: int, gust: float = 0.0) -> tuple[Te
         seen.append(y)
         past.append(u)
         with torch.no_grad():
-            x = integrate(plant, x, past[k], DT, 2, plant.stops)[0][:, -1]
+            x = integrate(plant, x, (1 + drift * k * DT / seconds) * past[k], DT, 2, plant.stops)[0][:, -1]
         push = push * (1 - DT / LASTING) + (2 * DT / LASTING) ** 0.5 * _normal(gust)
         x[:, 2:4] += DT * push
     measured = torch.stack(seen)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -33,29 +32,29 @@ def score(found: Tensor, truth: Tensor) -> Score:
     return int((true & mine).sum()), int((mine & ~true).sum()), float(worst)
 
 
-def pysindy_of(model: SindyModel, data: Transitions, score: Callable[[SindyModel], float]) -> SindyModel:
-    """Return PySINDy's model of the same functions: smoothed states, the threshold whose score is the least.
+def pysindy_of(model: SindyModel, data: Transitions, threshold: float) -> SindyModel:
+    """Return PySINDy's model of the same functions and smoothed states, at a threshold.
 
     Args:
         model: Names the functions, and what is known of the equations; it is not fitted.
         data: Training log, NaN where a state was not measured.
-        score: Error of a model on the training log.
+        threshold: Of coefficients of columns and rates of unit norm.
+
+    Raises:
+        ValueError: A state is left without an equation.
     """
     import pysindy
 
     guess = reconstruct(data, rate_states(model.library, model.constraints), True)
     theta, dx = model.library(guess.x, guess.u), (guess.x_next - guess.x) / data.dt
-    found: list[tuple[float, SindyModel]] = []
-    for threshold in (*THRESHOLDS, 0.01, 0.001):
-        norms = dx.norm(dim=0).clamp_min(1e-300)
-        optimizer = pysindy.STLSQ(threshold=threshold / 100, alpha=0, normalize_columns=True)
-        xi = stlsq((theta, dx / norms), optimizer) * norms
-        theirs = SindyModel(model.signature, model.library)
-        theirs.set_coefficients(torch.where(model.constraints.offset.any(0), model.constraints.offset, xi))
-        alike = any(torch.equal(theirs.coefficients, other.coefficients) for _, other in found)
-        if not alike and bool((theirs.coefficients != 0).any(0).all()):
-            found.append((score(theirs), theirs))
-    return min(found, key=lambda pair: pair[0])[1]
+    norms = dx.norm(dim=0).clamp_min(1e-300)
+    optimizer = pysindy.STLSQ(threshold=threshold, alpha=0, normalize_columns=True)
+    xi = stlsq((theta, dx / norms), optimizer) * norms
+    theirs = SindyModel(model.signature, model.library)
+    theirs.set_coefficients(torch.where(model.constraints.offset.any(0), model.constraints.offset, xi))
+    if bool((theirs.coefficients == 0).all(0).any()):
+        raise ValueError("a state has no equation")
+    return theirs
 
 
 def integral_rows(library: Library, data: Transitions) -> Rows:

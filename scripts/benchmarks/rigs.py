@@ -1,465 +1,378 @@
-"""Logs of real plants: models chosen on the training log alone, the test log scored once.
+"""Logs of real plants: models chosen on the training log alone, beside simple ones, the test log scored once.
 
 The logs are not part of the project; `--data` names the folder that holds them. Where they come from, and what was
-measured, stands in docs/results/README.md. Our models and the published physics are those of rigs.yaml. Beside them
-stand a linear model fitted in the same way, PySINDy with the same functions at its best threshold (of the tanks with
-functions of the reading and its rate, as it takes no hidden state), and the last value held.
+measured, stands in docs/results/README.md. A rig is an entry of rigs.yaml: what is kept to score on, the horizons, and
+columns where the file does not say them. `ours` is what `identify` makes of `read` by default; simple models are those
+of opponents.py.
 """
 
 from __future__ import annotations
 
 import argparse
-import copy
-import itertools
 import math
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 import yaml
-from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from torch import Tensor
 
-from benchmarks.common import EquationSystem, add_choices, add_output, append, commit
+from benchmarks.bench_surrogate import DRY, DT, Rig, record_closed_loop
+from benchmarks.common import add_choices, add_output, append, commit
+from benchmarks.opponents import (
+    FIRST,
+    KEPT,
+    Array,
+    Arx,
+    Fit,
+    HeatedBodies,
+    Held,
+    InverseDynamics,
+    Log,
+    Places,
+    Predictor,
+    StateSpace,
+    choose,
+)
 from benchmarks.pysindy_regression import pysindy_of
-from dynasindy.safe_io import Row, read_rows, write_rows
-from dynasindy.sensing import Observer, Sensors
-from dynasindy.sindy.delay import delay_inputs
+from dynasindy.data.headings import CLOCKS, SECONDS, in_radians, plain_heading, split_unit
+from dynasindy.identification.forecast_errors import predict_ahead
+from dynasindy.identification.source import Source
+from dynasindy.safe_io import Row, read_rows, write_csv, write_rows
 from dynasindy.sindy.model import SindyModel
+from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
-from dynasindy.systems.base import Signature, System
-from dynasindy.systems.integrators import moved
+from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.workbench import identify, read
 
-Array = NDArray[np.float64]
-Result = tuple[list[Row], list[Row]]
-"""Scores, and errors over the test log."""
-COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "delay_seconds", "cpu_seconds", "commit")
+COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "cpu_seconds", "commit")
 COURSES = ("rig", "model", "seconds", "error", "unit", "commit")
 POINTS = 250
 """Errors of each model over the test log that are kept, evenly spread."""
-FACTS = yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text())
+STARTS, TRIED = 200, 40
+"""Samples from which predictions are scored, and from which models are chosen, at most."""
+FACTS: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text())
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
     parser.add_argument("--data", type=Path, required=True, help="folder of the logs")
-    add_choices(parser, "--rigs", RIGS)
+    add_choices(parser, "--rigs", FACTS)
+    add_choices(parser, "--models", MODELS)
     add_output(parser, "rigs")
 
 
 def main(arguments: argparse.Namespace) -> None:
-    """Fit and score rigs, and append a row per rig, model and metric."""
+    """Fit and score models of rigs, and append a row per rig, model and metric."""
     torch.set_num_threads(1)
     for rig in arguments.rigs:
-        rows, courses = RIGS[rig](arguments.data)
-        append(arguments.out, COLUMNS, [{"rig": rig, **row} for row in rows])
-        if courses:
-            path = arguments.out.with_name(f"{arguments.out.stem}_over_time.csv")
-            others = [row for row in read_rows(path) if row["rig"] != rig] if path.exists() else []
-            write_rows(path, COURSES, [*others, *({"rig": rig, **row, "commit": commit()} for row in courses)])
-
-
-def signature_of(facts: Mapping[str, Any]) -> Signature:
-    """Return names, units and ranges that stand in rigs.yaml; the input is `u`."""
-    return Signature(tuple(facts["states"]), tuple(facts["states"].values()), ("u",), tuple(facts["scale"]))
-
-
-def build_model(rig: str, name: str) -> SindyModel:
-    """Return a model of rigs.yaml, which is not fitted yet."""
-    facts = FACTS[rig] | FACTS[rig]["models"][name]
-    more = {name: facts[name] for name in ("known", "allowed", "fixed", "initial") if name in facts}
-    refinement = Refinement("trajectory", **facts["refinement"])
-    return SindyModel(signature_of(facts), facts["functions"], Regression("bic"), refinement, **more)
-
-
-def published_physics(rig: str) -> EquationSystem:
-    """Return the published physics of a rig."""
-    return EquationSystem(signature_of(FACTS[rig]), **FACTS[rig]["published"])
+        with tempfile.TemporaryDirectory() as folder:
+            case = Case.of(rig, arguments.data, Path(folder))
+            for model in case.models(arguments.models):
+                rows, courses = score(case, model)
+                append(arguments.out, COLUMNS, rows)
+                if courses:
+                    path = arguments.out.with_name(f"{arguments.out.stem}_over_time.csv")
+                    before = read_rows(path) if path.exists() else []
+                    others = [row for row in before if (row["rig"], row["model"]) != (rig, model)]
+                    write_rows(path, COURSES, [*others, *({**row, "commit": commit()} for row in courses)])
 
 
 @dataclass(frozen=True)
-class Log:
-    """A log as it was measured, at its own rate.
+class Case:
+    """A rig, its logs, and what is scored.
 
     Attributes:
-        y: Measured states, `(N, n_x)`, NaN where not measured.
-        u: Inputs, `(N, n_u)`.
-        dt: Sampling time [s].
+        rig: Its name.
+        facts: Its entry in rigs.yaml.
+        files: Of the training log, or the one of which the last part is kept.
+        states: What is measured, by name, with the unit of the file.
+        training: Logs to fit, of every n-th sample.
+        test: Log to score.
+        begin: Sample of it from which on it is scored.
     """
 
-    y: Array
-    u: Array
-    dt: float
+    rig: str
+    facts: Mapping[str, Any]
+    files: Sequence[Path]
+    states: Mapping[str, str]
+    training: Sequence[Log]
+    test: Log
+    begin: int
 
-    def thinned(self, by: int) -> Transitions:
-        """Keep every n-th sample; of the inputs in between the mean."""
-        n = (len(self.y) - 1) // by
-        held = self.u[: n * by].reshape(n, by, -1).mean(1)
-        return Transitions.from_trajectory(
-            torch.from_numpy(self.y[: n * by + 1 : by].copy()), torch.from_numpy(held), self.dt * by
-        )
+    @classmethod
+    def of(cls, rig: str, data: Path, made: Path) -> Case:
+        """Read the logs of a rig from the folder of the data, or make them in another folder."""
+        facts = FACTS[rig]
+        if "made" in facts:
+            data = made
+            write_surrogate(made / f"{rig}.csv", **facts["made"])
+        by, kept = facts.get("thin", 1), facts.get("kept")
+        files = [data / f"{rig}.csv"] if kept else sorted(data.glob(f"{rig}_train*.csv"))
+        logs, states = zip(*(read_log(file, facts.get("columns", {})) for file in files), strict=True)
+        thin = [log.thinned(by) for log in logs]
+        if kept:
+            begin = round((1 - kept) * len(thin[0]))
+            return cls(rig, facts, files, states[0], [thin[0].part(0, 1 - kept)], thin[0], begin)
+        test = read_log(data / f"{rig}_test.csv", facts.get("columns", {}))[0].thinned(by)
+        return cls(rig, facts, files, states[0], thin, test, 0)
+
+    def models(self, wanted: Sequence[str]) -> list[str]:
+        """Return which of the models it has; some are of one rig alone."""
+        return [name for name in wanted if name not in SPECIAL or name in self.facts.get("models", ())]
+
+    def steps(self, seconds: float) -> int:
+        """Return a horizon in samples."""
+        return max(1, round(seconds / self.test.dt))
+
+    def cost(self, model: Predictor) -> float:
+        """Return the mean logarithm of a model's errors on the last quarter of the training logs, in their spreads."""
+        found = []
+        for log in self.training:
+            begin, spread = round((1 - KEPT) * len(log)), log.y.std(0)
+            found += [errors_ahead(model, log, begin, self.steps(h), TRIED)[:, -1] for h in self.facts["horizons"]]
+            found += [errors_simulated(model, log, begin)] if self.facts.get("simulated") else []
+        sizes = [rms(errors / spread) for errors in found if len(errors)]
+        return float(np.mean(np.log(np.clip(sizes, 1e-9, 1e3)))) if sizes else math.inf
 
 
-def read_log_columns(path: Path) -> Mapping[str, Array]:
-    """Return the columns of a log by the names in its first line."""
-    with path.open(encoding="utf-8") as file:
-        names = [name.split(" [")[0].strip() for name in file.readline().split(",")]
-    values = np.loadtxt(path, delimiter=",", skiprows=1)
-    return dict(zip(names, values.T, strict=True))
-
-
-def read_log(
-    path: Path, states: Mapping[int, str], n_x: int, u: Callable[[Mapping[str, Array]], Array], dt: float
-) -> Log:
-    """Return a log of `n_x` states, of which those at some places are columns of the file."""
-    columns = read_log_columns(path)
-    inputs = u(columns)
-    y = np.full((len(inputs), n_x), np.nan)
-    for place, name in states.items():
-        y[:, place] = columns[name]
-    return Log(y, inputs[:, None], dt)
-
-
-def simulate(model: System, x0: Tensor, data: Transitions, substeps: int) -> Tensor:
-    """Return the states of an open-loop simulation, `(N + 1, n_x)`, under the inputs as they take effect.
+def read_log(path: Path, columns: Mapping[str, Any]) -> tuple[Log, dict[str, str]]:
+    """Return a log at even times, and the units of what is measured by its name.
 
     Args:
-        model: What is simulated, with the delay of its inputs if it has one.
-        x0: State at the beginning, `(n_x,)`.
-        data: Recording whose inputs and sampling time are read.
-        substeps: Runge-Kutta steps in a sample.
+        path: The file.
+        columns: Names of `time`, `states` and `inputs`, as far as the headings do not say them.
     """
-    late = delay_inputs(data, float(getattr(model, "delay", 0.0)))
-    states = [x0]
-    with torch.no_grad():
-        for u in late.u:
-            states.append(moved(model, states[-1], u, data.dt, substeps))
-    return torch.stack(states)
+    table = pd.read_csv(path, skipinitialspace=True)
+    split = [split_unit(plain_heading(heading.strip())) for heading in table.columns]
+    units, table.columns = dict(split), [name for name, _ in split]
+    clock = columns.get("time") or next(name for name in units if name.lower() in CLOCKS)
+    inputs = columns.get("inputs") or [name for name in units if name.split("_")[0] in ("u", "input")]
+    states = columns.get("states") or [name for name in units if name not in (clock, *inputs)]
+    seconds = SECONDS.get(units[clock] or clock.rpartition("_")[2], 1.0)
+    t = seconds * table[clock].to_numpy(np.float64)
+    y, u = table[states].to_numpy(np.float64), table[inputs].to_numpy(np.float64)
+    dt, apart = float(t[-1] - t[0]) / (len(t) - 1), np.diff(t)
+    if np.abs(apart - dt).max() > 0.1 * dt:  # not even
+        dt = float(np.median(apart))
+        even = t[0] + dt * np.arange(round((t[-1] - t[0]) / dt) + 1)
+        y = np.stack([np.interp(even, t, column) for column in y.T], -1)
+        u = u[np.searchsorted(t, even + 0.5 * dt, "right") - 1]
+    return Log(y, u, dt), {name: units[name] for name in states}
+
+
+def errors_ahead(model: Predictor, log: Log, begin: int, steps: int, most: int = STARTS) -> Array:
+    """Return errors up to some samples ahead, `(S, steps, n_y)`, the last ones behind `begin`; NaN before it."""
+    first, last = max(FIRST, begin - steps), len(log) - 1 - steps
+    starts = np.unique(np.linspace(first, last, most).round().astype(np.int64)) if last >= first else np.zeros(0, int)
+    if not len(starts):
+        return np.zeros((0, steps, log.y.shape[1]))
+    later = starts[:, None] + np.arange(1, steps + 1)
+    errors = np.nan_to_num(model.predict(log, starts, steps), nan=np.inf) - log.y[later]
+    errors[later < begin] = np.nan
+    return errors
+
+
+def errors_simulated(model: Predictor, log: Log, begin: int) -> Array:
+    """Return the errors of a simulation to the end of a log, `(T, n_y)`; its first samples tell the states."""
+    first = max(FIRST, begin)
+    path = model.predict(log, np.array([first]), len(log) - 1 - first)[0]
+    return np.nan_to_num(path, nan=np.inf) - log.y[first + 1 :]
 
 
 def rms(errors: Array) -> float:
-    """Return the root-mean-square of errors; infinite where one is not finite."""
-    found = float(np.sqrt(np.mean(errors**2)))
+    """Return the root-mean-square of errors, NaN left out; infinite where one is."""
+    found = float(np.sqrt(np.nanmean(errors**2)))
     return found if np.isfinite(found) else float("inf")
 
 
-def fitted(model: SindyModel, data: Transitions) -> tuple[SindyModel, Row]:
-    """Fit a model, and return it with what it cost."""
+def score(case: Case, name: str) -> tuple[list[Row], list[Row]]:
+    """Fit a model and return its scores on the test log, and its errors over a simulation of it."""
     start = time.process_time()
-    model.fit(data)
-    return model, _facts(model, start)
+    with np.errstate(all="ignore"):
+        model = MODELS[name](case)
+        spent = round(time.process_time() - start, 1)
+        found: dict[str, Array] = {}
+        for h in case.facts["horizons"]:
+            errors = errors_ahead(model, case.test, case.begin, case.steps(h))
+            found |= {f"{h:g} s ahead": errors[:, -1], f"over {h:g} s": errors}
+        if case.facts.get("simulated"):
+            found["test simulated"] = errors_simulated(model, case.test, case.begin)
+        facts = {"rig": case.rig, "model": name, "coefficients": model.coefficients, "cpu_seconds": spent}
+        rows, courses = [], []
+        found = {metric: errors for metric, errors in found.items() if len(errors)}  # the log may be too short
+        for (metric, errors), (group, of) in product(found.items(), case.facts["scores"].items()):
+            places = [list(case.states).index(state) for state in of.get("states", case.states)]
+            mine = of.get("scale", 1.0) * errors[..., places]
+            label = metric if metric == "test simulated" else f"{group} {metric}"
+            rows.append({**facts, "metric": f"{label}, RMSE", "value": float(f"{rms(mine):.4g}"), "unit": of["unit"]})
+            if metric == "test simulated":
+                facts_of = {"rig": case.rig, "model": name, "unit": of["unit"]}
+                courses += [{**facts_of, **row} for row in course(mine[:, 0], case.test.dt, FIRST + 1)]
+    return rows, courses
 
 
-def _facts(model: SindyModel, start: float) -> Row:
-    print(*model.equations(), sep="\n", flush=True)
-    return {
-        "coefficients": int((model.coefficients[model.constraints.free] != 0).sum()),
-        "delay_seconds": round(model.delay, 6),
-        "cpu_seconds": round(time.process_time() - start, 1),
-    }
-
-
-def _row(model: str, metric: str, value: float, unit: str) -> Row:
-    return {"model": model, "metric": metric, "value": _round(value), "unit": unit}
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.4g}")
-
-
-def course(model: str, errors: Array, dt: float, unit: str) -> list[Row]:
-    """Return rows of errors over a log, evenly spread; one that is not finite, and those behind it, are left out.
-
-    Args:
-        model: What made them.
-        errors: `(N,)`, in `unit`.
-        dt: Time between two of them [s].
-        unit: Of the errors.
-    """
+def course(errors: Array, dt: float, first: int) -> list[Row]:
+    """Return errors `(N,)`, from a first sample on, evenly spread; none from one on that is not finite."""
     kept = np.linspace(0, len(errors) - 1, min(len(errors), POINTS)).round().astype(int)
     kept = kept[np.isfinite(errors).cumprod().astype(bool)[kept]]
-    return [
-        {"model": model, "seconds": _round(dt * int(k)), "error": _round(float(errors[k])), "unit": unit} for k in kept
-    ]
+    return [{"seconds": float(f"{dt * (first + k):.4g}"), "error": float(f"{errors[k]:.4g}")} for k in kept]
 
 
-FIRST = 20
-"""Samples at the beginning of a log from which its start state is read."""
-FORCE = 100.0
-"""Force of a full input of the EMPS axis [N]."""
+@dataclass(frozen=True)
+class Equations:
+    """A model in equations, which predicts from states that are estimated on the samples before.
+
+    Attributes:
+        model: The model.
+        source: What it was fitted to, with what is measured of its states first known by `outputs`.
+        outputs: States that are measured, in the order of the log.
+        factors: From the units of the log to those of the model, of each output.
+        whole: Whether it is of all samples where the others have every n-th.
+    """
+
+    model: SindyModel
+    source: Source
+    outputs: Sequence[str]
+    factors: Array
+    whole: bool = False
+
+    @property
+    def coefficients(self) -> int:
+        """How many numbers were fitted."""
+        return int((self.model.coefficients[self.model.constraints.free] != 0).sum())
+
+    def predict(self, log: Log, starts: Places, steps: int) -> Array:
+        """Return what is predicted for the samples after each start."""
+        by = round(log.dt / log.whole.dt) if self.whole and log.whole else 1
+        data = transitions(
+            log.whole if by > 1 and log.whole else log, self.source.signature, self.outputs, self.factors
+        )
+        training = self.source.with_states_of(self.model).training
+        test = replace(self.source, training=data, validation=_none(data)).with_states_of(self.model).training
+        places = [self.model.signature.state_index(name) for name in self.outputs]
+        path = predict_ahead(self.model, training, test, by * torch.from_numpy(starts), by * steps)
+        return path[:, by - 1 :: by, places].numpy() / self.factors
 
 
-def emps(folder: Path) -> Result:
-    """Measure the EMPS axis: position over the whole test log, simulated open loop from its start [mm]."""
-    logs = {
-        name: read_log(folder / f"emps_{name}.csv", {0: "q"}, 2, lambda columns: columns["u_force"] / FORCE, 1e-3)
-        for name in ("train", "test")
-    }
-    data, q, metric = logs["train"].thinned(5), logs["test"].y[:, 0], "{} simulated, RMSE"
-    models: dict[str, System] = {}
-    rows: list[Row] = []
+def transitions(log: Log, signature: Signature, outputs: Sequence[str], factors: Array) -> Transitions:
+    """Return a log as states and inputs of a signature, NaN where a state is not measured."""
+    low, high = np.array(signature.input_ends or (WHOLE,) * signature.n_u).T
+    x = np.full((len(log), signature.n_x), np.nan)
+    x[:, [signature.state_index(name) for name in outputs]] = factors * log.y
+    u = (log.u - 0.5 * (low + high)) / (0.5 * (high - low))
+    return Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u), log.dt)
 
-    def _score(name: str, among: Sequence[str], facts: Row) -> None:
-        for log in among:
-            error = rms(axis_errors(models[name], logs[log]))
-            rows.append(_row(name, metric.format(log), error, "mm") | facts)
 
-    for name in FACTS["emps"]["models"]:
-        models[name], facts = fitted(build_model("emps", name), data)
-        _score(name, ("train", "test"), facts)
-    models["pysindy"] = pysindy_of(
-        build_model("emps", "ours"), data, lambda model: rms(axis_errors(model, logs["train"]))
+def _none(data: Transitions) -> Transitions:
+    return data.select(torch.zeros(len(data), dtype=torch.bool))
+
+
+def ours(case: Case) -> Predictor:
+    """Read and identify with all settings at their defaults."""
+    more = {"validation_share": case.facts["kept"]} if "kept" in case.facts else {}
+    source = read([str(file) for file in case.files], **case.facts.get("columns", {}), **more)
+    names = source.signature.state_names
+    units = zip(source.signature.state_units, case.states.values(), strict=True)
+    factors = np.array([1.0 if mine == unit else in_radians(unit)[1] for mine, unit in units])
+    model = identify(source, **case.facts.get("identify", {}))
+    print(*model.equations(), *model.findings, sep="\n", flush=True)
+    return Equations(model, source, names, factors, whole=True)
+
+
+def structure(case: Case) -> Predictor:
+    """Fit equations whose functions rigs.yaml has."""
+    facts = case.facts["structure"]
+    signature = Signature(
+        tuple(facts["states"]),
+        tuple(facts["states"].values()),
+        ("u",),
+        tuple(facts["scale"]),
+        input_ends=tuple(map(tuple, facts.get("ends", ()))),
     )
-    models["published physics"] = published_physics("emps")
-    for name in ("pysindy", "published physics"):
-        _score(name, ("train", "test"), {})
-    drawn = [name for name in models if name != "ours, held by a spring"]
-    # With everything scored: what the same functions make of the test log tells whether the axis rubs as before.
-    again = "ours, fitted to the test log"
-    models[again], _ = fitted(build_model("emps", "ours"), logs["test"].thinned(5))
-    _score(again, ("test",), {})
-    for name, speed in itertools.product(("ours", again), (0.125, -0.125)):
-        rows.append(_row(name, f"force at {speed} m/s", steady_force(models[name], speed), "N"))
-    held = 1e3 * (q[0] - q)
-    rows.append(
-        _row("training log replayed", metric.format("test"), replay_rmse(logs["train"].y[:, 0], q), "mm"),
-    )
-    rows.append(_row("last value held", metric.format("test"), rms(held), "mm"))
-    courses = [course(name, axis_errors(models[name], logs["test"]), 2 * logs["test"].dt, "mm") for name in drawn]
-    return rows, [*itertools.chain(*courses), *course("last value held", held, logs["test"].dt, "mm")]
+    more = {name: facts[name] for name in ("known", "allowed", "fixed", "initial") if name in facts}
+    refinement = Refinement("trajectory", **facts["refinement"])
+    model = SindyModel(signature, facts["functions"], Regression("bic"), refinement, **more)
+    outputs = facts.get("measured", list(case.states))
+    ones = np.ones(len(outputs))
+    data = Transitions.cat([transitions(log, signature, outputs, ones) for log in case.training])
+    model.fit(data)
+    print(*model.equations(), sep="\n", flush=True)
+    return Equations(model, Source(signature, data, _none(data)), outputs, ones)
 
 
-def axis_errors(model: System, log: Log) -> Array:
-    """Return the errors of a simulation of the axis from its start [mm], at every second sample."""
-    q = log.y[:, 0]
-    # A cubic, as the axis gathers speed there: a line would find the mean speed of the samples, not the first one.
-    slope, place = np.polyfit(log.dt * np.arange(FIRST), q[:FIRST], 3)[2:]
-    path = simulate(model, torch.tensor([place, slope]), log.thinned(2), 2)[:, 0].numpy()
-    errors: Array = 1e3 * (path - q[::2][: len(path)])
-    return errors
+def pysindy(case: Case) -> Predictor:
+    """Return PySINDy's model of monomials of the measured states, and of differentiated rates where they help."""
+    names = [f"x{i}" for i in range(len(case.states))]
+    known = {name: f"{name}_rate" for name in names}
+    ones, reach = np.ones(len(names)), np.abs(np.vstack([log.u for log in case.training])).max(0)
+
+    def _fit(logs: Sequence[Log], degree: int, rates: Mapping[str, str], threshold: float) -> Predictor:
+        signature = Signature(
+            (*names, *rates.values()),
+            ("-",) * (len(names) + len(rates)),
+            tuple(f"u{i}" for i in range(len(reach))),
+            (*np.abs(np.vstack([log.y for log in logs])).max(0), *ones[: len(rates)]),
+            input_ends=tuple((-size, size) for size in reach),
+        )
+        data = Transitions.cat([transitions(log, signature, names, ones) for log in logs])
+        model = SindyModel(signature, partial(polynomial, degree=degree), Regression(), Refinement(), known=rates)
+        model = pysindy_of(model, data, threshold)
+        return Equations(model, Source(signature, data, _none(data)), names, ones)
+
+    grid = product((1, 2, 3), (known, {}), (1e-3, 1e-2, 0.1))
+    ways: list[Fit] = [partial(_fit, degree=degree, rates=rates, threshold=size) for degree, rates, size in grid]
+    return choose(ways, case.training, case.cost)
 
 
-def steady_force(model: System, speed: float) -> float:
-    """Return the force [N] at which a model keeps a speed [m/s] in the middle of the axis, at 0.125 m.
-
-    Args:
-        model: States are the place [m] and the speed [m/s], the input is the force in 100 N.
-        speed: What is kept.
-    """
-    x = torch.tensor([0.125, speed], dtype=torch.float64)
-    with torch.no_grad():
-        none, full = (float(model(x, torch.tensor([u], dtype=torch.float64))[1]) for u in (0.0, 1.0))
-    return FORCE * none / (none - full)
+def _chosen(ways: Callable[[Sequence[Log]], list[Fit]], case: Case) -> Predictor:
+    return choose(ways(case.training), case.training, case.cost)
 
 
-def replay_rmse(before: Array, q: Array) -> float:
-    """Return the RMSE [mm] if another log, in which the axis moves alike, is taken as the prediction of a log.
-
-    Args:
-        before: Places of the axis in the other log [m], `(M,)`.
-        q: Places that are forecast [m], `(N,)`; they are compared as far as both logs go.
-    """
-    both = min(len(before), len(q))
-    return 1e3 * float(np.sqrt(np.mean((before[:both] - q[:both]) ** 2)))
-
-
-STEP = 2 * math.pi / 2048
-"""Resolution of both encoders of the QUBE [rad]."""
-HORIZONS = (20, 50)
-"""Samples of 10 ms ahead: 0.2 and 0.5 s; over 1 s an error of the start state grows a million times."""
-LAST = 100
-"""Samples at the end of a log from which nothing is predicted."""
+MODELS: dict[str, Callable[[Case], Predictor]] = {
+    "ours": ours,
+    "ours with structure": structure,
+    "ARX": partial(_chosen, Arx.ways),
+    "ARX with a cubic": partial(_chosen, partial(Arx.ways, cubic=True)),
+    "subspace": partial(_chosen, StateSpace.ways),
+    "pysindy": pysindy,
+    "inverse dynamics": partial(_chosen, InverseDynamics.ways),
+    "second-order linear": lambda case: HeatedBodies.fit(case.training),
+    "last value held": lambda case: Held(),
+}
+SPECIAL = ("ours with structure", "ARX with a cubic", "inverse dynamics", "second-order linear")
+"""Models of those rigs alone whose entries name them."""
 
 
-def qube(folder: Path) -> Result:
-    """Measure the QUBE pendulum: both angles 0.2 and 0.5 s ahead, from every 0.1 s of the test log [mrad]."""
-    files = {name: folder / f"qube_{name}.csv" for name in ("train_1", "train_2", "test")}
-    logs = {
-        name: read_log(
-            file, {0: "theta", 1: "alpha"}, 4, lambda columns: np.clip(columns["u_voltage"], -10, 10) / 10, 2e-3
-        ).thinned(5)
-        for name, file in files.items()
-    }
-    train = Transitions.cat([logs["train_1"], logs["train_2"]])
+class HarderRig(Rig):
+    """The bench surrogate with a cable that stiffens and with friction that peaks before it slips."""
 
-    def _score(model: System) -> float:
-        return _both(ahead(model, logs["train_1"], logs["train_2"])[0][0])
-
-    models: dict[str, tuple[System, Row]] = {
-        name: fitted(build_model("qube", name), train) for name in FACTS["qube"]["models"]
-    }
-    # What a user gets who knows nothing of the plant; the order of its states is that of the logs, rates last.
-    start = time.process_time()
-    default = identify(read([str(files[name]) for name in ("train_1", "train_2")]))
-    print(*default.findings, sep="\n")
-    models["ours by default"] = (default, _facts(default, start))
-    models["published physics"] = (published_physics("qube"), {})
-    models["pysindy"] = (pysindy_of(build_model("qube", "ours"), train, _score), {})
-    rows: list[Row] = []
-    for name, (model, facts) in models.items():
-        errors, held = ahead(model, logs["train_1"], logs["test"])
-        rows += [row | facts for row in ahead_rows(name, errors)]
-        if name == "ours":
-            rows += ahead_rows("last value held", held)
-    return rows, []
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Return dx/dt, `(*batch, 6)`, of states `(*batch, 6)` under inputs `(*batch, 2)` in [-1, 1]."""
+        dx, k = super().forward(x, u), self.constants
+        azimuth, pitch, rate_a, rate_p, *_ = x.unbind(-1)
+        inertia_a = k.inertia_a[0] * pitch.cos().square() + k.inertia_a[1]
+        peak_a, peak_p = (
+            DRY * torch.tanh(rate / 0.02) * torch.exp(-(rate / 0.1).square()) for rate in (rate_a, rate_p)
+        )
+        zero = torch.zeros_like(azimuth)
+        stiff = 0.03 * azimuth * azimuth * azimuth
+        return dx + torch.stack((zero, zero, -(stiff + peak_a) / inertia_a, -peak_p / k.inertia_p, zero, zero), -1)
 
 
-def ahead(model: System, train: Transitions, test: Transitions) -> tuple[Tensor, Tensor]:
-    """Return the errors of a model and of the last value held, each `(horizons, 2)` for theta and alpha, RMSE [rad].
-
-    The states from which a prediction starts are those of a Kalman filter on the same model, which reads the angles up
-    to that moment; its process noise is the one that suits the training log.
-
-    Args:
-        model: What predicts; its states are both angles and their rates, in this order.
-        train: Log on which the filter is set.
-        test: Log to predict, from every 0.1 s after the first half second.
-    """
-    names = model.signature.state_names
-    channels: Any = {name: {"resolution": STEP} for name in names[:2]}
-    sensors = Sensors(channels=channels, rates=dict(zip(names[:2], names[2:], strict=True)))
-    delay = float(getattr(model, "delay", 0.0))
-    env = cast(Any, SimpleNamespace(dt=train.dt, substeps=2, stops=None))
-    if delay:
-        model = copy.copy(model)
-        cast(Any, model).delay = 0.0  # the filter reads inputs as they take effect
-    observer = Observer(model, sensors, env)
-    known, late = delay_inputs(train, delay), delay_inputs(test, delay)
-    observer.learn(torch.cat([known.x, known.x_next[-1:]]), known.u)
-    y = torch.cat([late.x, late.x_next[-1:]])
-    with torch.no_grad():
-        states = observer.follow(y, late.u)[0]
-        starts = torch.arange(50, len(late) - LAST, 10)
-        x, errors, held = states[starts], [], []
-        for k in range(max(HORIZONS)):
-            x = moved(model, x, late.u[starts + k], late.dt, 2)
-            if k + 1 in HORIZONS:
-                after = y[starts + k + 1, :2]
-                errors.append((x[:, :2] - after).square().mean(0).sqrt())
-                held.append((y[starts, :2] - after).square().mean(0).sqrt())
-    return torch.stack(errors), torch.stack(held)
-
-
-def ahead_rows(model: str, errors: Tensor) -> list[Row]:
-    """Return a row per horizon, of both angles together and of each."""
-    rows = []
-    for seconds, error in zip((0.2, 0.5), errors, strict=True):
-        each = {"both angles": _both(error), "theta": float(error[0]), "alpha": float(error[1])}
-        rows += [_row(model, f"{of} {seconds:g} s ahead, RMSE", 1e3 * value, "mrad") for of, value in each.items()]
-    return rows
-
-
-def _both(error: Tensor) -> float:
-    return float(error.square().mean().sqrt())
-
-
-FINE = 8
-"""Runge-Kutta steps in a sample of the tanks, whose sensor follows within a second."""
-RIM = 10.0
-"""Reading at which the sensor of the tanks ends [V]."""
-FAR = 1e3
-"""Reading at which a model that runs away is stopped [V]."""
-
-
-def tanks(folder: Path) -> Result:
-    """Measure the cascaded tanks: reading of the lower level over the whole test log, simulated from its start [V]."""
-    logs = {
-        name: read_log(folder / f"tanks_{name}.csv", {3: "level_2"}, 4, lambda columns: columns["u"], 4.0)
-        for name in ("train", "test")
-    }
-    data, level = (
-        {name: log.thinned(1) for name, log in logs.items()},
-        {name: log.y[:, 3] for name, log in logs.items()},
-    )
-    models = {
-        "ours": fitted(build_model("tanks", "ours"), data["train"]),
-        "linear": fitted(build_model("tanks", "linear"), states_of(data["train"], [0, -1])),
-        "pysindy": (pysindy_tanks(data["train"], level["train"], FACTS["tanks"]["pysindy"]), {}),
-    }
-    rows: list[Row] = []
-    courses: list[Row] = []
-    for name, (model, facts) in models.items():
-        for log in logs:
-            errors = reading_errors(model, data[log], level[log])
-            rows.append(_row(name, f"{log} simulated, RMSE", rms(errors), "V") | facts)
-        courses += course(name, errors, 4.0, "V")
-    held = level["test"][0] - level["test"]
-    rows.append(_row("last value held", "test simulated, RMSE", rms(held), "V"))
-    return rows, [*courses, *course("last value held", held, 4.0, "V")]
-
-
-def pysindy_tanks(data: Transitions, level: Array, sets: Sequence[Sequence[str]]) -> SindyModel:
-    """Return PySINDy's model of the tanks: it takes no hidden state, so the rate of the reading is the second one.
-
-    Of several sets of functions that one is taken whose error on the training log is the least.
-
-    Args:
-        data: Training log; its last state is the reading.
-        level: The reading as it was measured [V], `(N + 1,)`.
-        sets: Sets of functions that are tried.
-    """
-    signature = Signature(("reading", "rate"), ("V", "V/s"), ("u",), (10.0, 0.1))
-
-    def _score(model: SindyModel) -> float:
-        return rms(reading_errors(model, data, level))
-
-    def _model(words: Sequence[str]) -> SindyModel:
-        return SindyModel(signature, words, Regression("bic"), Refinement(), known={"reading": "rate"})
-
-    return min((pysindy_of(_model(words), states_of(data, [-1, 0]), _score) for words in sets), key=_score)
-
-
-def states_of(data: Transitions, places: list[int]) -> Transitions:
-    """Return a recording of some of the states; of the tanks the last one was measured, and no other.
-
-    Args:
-        data: The recording.
-        places: Columns of the states that are kept, in this order.
-    """
-    return replace(data, x=data.x[:, places], x_next=data.x_next[:, places])
-
-
-def reading_errors(model: SindyModel, data: Transitions, level: Array) -> Array:
-    """Return the errors of a simulation of the reading [V], `(N + 1,)`; its hidden states fit the first samples.
-
-    Args:
-        model: Its states are the `reading`, `float`, what the sensor makes of the lower level, and hidden ones.
-        data: Recording whose inputs are read.
-        level: Reading as it was measured [V], `(N + 1,)`.
-    """
-    names = model.signature.state_names
-    reading = names.index("reading")
-
-    def _path(start: Array, n: int) -> Array:
-        part = data.select(torch.arange(len(data)) < n)
-        # Of the tanks and the reading that their sensor makes of them, the latter begins where it was measured.
-        seen = {"float": level[0], "reading": level[0]}
-        hidden = iter(start.tolist())
-        x0 = torch.tensor([seen[name] if name in seen else next(hidden) for name in names], dtype=torch.float64)
-        readings: Array = simulate(model, x0, part, FINE)[:, reading].clamp_max(RIM).numpy()
-        return np.clip(np.nan_to_num(readings, nan=FAR), -FAR, FAR)
-
-    def _error(start: Array) -> Array:
-        error: Array = _path(start, FIRST) - level[: FIRST + 1]
-        return error
-
-    # Within the play the reading does not move with the level: the fit begins from several places below the rim.
-    lower = [level[0] - 5] if "level_2" in names else []
-    starts = [[0.0]] if "rate" in names else [[upper, *lower] for upper in (2.0, 4.0, 6.0)]
-    fits = (least_squares(_error, np.array(start), diff_step=1e-3) for start in starts)
-    found = min(fits, key=lambda fit: float(fit.cost)).x
-    errors: Array = _path(found, len(data)) - level
-    return errors
-
-
-RIGS: dict[str, Callable[[Path], Result]] = {"emps": emps, "qube": qube, "tanks": tanks}
-"""The rigs by name."""
+def write_surrogate(path: Path, columns: Sequence[str], harder: bool = False, seconds: float = 90.0) -> None:
+    """Write a log of the bench surrogate in closed loop: angles by encoders, rotor speeds with noise, no rates."""
+    hard: dict[str, Any] = {"gust": 0.03, "drift": 0.05, "plant": HarderRig()} if harder else {}
+    measured, commands = record_closed_loop(seconds, 1, noise=(20.0, 20.0), **hard)
+    t = DT * torch.arange(len(measured), dtype=torch.float64).unsqueeze(-1)
+    write_csv(path, ["time [s]", *columns], torch.cat([t, measured[:, 0, [0, 1, 4, 5]], commands[:, 0]], -1).tolist())

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.identification.forecast_errors import LinearModel, _length, characteristic, estimate, forecast_errors
+from dynasindy.identification.forecast_errors import (
+    LinearModel,
+    _length,
+    characteristic,
+    estimate,
+    forecast_errors,
+    predict_ahead,
+)
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -42,6 +49,13 @@ def test_a_state_that_no_sensor_sees_is_estimated_from_the_samples_before():
     rows = torch.tensor([100, 400])
     begin, end = estimate(oscillator(), data, rows, 25)
     assert np.allclose(begin, x[[100, 400]], atol=1e-5) and np.allclose(end, x[[125, 425]], atol=1e-5)
+
+
+@pytest.mark.parametrize("starts", [[30], [30, 400, 1390]])
+def test_a_plant_is_predicted_from_its_past_samples(starts):
+    data, x = recording(delay=2)
+    path = predict_ahead(oscillator(2 * DT), data, data, torch.tensor(starts), 100)
+    assert np.allclose(path, x[np.array(starts)[:, None] + np.arange(1, 101)], atol=1e-4)
 
 
 def test_noise_of_the_sensor_is_averaged_over_the_fit():

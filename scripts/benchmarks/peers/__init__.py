@@ -308,12 +308,10 @@ def rig_log(rig: str, column: str, force: str, thin: int) -> Any:
             raise SystemExit(f"benchmark.py peers: the logs of {rig} need --data FOLDER")
         data: dict[str, Any] = {"states_measured": False}
         for name, suffix in (("train", ""), ("test", "_test")):
-            columns = rigs.read_columns(folder / f"{rig}_{name}.csv")
-            n = len(columns[column]) // thin
-            data["u" + suffix] = columns[force][: n * thin].reshape(n, thin).mean(1)[:, None]
-            data["y" + suffix] = columns[column][: n * thin : thin][:, None]
-        rows, _ = rigs.RIGS[rig](folder)
-        (mine,) = [row for row in rows if row["model"] == "ours" and row["metric"] == "test simulated, RMSE"]
+            log = rigs.read_log(folder / f"{rig}_{name}.csv", {"states": [column], "inputs": [force]})[0].thinned(thin)
+            data["u" + suffix], data["y" + suffix] = log.u, log.y
+        rows, _ = rigs.score(rigs.Case.of(rig, folder, folder), "ours with structure")
+        (mine,) = [row for row in rows if row["metric"] == "test simulated, RMSE"]
         return data, row_of("ours", ours(), mine["value"], mine["unit"], mine["cpu_seconds"])
 
     return read
