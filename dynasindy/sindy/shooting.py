@@ -25,8 +25,9 @@ ENOUGH = 10_000
 """Rows of a recording on which functions are chosen; the coefficients are fitted on all."""
 CHOSEN_STRETCHES = 10
 """Stretches that the rows lie in that are chosen of a long recording."""
-CHUNK = 100_000
-"""Slopes, about, that are condensed at once, so that they stay in fast memory."""
+CHUNK, TALL = 100_000, 4
+"""Slopes, about, that are condensed at once, so that they stay in fast memory, and rows at least for each column, by
+which condensing them is worth its cost."""
 
 
 @dataclass(frozen=True)
@@ -71,28 +72,32 @@ class Windows:
             joined: whether a window continues the one before; if not, each begins at a state of its own.
             substeps: Runge-Kutta steps in an interval.
         """
-        starts, rows, inside, follows = [], [], [], []
-        for segment in data.segment.unique().tolist():
-            mine = (data.segment == segment).nonzero().flatten()
-            for k, part in enumerate(mine.split(length)):
-                starts.append(int(part[0]))
-                rows.append(torch.cat([part, part[-1:].expand(length - len(part))]))
-                inside.append(torch.arange(length) < len(part))
-                follows.append(joined and k > 0)
-        places, within = torch.stack(rows), torch.stack(inside)
+        begins = data.begins()
+        within_segment = torch.arange(len(data)) - data.segment_starts()
+        starts = (within_segment % length == 0).nonzero().flatten()
+        ends = torch.cat([starts[1:], torch.tensor([len(data)])])
+        places = starts.unsqueeze(-1) + torch.arange(length)
+        within = places < ends.unsqueeze(-1)
+        places = torch.minimum(places, ends.unsqueeze(-1) - 1)
         u, u_end = data.inputs_of(places)
         after = data.x_next[places]
         return cls(
-            rows=torch.tensor(starts),
-            first=data.x[torch.tensor(starts)],
+            rows=starts,
+            first=data.x[starts],
             inputs=u,
             measured=after.nan_to_num(),
             mask=(within.unsqueeze(-1) & ~after.isnan()).to(after.dtype),
-            joined=torch.tensor(follows),
+            joined=joined & ~begins[starts],
             dt=data.dt,
             substeps=substeps,
             last_inputs=u_end,
         )
+
+    def of_states(self, chosen: Tensor) -> Windows:
+        """Return what was measured of some states, bool `(n_x,)`."""
+        lasting = None if self.lasting is None else self.lasting[chosen]
+        measured, mask = self.measured[..., chosen], self.mask[..., chosen]
+        return replace(self, first=self.first[:, chosen], measured=measured, mask=mask, lasting=lasting)
 
     def __len__(self) -> int:
         """Count the windows."""
@@ -198,7 +203,8 @@ class Flow:
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""
         finite = self.predicted.square().isfinite().all(-1).all(-1)
-        if bool(finite.all()):
+        squares = torch.dot(flat := self.s.flatten(), flat) if bool(finite.all()) else torch.zeros(())
+        if not bool(squares.isfinite()):
             finite = self.s.square().isfinite().flatten(1).all(-1)
         return ~finite
 
@@ -298,17 +304,17 @@ def _degree(feature: Feature, name: str) -> float:
     )
 
 
-def _scale_constraints(exponents: Tensor, xi: Tensor, rows: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
+def _scale_constraints(exponents: Tensor, xi: Tensor, norms: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
     """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`.
 
     Nothing measured depends on such a change, so the fit of everything else is the same with them.
     """
     features, states = places
-    count = len(features)
-    norms = rows[:, -1 - count : -1].norm(dim=0)
+    width, count = len(norms), len(features)
+    norms = norms[-1 - count : -1]
     # The direction in which the fit would move, in coefficients by which the errors move alike.
     along = exponents[:, features, states] * xi[features, states] * norms
-    held = rows.new_zeros(len(exponents), rows.shape[1])
+    held = norms.new_zeros(len(exponents), width)
     held[:, -1 - count : -1] = along * norms / along.norm(dim=-1, keepdim=True).clamp_min(1e-300)
     return held
 
@@ -358,8 +364,10 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     if sigma is None:
         require_bounded(flow)
         sigma = flow.sigma()
-    triangles, rest, moves = _condensed(flow, sigma, 1 + flow.s.numel() // CHUNK)
-    parameters, rows = flow.parameters, torch.cat([*triangles, rest])
+    seen, width = int(_observed(flow.windows).sum()), flow.s.shape[-1]
+    tall = flow.s[..., 0, 0].numel() * seen // (TALL * width)
+    triangles, rest, moves = _condensed(flow, sigma, max(1, min(1 + flow.s.numel() // CHUNK, tall)))
+    parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
     errors, cost = _weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
     scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
@@ -393,19 +401,23 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         R of the errors of `count` parts of the recording, `(<= F + P + 1, F + P + 1)`, rows that are of none, and how
         the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
     """
-    windows, n_x = flow.windows, flow.predicted.shape[-1]
-    joined = bool(windows.joined.any())
+    windows, observed = flow.windows, _observed(flow.windows)
+    joined, n_seen = bool(windows.joined.any()), int(observed.sum())
     nodes, triangles, moves = _condense(flow) if joined else None, list[Tensor](), list[Tensor]()
     parts = 1 if windows.lasting is not None or len(windows) < count else count
     for of_part in torch.arange(len(windows)).tensor_split(parts):
         mine = slice(int(of_part[0]), int(of_part[-1]) + 1)
         part = flow.part(mine) if parts > 1 else flow
-        rows, moved = _alone(part, sigma) if nodes is None else (_joined(part, sigma, nodes[mine]), nodes[mine])
-        units = len(windows) if len(windows) >= count // parts > 1 else len(rows) // n_x
+        if nodes is None:
+            rows, moved = _alone(part, sigma, observed)
+        else:
+            rows, moved = _joined(part, sigma, nodes[mine], observed), nodes[mine]
+        units = len(windows) if len(windows) >= count // parts > 1 else len(rows) // n_seen
         pieces = rows.unflatten(0, (units, -1)).tensor_split(count // parts)
         triangles += [torch.linalg.qr(piece.flatten(0, 1), mode="r")[1] for piece in pieces if len(piece)]
         moves.append(moved)
-    rest = [_starts(flow, sigma, nodes, torch.cat(triangles))] if nodes is not None else []
+    norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
+    rest = [_starts(flow, sigma, nodes, norms)] if nodes is not None else []
     if windows.likely is not None:
         rest.append(_small(flow, triangles[0].shape[1]))
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
@@ -414,36 +426,44 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         may = parameters.support(estimate.xi.shape)
         exponents = _free_scales(estimate.library, estimate.xi, may, unseen)[1]
         places = parameters.features, parameters.states
-        rest.append(_scale_constraints(exponents, estimate.xi, torch.cat([*triangles, *rest]), places))
+        norms = torch.cat([norms.unsqueeze(0), *rest]).norm(dim=0)
+        rest.append(_scale_constraints(exponents, estimate.xi, norms, places))
     return triangles, torch.cat([triangles[0][:0], *rest]), torch.cat(moves)
 
 
-def _joined(flow: Flow, sigma: Tensor, moves: Tensor) -> Tensor:
-    """Return the weighted rows of windows of one trajectory, `(W L n_x, F + P + 1)`.
+def _observed(windows: Windows) -> Tensor:
+    """Return which states have errors, bool `(n_x,)`: the rows of the others are zero. All where none has."""
+    seen = windows.mask.flatten(0, 1).any(0) | ~windows.first.isnan().all(0)
+    return seen if bool(seen.any()) else ~seen
+
+
+def _joined(flow: Flow, sigma: Tensor, moves: Tensor, observed: Tensor) -> Tensor:
+    """Return the weighted rows of windows of one trajectory, `(W L n_seen, F + P + 1)`.
 
     Args:
         flow: the windows.
         sigma: error of each state, `(n_x,)`.
         moves: how their nodes move, `(W, n_x, F + P + 1)`.
+        observed: states that have errors, bool `(n_x,)`.
     """
-    windows, n_x = flow.windows, flow.predicted.shape[-1]
+    n_x, windows = flow.predicted.shape[-1], flow.windows.of_states(observed)
+    s = flow.s[:, :, observed]
     # error - d predicted: the node's move, then shapes and coefficients.
-    columns = (flow.s.flatten(1, 2)[..., :n_x] @ moves).unflatten(1, (-1, n_x))
-    n_own = flow.s.shape[-1] - n_x
-    columns[..., -1 - n_own : -1] += flow.s[..., n_x:]
-    columns[..., -1] = windows.measured - flow.predicted - columns[..., -1]
-    columns = _white(columns * windows.mask.unsqueeze(-1), windows) / sigma.unsqueeze(-1)
+    columns = (s[..., :n_x].flatten(1, 2) @ moves).unflatten(1, s.shape[1:3])
+    columns[..., -1 - s.shape[-1] + n_x : -1] += s[..., n_x:]
+    columns[..., -1] = windows.measured - flow.predicted[..., observed] - columns[..., -1]
+    columns = _white(columns.mul_((windows.mask / sigma[observed]).unsqueeze(-1)), windows)
     return columns.flatten(0, 2)
 
 
-def _starts(flow: Flow, sigma: Tensor, moves: Tensor, triangles: Tensor) -> Tensor:
-    """Return the weighted rows of the starts of trajectories, `(2 S n_x, F + P + 1)`; `triangles` are of the others."""
+def _starts(flow: Flow, sigma: Tensor, moves: Tensor, norms: Tensor) -> Tensor:
+    """Return the weighted rows of the starts of trajectories, `(2 S n_x, F + P + 1)`; `norms` are of the others."""
     estimate, windows, begun = flow.estimate, flow.windows, ~flow.windows.joined
     start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1)).flatten(0, 1)
-    return torch.cat([starts, _held(estimate, begun, torch.cat([triangles, starts]))])
+    return torch.cat([starts, _held(estimate, begun, torch.cat([norms.unsqueeze(0), starts]))])
 
 
 def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
@@ -491,14 +511,14 @@ def _small(flow: Flow, width: int) -> Tensor:
     return rows
 
 
-def _alone(flow: Flow, sigma: Tensor) -> tuple[Tensor, Tensor]:
-    """Return weighted rows of windows on their own, `(W (L + 1) n_x, F + P + 1)`, and how their nodes move.
+def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
+    """Return weighted rows of windows on their own, `(W (L + 1) n_seen, F + P + 1)`, and how their nodes move.
 
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
-    n_x, (every, seen) = flow.predicted.shape[-1], _every(flow)
-    every = _white(every, replace(flow.windows, mask=seen)) / sigma.unsqueeze(-1)
-    rows = every.flatten(1, 2)
+    n_x, (every, seen) = flow.predicted.shape[-1], _every(flow, observed)
+    windows = replace(flow.windows.of_states(observed), mask=seen)
+    rows = _white(every.div_(sigma[observed].unsqueeze(-1)), windows).flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
@@ -514,16 +534,17 @@ def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
     return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
 
 
-def _every(flow: Flow) -> tuple[Tensor, Tensor]:
-    """Return slopes and errors of each window's start and samples, `(W, L + 1, n_x, n_x + S + P + 1)`, and which count.
+def _every(flow: Flow, observed: Tensor) -> tuple[Tensor, Tensor]:
+    """Return slopes and errors of each window's start and samples, `(W, L + 1, n_seen, n_x + S + P + 1)`.
 
-    They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_x)`.
+    They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_seen)`.
     """
-    n_x, (error, seen) = flow.predicted.shape[-1], _errors(flow)
-    first = torch.zeros_like(flow.s[:, 0])
-    first[..., :n_x] = torch.eye(n_x, dtype=first.dtype)
-    slopes = torch.cat([first.unsqueeze(1), flow.s], 1)
-    return torch.cat([slopes, error.unsqueeze(-1)], -1) * seen.unsqueeze(-1), seen
+    error, seen = (part[..., observed] for part in _errors(flow))
+    every = error.new_zeros(*error.shape, flow.s.shape[-1] + 1)
+    every[:, 0, :, : len(observed)] = torch.eye(len(observed), dtype=error.dtype)[observed]
+    every[:, 1:, :, :-1] = flow.s[:, :, observed]
+    every[..., -1] = error
+    return every.mul_(seen.unsqueeze(-1)), seen
 
 
 def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:

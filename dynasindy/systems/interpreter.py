@@ -22,7 +22,7 @@ from dynasindy.systems.machine import Program
 from dynasindy.systems.steps import Steps, steps_of
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS, Tangents, parsed
 
-WIDTH = 32
+WIDTH = 16
 """Rows that are handled at once."""
 OPERATIONS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.USub)
 CALLS = (*FORMULA_FUNCTIONS, "exceeds")

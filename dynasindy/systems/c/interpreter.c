@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { W = @width@ };
+enum { W = @width@, TILE = 8 }; /* rows that are computed at once, and columns that stay in fast memory */
 enum { ADD, SUB, MUL, DIV, NEGATIVE, SIN, COS, EXP, TANH, SQRT, FABS, SIGN, SQUARE, LARGER, EXCEEDS };
 
 #define EACH(value) for (int r = 0; r < W; r++) { double p = a[r], q = b[r]; (void)p; (void)q; c[r] = (value); } break
@@ -204,15 +204,20 @@ static void add_shapes(const struct flow *f, double (*own)[W])
 /* From the derivatives of an interval's end by its begin to those by the begin of the first interval. */
 static void chain(int n_x, long columns, double (*own)[W], double (*before)[W], double (*s)[W])
 {
-    for (int i = 0; i < n_x; i++, own += columns, s += columns) {
-        memset(s, 0, n_x * sizeof *s);
-        memcpy(s + n_x, own + n_x, (columns - n_x) * sizeof *s);
-        for (int j = 0; j < n_x; j++)
-            for (long k = 0; k < columns; k++) {
-                const double *p = own[j], *q = before[j * columns + k];
-                double *restrict c = s[k];
-                for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
+    for (long first = 0; first < columns; first += TILE) {
+        long last = first + TILE < columns ? first + TILE : columns;
+        for (int i = 0; i < n_x; i++) {
+            for (long k = first; k < last; k++) {
+                if (k < n_x) memset(s[i * columns + k], 0, sizeof *s);
+                else memcpy(s[i * columns + k], own[i * columns + k], sizeof *s);
             }
+            for (int j = 0; j < n_x; j++)
+                for (long k = first; k < last; k++) {
+                    const double *p = own[i * columns + j], *q = before[j * columns + k];
+                    double *restrict c = s[i * columns + k];
+                    for (int r = 0; r < W; r++) c[r] += p[r] * q[r];
+                }
+        }
     }
 }
 
@@ -279,12 +284,13 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                 spare = before;
             }
             else memcpy(s, own, size * sizeof *s);
-            for (int r = 0; r < width; r++) {
-                long place = (first + r) * periods + t;
-                for (int i = 0; i < n_x; i++) ends[place * n_x + i] = f.at[steps * n_x + i][r];
-                double *to = slopes + place * size;
-                for (long k = 0; k < size; k++) to[k] = s[k][r];
-            }
+            for (int r = 0; r < width; r++)
+                for (int i = 0; i < n_x; i++) ends[((first + r) * periods + t) * n_x + i] = f.at[steps * n_x + i][r];
+            for (long some = 0; some < size; some += TILE)
+                for (int r = 0; r < width; r++) {
+                    double *to = slopes + ((first + r) * periods + t) * size;
+                    for (long k = some; k < size && k < some + TILE; k++) to[k] = s[k][r];
+                }
         }
     }
 }
