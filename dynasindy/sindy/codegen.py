@@ -13,6 +13,8 @@ from dynasindy.sindy.equations import require_finite
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.base import Signature
+from dynasindy.systems.integrators import trajectory
+from dynasindy.systems.interpreter import simulate_program
 from dynasindy.systems.machine import Program
 
 Field = Callable[[Tensor, Tensor], Tensor]
@@ -283,6 +285,31 @@ class _MachineWriter(InfixWriter):
 
     def _plus_scaled(self, total: str, value: str, c: float) -> str:
         return f"{total} + {self._constant(c)} * {value}"
+
+
+def simulate(
+    library: Library, coefficients: Tensor, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
+) -> Tensor:
+    """Predict trajectories by instructions, so that nothing is compiled for a model; by torch code where they cannot.
+
+    Args:
+        library: candidate functions.
+        coefficients: Xi, `(n_features, n_x)`, finite.
+        x: states at the start, `(rows, n_x)` float64.
+        u: inputs at the start of each interval, `(rows, T, n_u)` float64.
+        dt: length of an interval [s].
+        substeps: Runge-Kutta steps in it.
+        u_end: inputs at its end, see `Transitions`.
+
+    Returns:
+        States at the end of each interval, `(rows, T, n_x)`.
+    """
+    try:
+        return simulate_program(write_program(library, coefficients), x, u, dt, substeps, u_end)
+    except (ValueError, OSError):
+        pass  # a function has no formula, or there is no compiler
+    last = None if u_end is None else u_end.movedim(1, 0)
+    return trajectory(generate(library, coefficients), x, u.movedim(1, 0), dt, substeps, last).movedim(0, 1)
 
 
 def write_functions(library: Library, shapes: Sequence[Factor]) -> tuple[Program, list[int | None]]:

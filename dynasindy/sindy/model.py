@@ -29,7 +29,7 @@ from torch import Tensor
 from dynasindy.findings import Finding, note, weak
 from dynasindy.safe_io import read_json, reading, write_json
 from dynasindy.sentences import setting
-from dynasindy.sindy.codegen import Field, generate, write_program
+from dynasindy.sindy.codegen import Field, generate, simulate, write_program
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
@@ -51,7 +51,7 @@ from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, ENOUGH, RunsAway, states_without_scale
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
-from dynasindy.systems.integrators import moved, trajectory
+from dynasindy.systems.integrators import moved, plain, trajectory
 from dynasindy.systems.machine import Machine
 from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
@@ -61,6 +61,8 @@ LONGEST = 1e9
 """Longest step and delay that a file may have [s]."""
 LARGEST_SYSTEM = 200
 """Number of states beyond which a model is taken for damaged."""
+MANY = 8
+"""Trajectories that are worth instructions for several rows at once."""
 LARGEST_FACTOR = 1000
 """Numbers of a coefficient's correlations beyond which it is as well."""
 _Told = Covariance | Callable[[], Covariance | None] | None
@@ -173,9 +175,22 @@ class SindyModel(WorldModel):
         Returns:
             States, `(*batch, T + 1, n_x)`, the start first.
         """
+        rows, batch = x0.shape[:-1].numel(), x0.shape[:-1]
+        if len(batch) and (rows >= MANY or u_end is not None) and self._by_instructions(x0, u):
+            last = None if u_end is None else u_end.flatten(0, -3)
+            flat = x0.flatten(0, -2), u.flatten(0, -3)
+            found = simulate(self.library, self.coefficients, *flat, dt, substeps, last)
+            return torch.cat([x0.unsqueeze(-2), found.unflatten(0, batch)], -2)
         last = None if u_end is None else u_end.movedim(-2, 0)
         states = torch.cat([x0.unsqueeze(0), trajectory(self, x0, u.movedim(-2, 0), dt, substeps, last)])
         return states.movedim(0, -2)
+
+    def _by_instructions(self, x: Tensor, u: Tensor) -> bool:
+        """Tell whether trajectories of many rows are computed by instructions, for which nothing is compiled."""
+        if not self.machine_code or type(self).forward is not SindyModel.forward or self._forward_hooks:
+            return False
+        double = x.dtype == u.dtype == torch.float64 and x.device.type == u.device.type == "cpu"
+        return double and x.shape[:-1] == u.shape[:-2] and plain(x, u, self.coefficients)
 
     @property
     def covariance(self) -> Covariance | None:

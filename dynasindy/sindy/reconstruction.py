@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dynasindy.sindy.codegen import Field, generate
+from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
-from dynasindy.sindy.library import Constraints, Library
+from dynasindy.sindy.library import Constraints, Library, variable
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, shares, simpson_form, weak_form
 from dynasindy.sindy.shooting import ENOUGH, choose_stretches, relative_step, substeps_for
 from dynasindy.systems.base import Signature
-from dynasindy.systems.integrators import moved
 from dynasindy.systems.smoothing import best_length, local_cubic
-from dynasindy.systems.steps import Rates
 from dynasindy.systems.transitions import Transitions
 
 NOISY = 1e-5
@@ -175,22 +173,22 @@ def simulate_hidden_states(
     if not bool(hidden.any()):
         return guess
     own = torch.where(hidden, xi, 0.0)
-    field, x, x_next = generate(library, own), guess.x.clone(), guess.x_next.clone()
+    x, x_next = guess.x.clone(), guess.x_next.clone()
     substeps = substeps_for(relative_step(library, own, guess.x, guess.u, guess.dt))
     # What was seen is known at both ends of an interval, and needs no equations that may be fast.
     leads = torch.where(hidden, 0.0, (guess.x_next - guess.x) / guess.dt)
-    for k in range(len(guess)):
-        if k and bool(guess.segment[k] == guess.segment[k - 1]):
-            x[k] = torch.where(hidden, x_next[k - 1], x[k])
-        led = Rates(partial(_led, field, leads[k]), library.step)
-        u, u_end = guess.inputs_of(k)
-        after = moved(led, x[k], u, guess.dt, substeps, u_end)
-        x_next[k] = torch.where(hidden & after.isfinite(), after, x_next[k])
+    names = [f"_lead_{i}" for i in range(len(hidden))]
+    old = library.signature
+    signature = Signature(old.state_names, old.state_units, (*old.input_names, *names), old.x_scale)
+    led = Library(signature, [*library.features, *map(variable, names)], step=library.step)
+    coefficients = torch.cat([own, torch.eye(len(hidden), dtype=own.dtype)])
+    inputs = torch.cat([guess.u, leads], -1), torch.cat([guess.last_inputs, leads], -1)
+    for first, last in pairwise([*guess.begins().nonzero().flatten().tolist(), len(guess)]):
+        u, u_end = (part[first:last].unsqueeze(0) for part in inputs)
+        ends = simulate(led, coefficients, x[first : first + 1], u, guess.dt, substeps, u_end)[0]
+        x_next[first:last] = torch.where(hidden & ends.isfinite(), ends, x_next[first:last])
+        x[first + 1 : last] = torch.where(hidden, x_next[first : last - 1], x[first + 1 : last])
     return replace(guess, x=x, x_next=x_next)
-
-
-def _led(field: Field, lead: Tensor, x: Tensor, u: Tensor) -> Tensor:
-    return field(x, u) + lead
 
 
 def interpolate_gaps(column: Array) -> Array | None:

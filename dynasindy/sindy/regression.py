@@ -449,9 +449,11 @@ def weak_form(theta: Theta, measured: Transitions, guess: Transitions, rates: Ma
         rate = _rates(measured, guess, rows, rates)
         bump = (1 - torch.linspace(-1, 1, 2 * within + 1, dtype=torch.float64)[1:-1].square()) ** 4
         both = torch.cat([0.5 * (mean[:-1] + mean[1:]), rate], -1)
-        averaged = torch.nn.functional.conv1d(
-            both.mT.unsqueeze(1), (bump / bump.sum()).reshape(1, 1, -1), stride=max(1, within // OVERLAP)
-        )[:, 0].mT
+        stride = max(1, within // OVERLAP)
+        count = (len(both) - len(bump)) // stride + 1
+        averaged = both.new_zeros(count, both.shape[1])
+        for k, weight in enumerate((bump / bump.sum()).tolist()):
+            averaged.add_(both[k : k + stride * (count - 1) + 1 : stride], alpha=weight)
         functions.append(averaged[:, : mean.shape[1]])
         changes.append(averaged[:, mean.shape[1] :])
     if not functions:

@@ -159,7 +159,7 @@ class Parameters:
         """Name these coefficients, then the others."""
         return Parameters(torch.cat([self.features, other.features]), torch.cat([self.states, other.states]))
 
-    def take(self, places: Tensor) -> Parameters:
+    def take(self, places: Tensor | slice) -> Parameters:
         """Return those at the given places."""
         return Parameters(self.features[places], self.states[places])
 

@@ -12,13 +12,11 @@ import torch
 from torch import Tensor
 
 from dynasindy.sentences import setting
-from dynasindy.sindy.codegen import generate, write_program
+from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.systems.integrators import trajectory
-from dynasindy.systems.interpreter import simulate_program
 from dynasindy.systems.transitions import Transitions
 
 ENOUGH = 10_000
@@ -189,6 +187,12 @@ class Flow:
         inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
         return propagator.trajectories(estimate.nodes, *inputs)[1]
 
+    def rejoined(self, joined: Tensor) -> Flow:
+        """Return the same trajectories, of which others continue the window before, bool `(W,)`."""
+        found = replace(self, windows=replace(self.windows, joined=joined))
+        found.__dict__.update({"s": self.s} if "s" in self.__dict__ else {})
+        return found
+
     def part(self, rows: slice) -> Flow:
         """Return the trajectories of some of the windows."""
         names = ("rows", "first", "inputs", "measured", "mask", "joined")
@@ -224,16 +228,8 @@ def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
     """Return the states at the ends of the intervals of all windows, `(W, L, n_x)`."""
     if not bool(estimate.xi.isfinite().all()):
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
-    try:
-        formulas = write_program(estimate.library, estimate.xi)
-        inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
-        return simulate_program(formulas, estimate.nodes, *inputs)
-    except (ValueError, OSError):
-        pass  # a function has no formula, or there is no compiler
-    field, last = generate(estimate.library, estimate.xi), windows.last_inputs
-    ends = None if last is None else last.movedim(1, 0)
-    states = trajectory(field, estimate.nodes, windows.inputs.movedim(1, 0), windows.dt, windows.substeps, ends)
-    return states.movedim(0, 1)
+    inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
+    return simulate(estimate.library, estimate.xi, estimate.nodes, *inputs)
 
 
 def _white(rows: Tensor, windows: Windows) -> Tensor:

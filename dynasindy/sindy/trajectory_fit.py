@@ -260,16 +260,17 @@ def refine_trajectory(
     some = choose_stretches(len(data), ENOUGH)
     part, descent = data.select(some), replace(descent, price=_price(int(some.sum()), free))
     first = Estimate(library, xi, guess[some])
-    found, windows = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
+    flow = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
+    found, windows = flow.estimate, flow.windows
     may_begin_anew = joined is None and not descent.coloured
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
     if may_begin_anew and not seen:
-        windows = replace(windows, joined=_grows(found, windows)[1])
-    if may_begin_anew and seen and _grows(found, windows)[0] > GROWN:
+        windows = replace(windows, joined=_grows(flow)[1])
+    if may_begin_anew and seen and _grows(flow)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
         own = _search_functions(found, free, alone, descent)
-        windows = replace(windows, joined=_grows(own, windows)[1])
+        windows = replace(windows, joined=_grows(Flow.of(own, flow.parameters.take(slice(0)), windows))[1])
         found = _search_functions(own, free, windows, descent)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined, may_begin_anew = own, False, False
@@ -279,11 +280,12 @@ def refine_trajectory(
         found, windows = _fit_with_lasting_errors(found, free, windows, descent)
     if not bool(some.all()):
         support = (found.xi != 0) & free
-        whole, windows = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        flow = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        whole, windows = flow.estimate, flow.windows
         if descent.coloured:
             windows = _lasting(whole, windows)
         elif may_begin_anew:
-            windows = replace(windows, joined=_grows(whole, windows)[1])
+            windows = replace(windows, joined=_grows(flow)[1])
         found, _ = _descend(whole, support, windows, replace(descent, price=_price(len(data), free)))
     elif not descent.coloured:
         found, windows = _finely(found, free, windows, descent)
@@ -324,13 +326,12 @@ def _fit_with_lasting_errors(
     return found, windows
 
 
-def _grows(estimate: Estimate, windows: Windows) -> tuple[float, Tensor]:
+def _grows(flow: Flow) -> tuple[float, Tensor]:
     """Return how much an error of a start grows along windows that join, relative to the spreads of the states.
 
     Beside it are the windows that continue the one before if it may not grow beyond all measure, bool `(W,)`.
     """
-    flow = Flow.of(estimate, Parameters.where(estimate.xi != 0), windows)
-    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12)
+    windows, spread = flow.windows, flow.estimate.nodes.std(0, correction=0).clamp_min(1e-12)
     whole, part, largest, joined = torch.eye(len(spread), dtype=spread.dtype), None, 0.0, windows.joined.clone()
     for j, step in enumerate((flow.s[:, -1, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
         whole = step @ whole if windows.joined[j] else step
@@ -355,9 +356,8 @@ def few_steps(library: Library, xi: Tensor, free: Tensor, data: Transitions, des
     """
     some = choose_stretches(len(data), ENOUGH)
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
-    estimate, windows = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
-    model = _settle(Flow.of(estimate, Parameters.where(support), windows), descent.max_rounds)[1]
-    return left_over(model, windows)
+    flow = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
+    return left_over(_settle(flow, descent.max_rounds)[1], flow.windows)
 
 
 def trajectory_error_ratio(
@@ -373,22 +373,21 @@ def trajectory_error_ratio(
     support, data = (xi != 0) & free, data.to(torch.float64).select(some)
     if not bool(support.any()):
         return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
-    first, windows = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None), COARSE)
+    first = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None), COARSE)
+    windows, joined = first.windows, first.windows.joined
     if not bool(data.x_next.isnan().any()):
-        windows = replace(windows, joined=_grows(first, windows)[1])
-    alone, parameters = replace(windows, joined=torch.zeros_like(windows.joined)), Parameters.where(support)
-    ends = (_settle(Flow.of(first, parameters, part), descent.max_rounds)[0] for part in (windows, alone))
+        joined = _grows(first)[1]
+    ends = (_settle(first.rejoined(j), descent.max_rounds)[0] for j in (joined, torch.zeros_like(joined)))
     error, own = (end.sigma() for end in ends)
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
-    allowed = math.sqrt(max(1 - first.nodes.numel() / max(told, 1.0), NEGLIGIBLE))
-    floor = NEGLIGIBLE * first.nodes.std(0, correction=0) + EXACT
+    nodes = first.estimate.nodes
+    allowed = math.sqrt(max(1 - nodes.numel() / max(told, 1.0), NEGLIGIBLE))
+    floor = NEGLIGIBLE * nodes.std(0, correction=0) + EXACT
     return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
 
 
-def _grown(
-    estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float = FINE
-) -> tuple[Estimate, Windows]:
-    """Return windows of the wanted length, or as long as there are, and an estimate that does not run away in them.
+def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float = FINE) -> Flow:
+    """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away.
 
     The nodes of the first estimate are a guess of the states before each transition, `(N, n_x)`.
     """
@@ -397,22 +396,22 @@ def _grown(
     guess, length = estimate.nodes, descent.window
     prior = likely(estimate.library, estimate.xi, guess, data, length)
 
-    def _cut(found: Estimate, length: int) -> tuple[Estimate, Windows, bool]:
+    def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = replace(Windows.of(data, length, descent.joined is not False, substeps), likely=prior)
-        trial = replace(found, nodes=guess[windows.rows])
-        return trial, windows, bool(Flow.of(trial, parameters, windows).lost().any())
+        trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
+        return trial, bool(trial.lost().any())
 
-    trial, windows, lost = _cut(estimate, length)
+    flow, lost = _cut(estimate, length)
     while lost and length > SHORTEST:
         length = max(SHORTEST, length // LEAPS[0])
-        trial, windows, lost = _cut(estimate, length)
+        flow, lost = _cut(estimate, length)
     while length < descent.window:
-        trial = _settle(Flow.of(trial, parameters, windows), descent.max_rounds)[0].estimate
-        guess = guess.index_copy(0, windows.rows, trial.nodes)
+        flow = _settle(flow, descent.max_rounds)[0]
+        guess = guess.index_copy(0, flow.windows.rows, flow.estimate.nodes)
         longer = [min(leap * length, descent.window) for leap in LEAPS]
-        cuts = ((*_cut(trial, wanted), wanted) for wanted in dict.fromkeys(longer))
-        found = next((cut for cut in cuts if not cut[2]), None)
+        cuts = ((*_cut(flow.estimate, wanted), wanted) for wanted in dict.fromkeys(longer))
+        found = next((cut for cut in cuts if not cut[1]), None)
         if found is None:
             break  # a model that runs away in longer windows is fitted to these
-        trial, windows, _, length = found
-    return trial, windows
+        flow, _, length = found
+    return flow

@@ -10,7 +10,7 @@ import ast
 import ctypes
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import resources
 from typing import NamedTuple
 
@@ -197,6 +197,7 @@ class _SlopesListing(NamedTuple):
     values: int
 
 
+@cache
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
     return load_library(text.replace("@width@", str(WIDTH)), ("simulate", "sensitivities"), fast=True)
