@@ -172,8 +172,12 @@ def read_log(path: Path, columns: Mapping[str, Any]) -> tuple[Log, dict[str, str
 
 
 def errors_ahead(model: Predictor, log: Log, begin: int, steps: int, most: int = STARTS) -> Array:
-    """Return errors up to some samples ahead, `(S, steps, n_y)`, the last ones behind `begin`; NaN before it."""
-    first, last = max(FIRST, begin - steps), len(log) - 1 - steps
+    """Return errors up to some samples ahead, `(S, steps, n_y)`, NaN before `begin`.
+
+    Predictions start behind it; where that leaves them less than their own length, their last samples lie behind it.
+    """
+    last = len(log) - 1 - steps
+    first = max(FIRST, begin if last >= begin + steps else begin - steps)
     starts = np.unique(np.linspace(first, last, most).round().astype(np.int64)) if last >= first else np.zeros(0, int)
     if not len(starts):
         return np.zeros((0, steps, log.y.shape[1]))

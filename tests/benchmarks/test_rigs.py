@@ -103,8 +103,10 @@ def test_orders_are_chosen_without_the_last_quarter_and_fitted_with_it():
 def test_errors_are_those_of_samples_that_are_scored():
     ramp = Log(np.arange(200.0)[:, None], np.zeros((200, 1)), 1.0)
     errors = errors_ahead(Held(), ramp, 150, 10)
-    assert errors.shape == (50, 10, 1) and (errors[:, -1] == -10).all()
-    assert np.isnan(errors[0, :-1]).all() and errors[-1, :, 0].tolist() == list(range(-1, -11, -1))
+    assert errors.shape == (40, 10, 1) and (errors[..., 0] == range(-1, -11, -1)).all()
+    late = errors_ahead(Held(), ramp, 150, 30)
+    assert late.shape == (50, 30, 1) and np.isnan(late[0, :-1]).all() and (late[:, -1] == -30).all()
+    assert not len(errors_ahead(Held(), ramp, 150, 180))
     assert errors_simulated(Held(), ramp, 0)[:2, 0].tolist() == [-1, -2]
     assert rms(np.array([3.0, np.nan, 4.0])) == pytest.approx(12.5**0.5) and rms(np.array([1.0, np.inf])) == math.inf
     rows = course(np.array([0.5, 1.0, np.inf, 2.0]), 0.1, 3)
