@@ -8,13 +8,12 @@ import torch
 from torch import Tensor
 
 from dynasindy.progress import report_progress
-from dynasindy.sindy.codegen import generate
+from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import least_squares, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.sindy.shooting import ENOUGH, MOST_STEPS, choose_stretches, relative_step
-from dynasindy.systems.integrators import moved
+from dynasindy.sindy.shooting import CHUNK, ENOUGH, MOST_STEPS, TALL, choose_stretches, relative_step
 from dynasindy.systems.transitions import Transitions
 
 LONGEST_STEP, MOST_TURNED, MOST = 0.005, 0.05, 200
@@ -56,8 +55,7 @@ def refine_one_step(
         if not len(active) or not len(others):
             break
         report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
-        rows, target, scale = _linear_model(library, xi, active + others, data, floor)
-        triangle, n_shapes = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1], len(library.shapes)
+        (triangle, scale), n_shapes = _triangle(library, xi, active + others, data, floor), len(library.shapes)
         better = reconsider(triangle, n_shapes, active, others, limit)
         if better is None:
             break
@@ -81,9 +79,8 @@ def _descend(
             break
         what = f"{len(parameters)} coefficients, by single steps between {len(data)} samples"
         report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
-        rows, target, scale = _linear_model(library, xi, parameters, data, floor)
-        triangle = torch.linalg.qr(torch.cat([rows, target], -1), mode="r")[1]
-        kept, values = walk_down(triangle, torch.arange(rows.shape[1]) >= n_shapes, math.log(len(data)))
+        triangle, scale = _triangle(library, xi, parameters, data, floor)
+        kept, values = walk_down(triangle, torch.arange(len(scale)) >= n_shapes, math.log(len(data)))
         numbers = [shape.frequency + by for shape, by in zip(library.shapes, (values / scale[kept]).tolist())]
         library = library.with_shapes(numbers) if numbers else library
         values, kept = (values / scale[kept])[n_shapes:], kept[n_shapes:] - n_shapes
@@ -105,37 +102,56 @@ def one_step_covariance(
     """
     data, parameters = data.to(torch.float64), Parameters.where((xi != 0) & free)
     floor = tolerance * (data.x_next - data.x).square().mean(0).sqrt()
-    rows, target, scale = _linear_model(library, xi, parameters, data, floor)
-    n_shapes = len(library.shapes)
-    errors = target - rows[:, n_shapes:] @ (parameters.read(xi) * scale[n_shapes:]).unsqueeze(-1)
-    samples = torch.cat([rows, errors], -1).unflatten(0, (len(data), -1))
-    factor = jackknife([part.flatten(0, 1) for part in samples.tensor_split(min(STRETCHES, len(data)))])
-    return None if factor is None else Covariance.of(parameters, (factor / scale.unsqueeze(-1))[n_shapes:])
+    factor = jackknife(_linear_model(library, xi, parameters, data, floor, min(STRETCHES, len(data))))
+    return None if factor is None else Covariance.of(parameters, factor[len(library.shapes) :])
 
 
 def one_step_errors(library: Library, xi: Tensor, data: Transitions) -> dict[str, float]:
     """Return the part of each state's change from sample to sample that a prediction of it misses (RMS)."""
     data = data.to(torch.float64)
-    predicted = moved(generate(library, xi), data.x, data.u, data.dt, _steps_in(data, library, xi), data.u_end)
+    predicted = _predicted(library, xi, data, _steps_in(data, library, xi))
     parts = (data.x_next - predicted).norm(dim=0) / (data.x_next - data.x).norm(dim=0).clamp_min(1e-300)
     return dict(zip(library.signature.state_names, parts.tolist(), strict=True))
 
 
+def _predicted(library: Library, xi: Tensor, data: Transitions, steps: int) -> Tensor:
+    """Return the states one sample later, `(N, n_x)`."""
+    u_end = None if data.u_end is None else data.u_end.unsqueeze(1)
+    return simulate(library, xi, data.x, data.u.unsqueeze(1), data.dt, steps, u_end)[:, 0]
+
+
 def _linear_model(
-    library: Library, xi: Tensor, parameters: Parameters, data: Transitions, floor: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
+    library: Library, xi: Tensor, parameters: Parameters, data: Transitions, floor: Tensor, parts: int = 1
+) -> list[Tensor]:
     """Linearise the one-step prediction error, each state weighted by its error, but not beyond `floor` `(n_x,)`.
 
+    It is condensed block by block, so that slopes stay in fast memory however long a recording is.
+
     Returns:
-        J with columns of unit norm, of the shapes and the coefficients, `(N n_x, S + P)`; J xi + error, `(N n_x, 1)`;
-        the norms, `(S + P,)`.
+        R of [J, error] of so many parts of the recording, J by the shapes and the coefficients, `(R, S + P + 1)` each.
     """
-    propagator = Propagator(library, xi, parameters, library.shapes)
-    predicted, s = propagator.transfer(data.x, data.u, data.dt, _steps_in(data, library, xi), data.u_end)
-    error, jacobian = data.x_next - predicted, s[:, :, xi.shape[1] :]
+    propagator, steps = Propagator(library, xi, parameters, library.shapes), _steps_in(data, library, xi)
+    error = data.x_next - _predicted(library, xi, data, steps)
     weight = 1 / torch.maximum(error.square().mean(0).sqrt(), floor).clamp_min(1e-300)
-    rows = (jacobian * weight.unsqueeze(-1)).flatten(0, 1)
-    scale = rows.norm(dim=0).clamp_min(1e-300)
-    coefficients = rows[:, rows.shape[1] - len(parameters) :]
-    target = (error * weight).reshape(-1, 1) + coefficients @ parameters.read(xi).unsqueeze(-1)
-    return rows / scale, target, scale
+    n_x, triangles = xi.shape[1], []
+    columns = n_x + len(library.shapes) + len(parameters)
+    length = max(CHUNK // (n_x * columns), TALL * columns // n_x + 1)
+    for part in torch.arange(len(data)).tensor_split(parts):
+        condensed = []
+        for rows in part.split(length):
+            inputs = data.inputs_of(rows)
+            s = propagator.transfer(data.x[rows], inputs[0], data.dt, steps, inputs[1])[1][:, :, n_x:]
+            block = torch.cat([s, error[rows].unsqueeze(-1)], -1) * weight.unsqueeze(-1)
+            condensed.append(torch.linalg.qr(block.flatten(0, 1), mode="r")[1])
+        triangles.append(condensed[0] if len(condensed) == 1 else torch.linalg.qr(torch.cat(condensed), mode="r")[1])
+    return triangles
+
+
+def _triangle(
+    library: Library, xi: Tensor, parameters: Parameters, data: Transitions, floor: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return R of [J, J xi + error] with columns of J of unit norm, `(S + P + 1, S + P + 1)`, and their norms."""
+    (triangle,) = _linear_model(library, xi, parameters, data, floor)
+    scale = triangle[:, :-1].norm(dim=0).clamp_min(1e-300)
+    target = triangle[:, -1:] + triangle[:, len(library.shapes) : -1] @ parameters.read(xi).unsqueeze(-1)
+    return torch.linalg.qr(torch.cat([triangle[:, :-1] / scale, target], -1), mode="r")[1], scale

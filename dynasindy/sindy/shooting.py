@@ -26,6 +26,8 @@ CHOSEN_STRETCHES = 10
 CHUNK, TALL = 100_000, 4
 """Slopes, about, that are condensed at once, so that they stay in fast memory, and rows at least for each column, by
 which condensing them is worth its cost."""
+MOST_SLOPES = 10_000_000
+"""Slopes that are held in memory; of more windows they are computed part by part, whenever they are asked for."""
 
 
 @dataclass(frozen=True)
@@ -187,10 +189,25 @@ class Flow:
         inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
         return propagator.trajectories(estimate.nodes, *inputs)[1]
 
+    @property
+    def count(self) -> int:
+        """Count the slopes."""
+        columns = self.predicted.shape[-1] + len(self.estimate.library.shapes) + len(self.parameters)
+        return self.predicted.numel() * columns
+
+    @cached_property
+    def s_ends(self) -> Tensor:
+        """Derivatives of the states at the end of each window, `(W, n_x, n_x + S + P)`."""
+        if self.count <= MOST_SLOPES:
+            return self.s[:, -1]
+        some = len(self.windows) // (self.count // CHUNK + 1) + 1
+        parts = (self.part(slice(k, k + some)) for k in range(0, len(self.windows), some))
+        return torch.cat([part.s[:, -1].clone() for part in parts])
+
     def rejoined(self, joined: Tensor) -> Flow:
         """Return the same trajectories, of which others continue the window before, bool `(W,)`."""
         found = replace(self, windows=replace(self.windows, joined=joined))
-        found.__dict__.update({"s": self.s} if "s" in self.__dict__ else {})
+        found.__dict__.update({name: self.__dict__[name] for name in ("s", "s_ends") if name in self.__dict__})
         return found
 
     def part(self, rows: slice) -> Flow:
@@ -201,15 +218,17 @@ class Flow:
         windows = replace(self.windows, **parts, last_inputs=last)
         estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
         part = Flow(estimate, self.parameters, windows, self.predicted[rows])
-        part.__dict__["s"] = self.s[rows]
+        if self.count <= MOST_SLOPES:
+            part.__dict__["s"] = self.s[rows]
         return part
 
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""
         finite = self.predicted.square().isfinite().all(-1).all(-1)
-        squares = torch.dot(flat := self.s.flatten(), flat) if bool(finite.all()) else torch.zeros(())
-        if not bool(squares.isfinite()):
-            finite = self.s.square().isfinite().flatten(1).all(-1)
+        if bool(finite.all()):
+            slopes = self.s if self.count <= MOST_SLOPES else self.s_ends
+            if not bool(torch.dot(flat := slopes.flatten(), flat).isfinite()):
+                finite = slopes.square().isfinite().flatten(1).all(-1)
         return ~finite
 
     def sigma(self) -> Tensor:
@@ -360,9 +379,9 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     if sigma is None:
         require_bounded(flow)
         sigma = flow.sigma()
-    seen, width = int(_observed(flow.windows).sum()), flow.s.shape[-1]
-    tall = flow.s[..., 0, 0].numel() * seen // (TALL * width)
-    triangles, rest, moves = _condensed(flow, sigma, max(1, min(1 + flow.s.numel() // CHUNK, tall)))
+    n_x, seen = flow.predicted.shape[-1], int(_observed(flow.windows).sum())
+    tall = flow.predicted.numel() ** 2 * seen // (TALL * n_x**2 * flow.count)
+    triangles, rest, moves = _condensed(flow, sigma, max(1, min(1 + flow.count // CHUNK, tall)))
     parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
     errors, cost = _weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
@@ -585,16 +604,16 @@ def _condense(flow: Flow) -> Tensor:
     A window that continues another one starts where that one ends:
     d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
     """
-    nodes, windows, s = flow.estimate.nodes, flow.windows, flow.s
+    nodes, windows, s = flow.estimate.nodes, flow.windows, flow.s_ends
     n_x = nodes.shape[1]
     n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
     moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
     joined = windows.joined.nonzero().flatten()
-    moves[joined, :, n_start : n_start + n_own] = s[joined - 1, -1, :, n_x:]
+    moves[joined, :, n_start : n_start + n_own] = s[joined - 1, :, n_x:]
     moves[joined, :, -1] = _gaps(flow)[joined]
     starts = moves[~windows.joined, :, :n_start]
     moves[~windows.joined, :, :n_start] = torch.eye(n_start, dtype=nodes.dtype).view(*starts.shape)
-    own, slopes = moves.numpy(), s[:, -1, :, :n_x].numpy()
+    own, slopes = moves.numpy(), s[:, :, :n_x].numpy()
     with np.errstate(all="ignore"):  # what runs away is told by what is left of it
         for j in joined.tolist():
             own[j] += slopes[j - 1] @ own[j - 1]

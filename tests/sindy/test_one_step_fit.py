@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
+from dynasindy.sindy import one_step_fit
 from dynasindy.sindy.library import CONSTANT, Library, variable
 from dynasindy.sindy.one_step_fit import _steps_in, one_step_covariance, one_step_errors, refine_one_step
 from dynasindy.systems.base import Signature
@@ -65,6 +66,15 @@ def test_with_process_noise_it_is_the_least_squares_fit_of_the_discrete_form():
     )
     assert found[:2].flatten().tolist() == pytest.approx([a, gamma * a / (phi - 1)], rel=1e-6)
     assert abs(a - A) > 1e-3  # the noise does move the estimate
+
+
+def test_a_recording_is_fitted_block_by_block_as_it_is_at_once(monkeypatch):
+    data, xi = recording(0.05), column(-1.0, 2.0, 0.0, 0.0)
+    whole = refine_one_step(LIBRARY, xi, FREE, data, 1e-9)[1], one_step_covariance(LIBRARY, xi, FREE, data, 1e-9)
+    monkeypatch.setattr(one_step_fit, "CHUNK", 40)
+    found, known = refine_one_step(LIBRARY, xi, FREE, data, 1e-9)[1], one_step_covariance(LIBRARY, xi, FREE, data, 1e-9)
+    torch.testing.assert_close(found, whole[0], rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(known.factor, whole[1].factor, rtol=1e-6, atol=1e-9)
 
 
 def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():

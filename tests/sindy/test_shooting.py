@@ -11,7 +11,7 @@ from benchmarks.identify import TEXTBOOK, cramer_rao
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.envs.rollout_data import disturb
-from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy import Refinement, Regression, SindyModel, shooting
 from dynasindy.sindy.library import CONSTANT, Library, of, variable
 from dynasindy.sindy.named_libraries import build_library, polynomial
 from dynasindy.sindy.sensitivity import Parameters
@@ -350,6 +350,24 @@ def test_sensitivities_of_a_window_are_chained_from_those_of_its_intervals():
     for place, step in ((1, (1e-5, 0.0)), (2, (0.0, 1e-5))):
         up, down = (motion(A + sign * step[0], B + sign * step[1], Y0, INPUTS) for sign in (1, -1))
         assert np.allclose(flow.s[0, :, 0, place], (up - down)[1:] / 2e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, monkeypatch):
+    y = motion(A, B, Y0, INPUTS)
+    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
+    windows = Windows.of(data, 2, joined)
+    estimate = Estimate(LIBRARY, column(A, B, 0.1, 0.0), torch.from_numpy(y[:-1:2])[:, None] + 0.1)
+    at_once, parts = (Flow.of(estimate, Parameters.where(TWO), windows) for _ in range(2))
+    wanted = linearise_windows(at_once)
+    monkeypatch.setattr(shooting, "MOST_SLOPES", 0)
+    monkeypatch.setattr(shooting, "CHUNK", 20)
+    found = linearise_windows(parts)
+    assert "s" not in vars(parts) and not bool(parts.lost().any())
+    torch.testing.assert_close(parts.s_ends, at_once.s[:, -1], rtol=1e-12, atol=0)
+    torch.testing.assert_close(found.moves, wanted.moves, rtol=1e-9, atol=1e-12)
+    normal = [model.triangle.mT @ model.triangle for model in (found, wanted)]
+    torch.testing.assert_close(*normal, rtol=1e-9, atol=1e-9)
 
 
 def test_coefficients_that_are_no_numbers_are_lost_in_all_windows():
