@@ -316,9 +316,10 @@ def structure(case: Case) -> Predictor:
 
 
 def pysindy(case: Case) -> Predictor:
-    """Return PySINDy's model of monomials of the measured states, and of differentiated rates where they help."""
+    """Return PySINDy's model of monomials of what is measured, and of differentiated rates where they help."""
     names = [f"x{i}" for i in range(len(case.states))]
-    known = {name: f"{name}_rate" for name in names}
+    units = zip(names, case.states.values(), strict=True)
+    known = {name: f"{name}_rate" for name, unit in units if unit != "rpm" and "/" not in unit}
     ones, reach = np.ones(len(names)), np.abs(np.vstack([log.u for log in case.training])).max(0)
 
     def _fit(logs: Sequence[Log], degree: int, rates: Mapping[str, str], threshold: float) -> Predictor:
@@ -334,7 +335,8 @@ def pysindy(case: Case) -> Predictor:
         model = pysindy_of(model, data, threshold)
         return Equations(model, Source(signature, data, _none(data)), names, ones)
 
-    grid = product((1, 2, 3), (known, {}), (1e-3, 1e-2, 0.1))
+    degrees = (1, 2, 3) if len(names) + len(reach) < 5 else (1, 2)
+    grid = product(degrees, (known, {}), (1e-3, 1e-2, 0.1))
     ways: list[Fit] = [partial(_fit, degree=degree, rates=rates, threshold=size) for degree, rates, size in grid]
     return choose(ways, case.training, case.cost)
 
