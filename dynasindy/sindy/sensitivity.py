@@ -216,12 +216,13 @@ class Propagator:
 
     @cached_property
     def _code(self) -> Slopes | None:
-        """The functions as instructions; None where one of them has no formula, or there is no compiler."""
-        try:
-            functions = write_functions(self._library, self.shapes)
-        except ValueError:
+        """The functions as instructions; None where one of them has no formula, or nothing compiles these."""
+        if compiler() is None:
             return None
-        return Slopes(*functions) if compiler() else None
+        try:
+            return Slopes(*write_functions(self._library, self.shapes))
+        except (ValueError, OSError):
+            return None
 
     @cached_property
     def slopes(self) -> TorchSlopes:

@@ -70,11 +70,13 @@ class Slopes:
         shapes: places among its constants of the numbers by which to differentiate, too, None of one that it lacks.
 
     Raises:
-        ValueError: a formula holds something that is none.
+        ValueError: a formula holds something that is none, or the compiler refuses the instructions' text.
+        FileNotFoundError: there is no compiler.
     """
 
     def __init__(self, functions: Program, shapes: Sequence[int | None] = ()) -> None:
         self.program, self.n_shapes = functions, len(shapes)
+        self._code = _library()
         self._listing = _slopes_listing(
             replace(functions, constants=(), step=None), len(functions.constants), (*shapes,)
         )
@@ -109,9 +111,6 @@ class Slopes:
         Returns:
             States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the shapes and
             the coefficients, `(rows, T, n_x, n_x + S + P)`.
-
-        Raises:
-            FileNotFoundError: there is no compiler.
         """
         return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps))
 
@@ -137,7 +136,7 @@ class Slopes:
             *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
             *(int(steps.difference), *whole, ends, slopes, room),
         ]
-        _library().sensitivities(
+        self._code.sensitivities(
             *(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments)
         )
         return ends, slopes

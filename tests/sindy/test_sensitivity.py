@@ -32,6 +32,8 @@ def path(request, monkeypatch):
     """Both ways to the same numbers; there is nothing else than torch where no compiler is."""
     if request.param == "torch":
         monkeypatch.setattr(sensitivity, "compiler", lambda: None)
+    else:
+        monkeypatch.setattr(sensitivity, "TorchSlopes", None)
     return request.param
 
 
@@ -234,3 +236,17 @@ def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
     for whole, parts in zip(at_once, propagator.transfer(x, u, 0.1, 2), strict=True):
         assert torch.allclose(whole, parts, rtol=1e-12, atol=1e-14)
     assert propagator.transfer(x[:0], u[:0], 0.1, 2)[1].shape == (0, 6, 6 + len(parameters))
+
+
+def test_a_function_without_a_formula_is_moved_by_torch(monkeypatch):
+    """An angle and its slopes, in one step of a difference equation."""
+    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
+    register_function("angle_of", torch.atan2)
+    library = Library(TWO, [of("angle_of", "a", "b")], step=0.5)
+    xi = torch.tensor([[2.0, 0.0]], dtype=torch.float64)
+    x, u = points()
+    (a, b), square = x.unbind(-1), x.square().sum(-1)
+    end, slopes = Propagator(library, xi, Parameters.where(xi != 0)).transfer(x, u, 0.5, 1)
+    torch.testing.assert_close(end, torch.stack([a + torch.atan2(a, b), b], -1))
+    wanted = torch.stack([1 + b / square, -a / square, 0.5 * torch.atan2(a, b)], -1)
+    torch.testing.assert_close(slopes[:, 0], wanted)
