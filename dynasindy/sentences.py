@@ -1039,16 +1039,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "pieces of {short}",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
-    "fit.linear_preferred": "products and squares of states and inputs were left out: without them the model predicts "
-    "the part "
-    "of the log that no fit has seen no worse",
-    "fit.single_simulation": lambda ratio, taken: (
-        "the fit of one simulation through all samples was taken (error=simulation), not the one in pieces: on the "
-        f"part of the log that no fit has seen, its errors are {ratio:.2f} times those of the other"
-        if taken
-        else "a fit of one simulation through all samples was not taken: on the part of the log that no fit has seen, "
-        f"its errors are {ratio:.2f} times those of the fit in pieces"
-    ),
     "fit.rates_added": _rates_added,
     "fit.rates_missing": _rates_missing,
     "fit.no_torque": lambda angle, known: (
@@ -1057,10 +1047,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"{setting('plant.known', known)} if none was logged"
     ),
     "fit.many_functions": _many_functions,
-    "fit.no_lag_state": "the equations miss the log by more than its sensors explain, so {what} that no sensor sees "
-    "was looked for, one that follows an input or a measured state; none was found that predicts the kept part of "
-    "the log far better. A hidden state that swings by itself, as the far end of a soft shaft does, is not looked "
-    "for: if there is one, measure it",
+    "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
+    "training data that the fit had not seen: {what}",
+    "fit.budget": lambda seconds, stopped: (
+        f"{'it was stopped' if stopped else 'the time for it was over'} after {seconds:.0f} s of computing; the best "
+        f"model until then was kept. For a longer search give {setting('world_model.refinement.seconds')} more"
+    ),
     # the model
     "model.delay": lambda seconds: (
         f"the inputs act {f'{1e3 * seconds:.3g} ms' if seconds < 1 else format_duration(seconds)} late"

@@ -121,6 +121,7 @@ def identify(
     method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
     longest_delay: float | None = None,
     time: Literal["continuous", "discrete"] = "continuous",
+    seconds: float = 60.0,
 ) -> SindyModel:
     """Identify sparse equations from a log, as `train.py data=csv` does.
 
@@ -138,6 +139,7 @@ def identify(
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
             time of the log, for what moves in steps: all states have to be in the log.
+        seconds: Time of computing that may be taken, about, where `auto` tries candidates [s].
 
     Returns:
         The model; `equations()` shows it, `save` keeps it, and `findings` holds what was found before the fit, by it,
@@ -149,7 +151,7 @@ def identify(
             state, counts the other way, or was exchanged with it.
         Diverged: A coefficient is not finite.
     """
-    refinement = Refinement(method, longest_delay=longest_delay)
+    refinement = Refinement(method, longest_delay=longest_delay, seconds=seconds)
     regression = Regression("bic", tolerance=1e-4)
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
     source, rates, added = with_missing_rates(build, log, known)
@@ -164,7 +166,7 @@ def identify(
     )
     for each in before:
         warnings.warn(str(each), stacklevel=2)
-    found = fit_log(model, source)
+    found = fit_log(model, source, known is None)
     found.model.findings = (*before, *found.report.findings, *found.content)
     return found.model
 

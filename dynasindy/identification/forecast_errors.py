@@ -31,7 +31,7 @@ from dynasindy.sindy.world_model import variance
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 
-ORDERS = (1, 2, 4, 8, 16)
+ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 20)
 """Numbers of past samples to choose from."""
 TRIED = 100
 """Start times from which each order is tried."""
@@ -67,10 +67,15 @@ class LinearModel:
             steps: sampling times over which orders are compared.
             most: largest order.
         """
-        models = [cls._of_order(data, order) for order in ORDERS if order <= most]
-        errors = [model._error(data, steps) if model else math.inf for model in models]
-        best = models[min(range(len(models)), key=errors.__getitem__)]
-        return best or cls(1, _seen(data), torch.zeros(0), data.linear_inputs)
+        models = cls.candidates(data, most)
+        none = cls(1, _seen(data), torch.zeros(0), data.linear_inputs)
+        return min(models, key=lambda model: model._error(data, steps), default=none)
+
+    @classmethod
+    def candidates(cls, data: Transitions, most: int) -> list[LinearModel]:
+        """Fit models of all orders, up to `most` samples."""
+        models = (cls._of_order(data, order) for order in ORDERS if order <= most)
+        return [model for model in models if model is not None]
 
     @classmethod
     def _of_order(cls, data: Transitions, order: int) -> LinearModel | None:
@@ -270,11 +275,11 @@ def _forecast(
     usual = [k for k in steps if k * validation.dt >= time / 10] or steps
     middle = usual[len(usual) // 2]
     length = _length(model, training, fit, [k for k in usual if k <= middle])
-    predicted = _predicted(model, validation, starts, later, length)
+    predicted = predict_from(model, validation, starts, later, length)
     linear = LinearModel.fit(training, middle, fit)
     held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
-    ours, simple, last = (_errors(guess, real, steps) for guess in both)
+    ours, simple, last = (errors_over(guess, real, steps) for guess in both)
     return ForecastErrors(
         tuple(k * validation.dt for k in steps),
         time,
@@ -310,8 +315,8 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     most = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64)
 
     def _cost(length: int) -> float:
-        predicted = _predicted(model, data, starts, later.clamp_max(len(data) - 1), length)
-        return float(_errors(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
+        predicted = predict_from(model, data, starts, later.clamp_max(len(data) - 1), length)
+        return float(errors_over(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
 
     best, least = longest, math.inf
     for length in reversed(lengths):
@@ -327,7 +332,7 @@ def _starts(back: Tensor, ahead: Tensor, before: int, after: int) -> Tensor:
     return rows[torch.linspace(0, len(rows) - 1, min(STARTS, len(rows))).round().long().unique()]
 
 
-def _predicted(model: SindyModel, data: Transitions, starts: Tensor, later: Tensor, length: int) -> Tensor:
+def predict_from(model: SindyModel, data: Transitions, starts: Tensor, later: Tensor, length: int) -> Tensor:
     """Return what a model predicts for some rows after each start, `(S, T, n_x)`, infinite where it runs away."""
     late = delay_inputs(data, model.delay)
     begin = estimate(model, late, starts - length, length)[1]
@@ -348,7 +353,20 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
     """
     longest = min(max(round(characteristic(training) / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
     length = int(starts.min()) if len(starts) == 1 else _length(model, training, longest, [steps])
-    return _predicted(model, data, starts, starts.unsqueeze(-1) + torch.arange(steps), length)
+    return predict_from(model, data, starts, starts.unsqueeze(-1) + torch.arange(steps), length)
+
+
+def start_rows(data: Transitions, before: int, after: int = 1) -> tuple[Tensor, int]:
+    """Return rows with so many rows before and after them in their segments, `(S,)`, and how far any of them sees."""
+    back, ahead = _beside(data)
+    return _starts(back, ahead, before, after), _reach(back, ahead, before)
+
+
+def samples_after(data: Transitions, starts: Tensor, steps: int) -> tuple[Tensor, Tensor]:
+    """Return the rows of so many samples after each start, `(S, T)`, and what was measured there, `(S, T, n_x)`."""
+    later = starts.unsqueeze(-1) + torch.arange(steps)
+    real = _real(data, starts, later, _beside(data)[1])
+    return later.clamp_max(len(data) - 1), real
 
 
 def _real(data: Transitions, starts: Tensor, later: Tensor, ahead: Tensor) -> Tensor:
@@ -458,7 +476,7 @@ def _simulated(model: SindyModel, x: Tensor, inputs: tuple[Tensor, Tensor | None
         return model.simulate(x, u, dt, substeps, u_end)[..., 1:, :]
 
 
-def _errors(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:
+def errors_over(predicted: Tensor, real: Tensor, steps: Sequence[int]) -> Tensor:
     """Return the root-mean-square error over each horizon, `(H, n_x)`; what is NaN of either does not count."""
     squared, last = (predicted - real).square(), torch.tensor(steps) - 1
     counts = (~squared.isnan()).sum(0).cumsum(0)[last]

@@ -1,89 +1,102 @@
-"""The fit to data: where a log shows that the equations lack something, a state that no sensor sees is tried."""
+"""The fit to a log: candidates are fitted to one part of it and judged on another, and the best one is kept.
+
+What is optional in a model is a candidate and nothing else decides: which rates and hidden states it has, its
+functions, how inputs move between samples and how late they act, which error is minimised and over how long a window.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
+import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.equations import equation_findings, hidden_states, idle_states
-from dynasindy.identification.forecast_errors import LOST, ForecastErrors, forecast_errors
+from dynasindy.identification.equations import equation_findings, idle_states
+from dynasindy.identification.forecast_errors import (
+    LinearModel,
+    characteristic,
+    errors_over,
+    predict_from,
+    samples_after,
+    start_rows,
+)
+from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.identification.source import Source
-from dynasindy.identification.verdict import unresolved
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
-from dynasindy.sindy.fit_report import FitReport, Refined
-from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates
+from dynasindy.sindy.fit_report import FitReport
+from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, widened, with_lag_state
+from dynasindy.sindy.library import Constraints, Feature, Library
+from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import find_missing_rates
+from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, polynomial
+from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.systems import Signature
+from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.world_model import variance
+from dynasindy.systems.base import TURNS, Signature
 from dynasindy.systems.transitions import Transitions
+
+KEPT = 0.25
+"""Part of the training data, at its end, that candidates are judged on."""
+SHORT, FOLDS = 6000, 3
+"""Samples below which several parts are kept in turn, and how many."""
+BLOCKS, CHANCE = 4, 0.5
+"""Blocks of a part between which errors are compared, and standard errors of a mean difference that tell nothing."""
+HORIZONS, STARTS = 7, 60
+"""Times ahead, and start times, over which they are judged."""
+WINDOWS = (50, 100, 200, 400, 800)
+"""Samples in the windows over which they are simulated, the shortest first."""
+PER_TERM, PER_STATE = 0.01, 0.03
+"""Part by which the errors have to be lower for one coefficient more, and for one state more that follows a signal."""
+FARTHEST = 200
+"""Samples ahead up to which candidates are judged at least, where there are so many."""
+BEHIND = 1.0
+"""Weight of being behind the best simple model where that is worst, beside the mean."""
+PRICES = (1.0, 2.0)
+"""Factors on what a function must be worth."""
+HOPELESS = 1.0
+"""Score behind the best one beyond which nothing dearer is tried of a candidate."""
+LEADERS = 3
+"""Models with other functions each that longer simulations are fitted by, those first that predict best."""
+MANY = 80
+"""Functions up to which regressions choose among all of them."""
+STRUCTURES = 3
+"""Linear models of other states each to which functions are added, those first that predict best."""
+CUBIC = 6
+"""States and inputs up to which cubic functions are tried."""
+ANGLES = frozenset({"rad", *TURNS})
+"""Units of what has no root."""
+LATEST = 30
+"""Samples within which a delay is looked for, at least."""
+EXACT = 1e-5
+"""Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
+LAGGING = 3
+"""States that follow a signal that are tried, those first that regressions prefer."""
+UNTOLD, NEGLIGIBLE = 2.0, 1e-6
+"""Standard errors, and part of the largest term of an equation, below which a coefficient may be left out."""
+FAILURES = ArithmeticError, ValueError, RuntimeError
+"""What a fit raises where numbers run away, or where there are too few samples."""
 
 
 @contextmanager
 def attempt() -> Iterator[None]:
-    """Let a search or a fit fail; that memory runs out is no failure of what was tried."""
+    """Let a fit fail; that memory runs out is no failure of what was tried."""
     try:
         yield
     except FAILURES as error:
         raise_if_memory(error)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _FixedRefinement(Refinement):
-    """Return what was found before, at no cost.
-
-    Attributes:
-        found: what it was.
-    """
-
-    found: Refined
-
-    def run(self, *of: object, **given: object) -> Refined:
-        """Return it, whatever the data are."""
-        return self.found
-
-
-def _take_alternative(model: SindyModel, found: Refined, data: Transitions) -> tuple[SindyModel, FitReport]:
-    """Return the model that a fit has set aside, and the report of it.
-
-    What it is fitted to later, as parts of the log are, it is fitted to as a whole, too: by one simulation.
-
-    Args:
-        model: what was fitted; it stays as it is.
-        found: what the fit set aside.
-        data: the recording that it was fitted to.
-    """
-    other, settings = copy.deepcopy(model), model.refinement or Refinement()
-    other.refinement = _FixedRefinement(**vars(settings), found=found)
-    report = other.fit(data)
-    other.refinement = replace(settings, error="simulation")
-    return other, report
-
-
-BETTER = 0.7
-"""Part of a model's errors, their geometric mean over states and horizons, that are left where a state is believed."""
-PLAIN = "id", "ahead"
-"""What the factors of polynomials are, and what a state has that follows a signal."""
-MOST = 3
-"""States that are tried, those first that regressions prefer."""
-FAILURES = ArithmeticError, ValueError, RuntimeError
-"""What a search or a fit raises where numbers run away, or where there are too few samples."""
-
-
-FINEST = 1e-5
-"""Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
-ROUGHLY = 1.1
-"""Ratio of errors of a state up to which they count as the same."""
 
 
 @dataclass(frozen=True)
@@ -91,207 +104,588 @@ class LogFit:
     """Hold a fitted model, and the data with all of its states.
 
     Attributes:
-        model: as it was given, or with one state more, which follows an input or a measured state.
-        source: the data; that state is seen by no sensor.
+        model: the model; it may have states more than the one that was given, which no sensor sees.
+        source: the data with these states.
         report: of the fit.
-        follower: what was found of such a state; None where nothing was.
-        sought: that such a state was looked for in vain; None where none was looked for, or one was found.
     """
 
     model: SindyModel
     source: Source
     report: FitReport
-    follower: Finding | None = None
-    sought: Finding | None = None
 
     @property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
+        names = self.model.signature.state_names
+        followers = [
+            LagStateCandidate(self.model, signal, 0.0).finding()
+            for name, signal in self.model.followed.items()
+            if name == names[-1]
+        ]
         found = equation_findings(self.model, self.report)
-        return [*found, *self.hidden, *idle_states(self.model, self.source.training)]
-
-    @property
-    def hidden(self) -> list[Finding]:
-        """What came of the search for a state that no sensor sees."""
-        return [each for each in (self.follower, self.sought) if each is not None]
+        return [*found, *(each for each in followers if each), *idle_states(self.model, self.source.training)]
 
 
-def fit_log(model: SindyModel, source: Source) -> LogFit:
-    """Fit a model; where something lacks in it, fit it with one state more, which follows an input or a measured state.
+def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
+    """Fit a model to data; of a log the one of many candidates that predicts best what their fits have not seen.
 
-    Such a state is looked for where the model misses the last part of a log by more than the sensors explain, and
-    believed where with it the model misses far less. It is not looked for where a rate is missing, as it would stand
-    for that.
+    Candidates are tried where the refinement of the model is left to the data (`auto`). Where its library is one that
+    suits any plant, rates, hidden states and more functions are candidates, too.
 
     Args:
         model: what to fit.
         source: the data.
+        rates: whether rates may be added that nobody named.
 
     Raises:
         ValueError: the model refuses the data.
         Diverged: a coefficient is not finite.
     """
     began = time.perf_counter()
-    found = _fitted(model, source)
-    return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
-
-
-def _fitted(model: SindyModel, source: Source) -> LogFit:
     report_progress("fit")
-    plain = LogFit(model, source, model.fit(source.training))
-    before = forecast_errors(model, source.training, source.validation) if source.logged else None
-    if before is None:
-        return plain
-    settings = model.refinement
-    plain, before = _whole(plain, before)
-    if model.initial is not None:
-        # A state that nobody saw and somebody knew of comes before one that is guessed.
-        plain, before = _straighter(plain, before)
-    model, lacking = plain.model, bool(unresolved(before, model.signature).any())
-    # A state that follows a signal is one of a differential equation.
-    if (
-        lacking
-        and model.step is None
-        and not find_missing_rates(model.library, delay_and_trim(source.training, model.delay))
-    ):
-        for found in _wider(model, source, settings):
-            after = _forecast(found) if found.follower else None
-            if after is None:
-                continue
-            found, after = _whole(found, after)
-            if _better(before, after, model.signature):
-                return _straighter(found, after)[0]
-        named = hidden_states(model, source.training)
-        plain = replace(plain, sought=weak("fit.no_lag_state", what="another state" if named else "a state"))
-    return _straighter(plain, before)[0]
+    free = (
+        model.refinement is not None and model.refinement.method == "auto" and model.refinement.error in (None, "auto")
+    )
+    if source.logged and free and model.step is None:
+        folds = HoldOut.folds(source.training)
+        found = _Search(model, source, folds, rates).run() if folds else None
+        if found is not None:
+            return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
+    return LogFit(model, source, model.fit(source.training))
 
 
-def _whole(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastErrors]:
-    """Return the fit by one simulation, if it was set aside and predicts better what no fit has seen; and its errors.
+@dataclass(frozen=True)
+class HoldOut:
+    """The part of the training data that candidates are judged on, and what simple models reach there.
 
-    Where a trajectory strays, something pushes the plant, which spoils its fit, or functions are missing. Then pieces
-    are so short that they hardly tell what is slow, and it depends on the plant which of the two fits is the better.
+    Attributes:
+        early: rows that candidates are fitted to, bool `(N,)`; the others are kept.
+        kept: transitions that they are judged on.
+        steps: horizons [samples].
+        starts: rows of `kept` at which predictions begin, `(S,)`.
+        later: rows whose inputs act in turn, `(S, T)`.
+        real: what was measured, `(S, T, n_x)`.
+        before: samples before each start on which its states may be estimated.
+        simple: errors of the best simple model over each horizon, `(H, n_x)`.
+        floor: error that is as good as none, `(n_x,)`.
     """
-    kept, signature = found.report.aside, found.model.signature
-    if kept is None:
-        return found, before
-    with attempt(), reporting_as("fit by one simulation"):
-        model, report = _take_alternative(found.model, kept, found.source.training)
-        whole = _renamed(replace(found, model=model, report=report))
-        after = _forecast(whole) if bool(whole.follower) == bool(found.follower) else None
-        if after is not None:
-            ratio = float(_ratios(before, after, signature).nanmean().exp())
-            if ratio < 1 / ROUGHLY and _as_good(before, after, signature):
-                return _noted(whole, note("fit.single_simulation", ratio=ratio, taken=True)), after
-            return _noted(found, note("fit.single_simulation", ratio=ratio, taken=False)), before
-    return found, before
+
+    early: Tensor
+    kept: Transitions
+    steps: list[int]
+    starts: Tensor
+    later: Tensor
+    real: Tensor
+    before: int
+    simple: Tensor
+    floor: Tensor
+
+    @classmethod
+    def folds(cls, data: Transitions) -> list[HoldOut]:
+        """Split training data: a long recording once, a short one several times, each time with another part kept.
+
+        There is none where the parts to judge on would be too short for that.
+        """
+        place, length = torch.arange(len(data)), round(KEPT * len(data))
+        ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
+        found = [cls._of(data, (place < end - length) | (place >= end)) for end in ends]
+        return [each for each in found if each is not None]
+
+    @classmethod
+    def _of(cls, data: Transitions, early: Tensor) -> HoldOut | None:
+        fit, kept = data.select(early), data.select(~early)
+        slow = characteristic(fit)
+        before = min(max(round(slow / data.dt), 40), 200, len(kept) // 4)
+        starts, reach = start_rows(kept, before)
+        last = min(2 * reach // 3, max(round(3 * slow / data.dt), FARTHEST))
+        if before < 3 or last < 2:
+            return None
+        first = min(max(1, round(slow / 50 / data.dt)), last)
+        steps = sorted({round(k) for k in np.geomspace(first, last, HORIZONS).tolist()})
+        starts, _ = start_rows(kept, before, steps[-1])
+        starts = starts[torch.linspace(0, len(starts) - 1, min(STARTS, len(starts))).long().unique()]
+        later, real = samples_after(kept, starts, steps[-1])
+        pairs = (fit, kept), (fit.with_linear_inputs(), kept.with_linear_inputs())
+        simple = [m.predict(own, starts, later) for data, own in pairs for m in LinearModel.candidates(data, before)]
+        simple += [reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)]
+        errors = torch.stack([errors_over(guess, real, steps) for guess in simple])
+        # Nothing is told beyond the time in which errors grow as large as the states are, as of an unstable plant.
+        deviation = variance(data.x_next).sqrt()
+        tells = (errors[:-1] / deviation).log().nanmean(-1).amin(0) < 0 if len(errors) > 1 else torch.tensor([])
+        count = max(2, int(tells.long().cumprod(0).sum()))
+        errors, steps = errors[:, :count], steps[:count]
+        later, real = later[:, : steps[-1]], real[:, : steps[-1]]
+        best = errors[errors.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
+        spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
+        floor = torch.maximum(resolutions(fit).nan_to_num(), EXACT * spread)
+        return cls(early, kept, steps, starts, later, real, before, best, floor)
+
+    def errors(self, model: SindyModel, source: Source) -> tuple[Tensor, Tensor]:
+        """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
+
+        Beside them is their mean logarithm by those of the best simple model in each block of starts, `(B,)`.
+        """
+        kept, n_x = source.training.select(~self.early), self.real.shape[-1]
+        found, best = torch.full_like(self.simple, math.inf), torch.full_like(self.real, math.inf)
+        for length in dict.fromkeys(max(3, self.before >> k) for k in (0, 1, 2, 4)):
+            with attempt():
+                guess = predict_from(model, kept, self.starts, self.later, length)[..., :n_x]
+                errors = errors_over(guess, self.real, self.steps)
+                if errors.clamp_max(1e9).log().nanmean() < found.clamp_max(1e9).log().nanmean():
+                    found, best = errors, guess
+        parts = torch.arange(len(self.starts)).tensor_split(min(BLOCKS, len(self.starts)))
+        blocks = [self.ratios(errors_over(best[part], self.real[part], self.steps)).nanmean() for part in parts]
+        return found, torch.stack(blocks)
+
+    def score(self, errors: Tensor) -> float:
+        """Return the mean logarithm of errors by those of the best simple model, and more where they are larger."""
+        ratios = self.ratios(errors)
+        seen = ratios[~ratios.isnan()]
+        return float(seen.mean() + BEHIND * seen.max().clamp_min(0.0)) if len(seen) else math.inf
+
+    def ratios(self, errors: Tensor) -> Tensor:
+        """Return the logarithm of errors by those of the best simple model, `(H, n_x)`; none is below the floor."""
+        least = self.floor.clamp_min(1e-300)
+        most = 1e3 * self.simple.maximum(least)
+        return (errors.maximum(least).minimum(most) / self.simple.maximum(least)).log()
+
+    def exact(self, errors: Tensor) -> bool:
+        """Tell whether no error is larger than what a sensor resolves."""
+        return bool(((errors <= 1.05 * self.floor) | self.simple.isnan()).all())
 
 
-def _renamed(found: LogFit) -> LogFit:
-    """Return the fit with what its equations now say of the state that follows a signal, if it has one."""
-    signal = found.model.followed.get(found.model.signature.state_names[-1], "") if found.follower else ""
-    return replace(found, follower=LagStateCandidate(found.model, signal, 0.0).finding() if signal else None)
+@dataclass(frozen=True)
+class Candidate:
+    """Hold a model that was fitted to the early part of the data, and how it predicts the kept one.
 
-
-def _noted(found: LogFit, finding: Finding) -> LogFit:
-    """Return the fit with one more finding in its report."""
-    return replace(found, report=replace(found.report, findings=(*found.report.findings, finding)))
-
-
-def _straighter(found: LogFit, before: ForecastErrors) -> tuple[LogFit, ForecastErrors]:
-    """Return the fit without functions that bend, where it predicts as well what no fit has seen; and its errors.
-
-    Where a model that lacks something is fitted, its errors last, and all the samples of one error are witnesses of the
-    same. Products and squares then come in that make up for a shape of the motion, and turn up as bent characteristics
-    beyond the log. They are judged by what they are worth on other samples: nothing, where nothing bends.
+    Attributes:
+        models: the model, as it was fitted for each part that was kept.
+        source: the data with all of its states.
+        errors: over each horizon, `(H, n_x)`, for each part that was kept.
+        blocks: mean logarithm of errors in each block of all these parts, by those of a simple model, `(B,)`.
+        score: what is to be least.
+        what: what it is, in words.
+        structure: model with all functions, of which this one has the linear ones; None of others.
     """
-    lasting = found.report.in_pieces or bool(unresolved(before, found.model.signature).any())
-    model = _straight(found.model) if lasting else None
-    if model is None:
-        return found, before
-    with attempt(), reporting_as("fit without functions that bend"):
-        straight = _renamed(replace(found, model=model, report=model.fit(found.source.training)))
-        after = _forecast(straight) if bool(straight.follower) == bool(found.follower) else None
-        if after is not None:
-            straight, after = _whole(straight, after)
-            if _as_good(before, after, model.signature):
-                return _noted(straight, note("fit.linear_preferred")), after
-    return found, before
+
+    models: list[SindyModel]
+    source: Source
+    errors: list[Tensor]
+    blocks: Tensor
+    score: float
+    what: str
+    structure: SindyModel | None = None
+
+    @property
+    def model(self) -> SindyModel:
+        """The model, as it was fitted first."""
+        return self.models[0]
+
+    @property
+    def size(self) -> float:
+        """How much there is in the equations: coefficients, of functions that are not linear twice, and states."""
+        weight = torch.tensor([1 if _is_linear(feature) else 2 for feature in self.model.library.features])
+        return float(weight @ (self.model.coefficients != 0).sum(-1)) + 2 * len(self.model.followed)
 
 
-def _straight(model: SindyModel) -> SindyModel | None:
-    """Return a model that may have no products and squares, not fitted yet; None if it has other functions, or none.
+@dataclass
+class _Search:
+    """Fit candidates, those first that cost little, and keep the best."""
 
-    It begins at the first guess that was given, as of a state that no sensor sees, or else at what was fitted.
-    """
-    factors = [feature.factors for feature in model.library.features]
-    plain = torch.tensor([all(f.function in PLAIN for f in own) for own in factors])
-    straight = torch.tensor([len(own) <= 1 and all(f.power == 1 for f in own) for own in factors])
-    used = (model.coefficients != 0).any(-1)
-    if bool((used & ~plain).any()) or not bool((used & ~straight).any()):
+    given: SindyModel
+    source: Source
+    folds: list[HoldOut]
+    rates: bool
+    tried: list[Candidate] = field(default_factory=list)
+    began: float = field(default_factory=time.process_time)
+
+    @property
+    def best(self) -> Candidate:
+        return min(self.tried, key=lambda each: each.score)
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is used up."""
+        return time.process_time() - self.began > (self.given.refinement or Refinement()).seconds
+
+    @cached_property
+    def builder(self) -> LibraryBuilder | None:
+        """What the library was built by, if that suits any plant."""
+        built = (
+            each for each in (auto_rig, auto) if set(each(self.given.signature).names) == set(self.given.library.names)
+        )
+        return next(built, None)
+
+    def run(self) -> LogFit | None:
+        """Return the best candidate, fitted to all training data; None where none could be fitted."""
+        try:
+            self._try_all()
+        except KeyboardInterrupt:
+            if not self.tried:
+                raise
+            return self._final(self._plainest(), stopped=True)
+        return self._final(self._plainest()) if self.tried else None
+
+    def _plainest(self) -> Candidate:
+        """Return the smallest candidate that predicts as well as the best one but for what differs by chance."""
+        best, fold = self.best, self.folds[0]
+        count = max(2.0, min(len(best.blocks), len(self.folds) * len(fold.kept) / fold.steps[-1]))
+
+        def _as_good(each: Candidate) -> bool:
+            if len(each.blocks) != len(best.blocks):
+                return False
+            behind = each.blocks - best.blocks
+            return float(behind.mean()) < CHANCE * float(behind.std()) / math.sqrt(count)
+
+        return min(filter(_as_good, self.tried), key=lambda each: (each.size, each.score), default=best)
+
+    def _exact(self) -> bool:
+        return all(fold.exact(errors) for fold, errors in zip(self.folds, self.best.errors, strict=True))
+
+    def _try_all(self) -> None:
+        """Try linear equations of several structures, then functions, longer windows and fewer coefficients."""
+        self._single_steps()
+        structures = list(self._structures())
+        self._regressed(*structures[0])
+        for model, source in structures:
+            self._linear(model, source)
+        linear: dict[tuple[str, ...], Candidate] = {}
+        for each in sorted(self.tried, key=lambda each: each.score):
+            if each.structure is not None:
+                linear.setdefault(each.model.signature.state_names, each)
+        for each in self._near(list(linear.values()))[:STRUCTURES]:
+            self._select(each)
+        for model, source in structures[1:]:
+            self._regressed(model, source)
+        if self.builder is not None and self.tried:
+            self._wider(self.best)
+        for each in self._leaders() if self.tried else ():
+            self._windows(each)
+        if self.tried:
+            self._simplify()
+
+    def _leaders(self) -> list[Candidate]:
+        """Return the best candidates whose equations have different functions."""
+        found: dict[tuple[object, ...], Candidate] = {}
+        for each in sorted(self.tried, key=lambda each: each.score):
+            used = [
+                each.model.library.names[k] for k in (each.model.coefficients != 0).any(-1).nonzero().flatten().tolist()
+            ]
+            found.setdefault((each.model.signature.state_names, *sorted(used)), each)
+        return self._near(list(found.values()))[:LEADERS]
+
+    def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Return those that are not hopelessly behind the best one."""
+        return [each for each in candidates if each.score < self.best.score + HOPELESS]
+
+    def _fit(
+        self,
+        what: str,
+        models: Sequence[SindyModel],
+        source: Source,
+        settings: Refinement,
+        structure: SindyModel | None = None,
+        plainer: bool = False,
+    ) -> Candidate | None:
+        """Fit copies of a model to what is not kept, and judge them."""
+        if self.tried and (self.over or (self._exact() and not plainer)):
+            return None
+        fitted, errors, blocks, scores = list[SindyModel](), list[Tensor](), list[Tensor](), list[float]()
+        with attempt(), reporting_as(what):
+            for model, fold in zip(models, self.folds, strict=True):
+                fitted.append(copy.deepcopy(model))
+                fitted[-1].refinement = settings
+                fitted[-1].fit(source.training.select(fold.early))
+                if not bool((fitted[-1].coefficients[model.constraints.free] != 0).any()):
+                    return None
+                for each, found in zip((errors, blocks), fold.errors(fitted[-1], source), strict=True):
+                    each.append(found)
+                scores.append(fold.score(errors[-1]))
+                if fold.exact(errors[-1]) or (self.tried and scores[0] > self.best.score + 2 * HOPELESS):
+                    break  # the other parts would tell the same
+            fitted += fitted[:1] * (len(self.folds) - len(fitted))
+            errors += errors[:1] * (len(self.folds) - len(errors))
+            score = sum(scores) / len(scores) + PER_TERM * int((fitted[0].coefficients != 0).sum())
+            score += PER_STATE * len(fitted[0].followed) + PER_TERM * float(source.training.u_end is not None)
+            self.tried.append(Candidate(fitted, source, errors, torch.cat(blocks), score, what, structure))
+            report_progress("fit", note=f"{what}: score {score:.3f}, best {self.best.score:.3f}")
+            return self.tried[-1]
         return None
-    bare, keep = copy.deepcopy(model), (plain & straight).unsqueeze(-1)
-    bare.constraints = replace(model.constraints, free=model.constraints.free & keep)
-    first = model.coefficients if model.initial is None else model.initial
-    bare.initial = torch.where(keep, first, 0.0)
-    bare.initial_delay = model.delay if model.initial is None else model.initial_delay
-    return bare
+
+    def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
+        """Fit the models of a candidate again, from their coefficients on."""
+        return self._fit(what, [_started(model) for model in of.models], of.source, settings, of.structure)
+
+    def _settings(self, **changes: Any) -> Refinement:
+        given = self.given.refinement or Refinement()
+        longest, data = given.longest_delay, self.source.training
+        if longest is None:
+            longest = min(max(LATEST * data.dt, characteristic(data) / 4), len(data) * data.dt / 10)
+        base = replace(given, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
+        return replace(base, **changes)
+
+    def _single_steps(self) -> None:
+        """Try the fit of single steps, which finds exact equations in data without noise."""
+        if not bool(self.source.training.x_next.isnan().any()):
+            settings = replace(self.given.refinement or Refinement(), method="one_step")
+            self._fit("single steps", self._each(self.given), self.source, settings)
+
+    def _each(self, model: SindyModel) -> list[SindyModel]:
+        return [model] * len(self.folds)
+
+    def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
+        """Yield the model as it is, and with the rates of states that have none, measured or not."""
+        yield self.given, self.source
+        signature, data, known = (
+            self.given.signature,
+            self.source.training,
+            rate_states(self.given.library, self.given.constraints),
+        )
+        if self.builder is None or not self.rates:
+            return
+        names = signature.state_names
+        measured = {names[i]: names[rate] for rate, i in find_rates(data).items()}
+        rates = {names[i]: names[rate] for rate, i in known.items()} | measured
+        if measured and len(rates) > len(known):
+            yield self._rebuilt(self.source, rates), self.source
+        lacking = [name for name in names if name not in rates and name not in rates.values()]
+        if lacking:
+            wide = rates | {name: _free_name(f"{name}_rate", signature) for name in lacking}
+            source = self.source.with_rates(wide)
+            yield self._rebuilt(source, wide), source
+
+    def _rebuilt(self, source: Source, known: Mapping[str, str]) -> SindyModel:
+        old = self.given
+        return SindyModel(
+            source.signature,
+            self.builder or old.library,
+            old.regression,
+            old.refinement,
+            known=known,
+            machine_code=old.machine_code,
+        )
+
+    def _linear(self, model: SindyModel, source: Source) -> None:
+        """Fit the linear functions of a model, under inputs that are held or move evenly, and with states that lag."""
+        places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
+        plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
+        delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
+        begun = [_linear_start(plain, source.training.select(fold.early), delay) for fold in self.folds]
+        names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
+        best = self._fit(f"linear equations of {names}", begun, source, settings, model)
+        if best is None:
+            return
+        moving = replace(source, training=source.training.with_linear_inputs())
+        moving = replace(moving, validation=source.validation.with_linear_inputs())
+        best = _better(best, self._fit("the same under inputs that move evenly", begun, moving, settings, model))
+        for _ in range(source.signature.n_u):
+            last = best
+            with attempt():
+                trials = lag_state_candidates(best.model, best.source.training.select(self.folds[0].early))[:LAGGING]
+                for trial in trials:
+                    what = f"linear equations of {names} and a state that follows {trial.signal}"
+                    models, data = self._each(trial.model), self._completed(trial.model, last)
+                    best = _better(best, self._fit(what, models, data, settings, model))
+            if best is last:
+                break
+
+    def _completed(self, model: SindyModel, of: Candidate) -> Source:
+        source = of.source
+        while source.signature.n_x < model.signature.n_x:
+            parts = widened(source.training), widened(source.validation)
+            source = replace(source, signature=model.signature, training=parts[0], validation=parts[1])
+        return source
+
+    def _select(self, of: Candidate) -> None:
+        """Let functions of the whole library come in and go, at two prices."""
+        full = of.structure
+        if full is None or len(full.library) == len(of.model.library):
+            return
+        for signal in of.model.followed.values():
+            full = with_lag_state(full, signal)
+        last: Candidate | None = replace(
+            of, models=[_with_coefficients(full, model) for model in of.models], structure=None
+        )
+        for penalty in PRICES:
+            if last is not None:
+                what = f"{of.what}, functions at {penalty:g} times a price"
+                settings = replace(of.model.refinement or self._settings(), rounds=0, select=True, penalty=penalty)
+                last = self._again(what, last, settings)
+
+    def _regressed(self, model: SindyModel, source: Source) -> None:
+        """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
+        if len(model.library) > MANY:
+            return
+        names, settings = ", ".join(source.signature.state_names), replace(self._settings(), rounds=2)
+        settings = replace(settings, longest_delay=(self.given.refinement or Refinement()).longest_delay)
+        pieces = replace(settings, error="prediction")
+        self._fit(f"functions of {names} in simulations of {pieces.window} samples", self._each(model), source, pieces)
+        self._fit(f"functions of {names} that regressions choose", self._each(model), source, settings)
+
+    def _wider(self, of: Candidate) -> None:
+        """Try cubic functions, and roots of what is never negative, too."""
+        signature, model = of.model.signature, of.model
+        used = {
+            n
+            for k in (model.coefficients != 0).any(-1).nonzero().flatten().tolist()
+            for n in model.library.features[k].variables
+        }
+        names = [n for n in (*signature.state_names, *signature.input_names) if n in used]
+        levels = self.source.training.x.nan_to_num(math.inf, math.inf, math.inf).amin(0) > 0
+        each = zip(signature.state_names, signature.state_units, levels.tolist(), strict=False)
+        roots = [function_of("sqrt", name) for name, unit, level in each if level and unit not in ANGLES]
+        roots += [function_of("sqrt", n) for n in model.followed if roots]
+        for what, more in (
+            ("cubic functions", polynomial(signature, 3, names).features if len(names) <= CUBIC else ()),
+            ("square roots", roots),
+        ):
+            more = [f for f in more if f.name() not in model.library.names]
+            if not more:
+                continue
+            library = Library(signature, [*model.library.features, *more], step=model.step)
+            derived = ~model.constraints.free.any(0) | torch.tensor(
+                [n in model.followed for n in signature.state_names]
+            )
+            free = torch.cat([model.constraints.free, (~derived).expand(len(more), -1)])
+            last: Candidate | None = replace(of, models=[_with_library(each, library, free) for each in of.models])
+            for penalty in PRICES:
+                if last is not None:
+                    last = self._again(
+                        f"{what} at {penalty:g} times their price", last, self._settings(penalty=penalty)
+                    )
+
+    def _windows(self, of: Candidate) -> None:
+        """Simulate over windows that grow, each fit begun where the one before ended."""
+        last, best, worse = of, of, 0
+        for window in WINDOWS:
+            if window > len(self.source.training) // 2 or worse > 1:
+                break
+            settings = self._settings(error="prediction", window=window, select=False)
+            found = self._again(f"{of.what}, simulations of {window} samples", last, settings)
+            if found is None:
+                break
+            worse = 0 if found.score < best.score else worse + 1
+            last, best = found, _better(best, found)
+        if best is not of:
+            self._select(best)
+
+    def _simplify(self) -> None:
+        """Leave out coefficients that the data do not tell, one after the other, where kept data do not miss them."""
+        while not self.over:
+            best, places = self.best, [_least_told(model) for model in self.best.models]
+            if places[0] is None:
+                return
+            models = [_started(model) for model in best.models]
+            for model in models:
+                assert model.initial is not None
+                model.initial[places[0]] = 0.0
+            settings = replace(best.model.refinement or self._settings(), rounds=0, select=False)
+            found = self._fit(f"{best.what}, without one", models, best.source, settings, plainer=True)
+            if found is None or self.best is best:
+                return
+
+    def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
+        """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time."""
+        model, settings = _started(best.model), best.model.refinement or self._settings()
+        if settings.method == "one_step":
+            model = copy.deepcopy(self.given)
+        else:
+            settings = replace(settings, rounds=0, select=False)
+        model.refinement, data = settings, best.source.training
+        linear = zip(model.signature.input_names, data.linear_inputs.tolist(), strict=True)
+        model.linear_inputs = tuple(name for name, moves in linear if moves)
+        with reporting_as("fit to all training data"):
+            report = model.fit(data.select(self.folds[0].early) if stopped else data)
+        model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
+        seconds = self.folds[0].steps[-1] * data.dt
+        findings = [note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
+        if stopped or self.over:
+            findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
+        return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
 
 
-def _forecast(found: LogFit) -> ForecastErrors | None:
-    return forecast_errors(found.model, found.source.training, found.source.validation)
+def _started(model: SindyModel) -> SindyModel:
+    """Return a copy of a fitted model that is fitted anew from its coefficients on."""
+    other = copy.deepcopy(model)
+    other.initial, other.initial_delay = model.coefficients.clone(), model.delay
+    return other
 
 
-def _wider(model: SindyModel, source: Source, settings: Refinement | None) -> Iterator[LogFit]:
-    """Yield fits with one state more, those first that regressions prefer; a fit that fails is left out.
-
-    Products and squares may bend to what the followed signal alone explained, so each is fitted without them, too. The
-    report of such a fit says so: it is taken where the one with them does not predict far better, and it does.
-    """
-    with attempt():
-        for trial in lag_state_candidates(model, source.training)[:MOST]:
-            trial.model.refinement = settings
-            if (found := _with(trial, source)) is not None:
-                yield found
-            bare = _straight(trial.model)
-            if bare is not None and (found := _with(replace(trial, model=bare), source)) is not None:
-                yield _noted(found, note("fit.linear_preferred"))
+def _is_linear(feature: Feature) -> bool:
+    """Tell whether a function is the constant, a state or an input, or what one is ahead of another."""
+    own = feature.factors
+    return len(own) <= 1 and all(factor.function in ("id", "ahead") and factor.power == 1 for factor in own)
 
 
-def _with(trial: LagStateCandidate, source: Source) -> LogFit | None:
-    """Return the fit with one state more; None where it fails."""
-    with attempt(), reporting_as(f"fit with a state that follows {trial.signal}"):
-        data = source.with_states_of(trial.model)
-        report = trial.model.fit(data.training)
-        return LogFit(trial.model, data, report, trial.finding())
-    return None
+def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:
+    """Return a model that begins at the linear equations that a regression finds, its inputs late [s]."""
+    late, rates, library = delay_and_trim(data, delay), rate_states(model.library, model.constraints), model.library
+    seen = RegressionData.of(reconstruct(late, rates, True), late, rates, True)
+    offset, free = model.constraints.offset, model.constraints.free
+    theta, dx = seen.rows(library, lambda x, u: library(x, u) @ offset)
+    initial = torch.where(free, 0.0, offset)
+    for i in range(dx.shape[1]):
+        if bool((mine := free[:, i]).any()):
+            columns = theta[:, mine]
+            scale = columns.norm(dim=0).clamp_min(1e-300)
+            initial[mine, i] = least_squares(columns / scale, dx[:, i] - theta @ offset[:, i]) / scale
+    begun = copy.deepcopy(model)
+    begun.initial, begun.initial_delay = initial, delay
+    return begun
 
 
-def _better(before: ForecastErrors, after: ForecastErrors, signature: Signature) -> bool:
-    """Tell whether errors are lower by far."""
-    return float(_ratios(before, after, signature).nanmean().exp()) < BETTER
+def _with_library(model: SindyModel, library: Library, free: Tensor) -> SindyModel:
+    """Return a model with other functions, which may stand where `free` is true, and the coefficients of the first."""
+    offset = torch.zeros(len(library), model.signature.n_x, dtype=torch.float64)
+    places = {name: k for k, name in enumerate(model.library.names)}
+    for k, name in enumerate(library.names):
+        if name in places:
+            offset[k] = model.constraints.offset[places[name]]
+    other = SindyModel(model.signature, library, model.regression, model.refinement, machine_code=model.machine_code)
+    other.constraints = Constraints(free, offset)
+    return _with_coefficients(other, model)
 
 
-def _as_good(before: ForecastErrors, after: ForecastErrors, signature: Signature) -> bool:
-    """Tell whether errors are no larger, and those of no state are larger by much."""
-    ratios = _ratios(before, after, signature)
-    return float(ratios.nanmean()) <= 0 and float(ratios.nanmean(0).nan_to_num().max()) <= math.log(ROUGHLY)
+def _with_coefficients(model: SindyModel, of: SindyModel) -> SindyModel:
+    """Return a copy of a model with the coefficients and the delay of another one, of the functions that both have."""
+    other = copy.deepcopy(model)
+    other.set_coefficients(_moved_to(other.library, of))
+    other.delay = of.delay
+    return other
 
 
-def _ratios(before: ForecastErrors, after: ForecastErrors, signature: Signature) -> Tensor:
-    """Return the logarithm of how large errors are by what they were, `(horizons, n_x)`, NaN where nothing was seen.
-
-    An error counts as what the sensor resolves at least, and as what has run away at most; exact logs resolve anything.
-    """
-    # A model that runs away is judged over shorter horizons as well, which the other is not.
-    (ours, theirs), n_x = _over_the_same(after, before), before.model.shape[1]
-    most = LOST * torch.tensor(signature.x_scale, dtype=theirs.dtype)[:n_x]
-    least = before.resolution.nan_to_num(nan=0.0).to(most).clamp(FINEST / LOST * most, most)
-    ratios = ours[:, :n_x].clamp(least, most) / theirs.clamp(least, most)
-    return torch.where(theirs.isnan(), math.nan, ratios.log())
+def _moved_to(library: Library, model: SindyModel) -> Tensor:
+    """Return the coefficients of a model in another library, of the functions that both have."""
+    places = {name: k for k, name in enumerate(library.names)}
+    found = torch.zeros(len(library), model.signature.n_x, dtype=torch.float64)
+    for k, name in enumerate(model.library.names):
+        if name in places:
+            found[places[name]] = model.coefficients[k]
+    return found
 
 
-def _over_the_same(*both: ForecastErrors) -> list[Tensor]:
-    """Return the errors of models over the horizons that all of them are judged over, `(horizons, n_x)` each."""
-    shared = set.intersection(*(set(one.horizons) for one in both))
-    return [one.model[[horizon in shared for horizon in one.horizons]] for one in both]
+def _better(first: Candidate, second: Candidate | None) -> Candidate:
+    return first if second is None or first.score <= second.score else second
+
+
+def _least_told(model: SindyModel) -> tuple[int, int] | None:
+    """Return the free coefficient that the data tell least, if its sign or that it matters is not told; else None."""
+    known = model.covariance
+    if known is None:
+        return None
+    errors, x = known.factor.norm(dim=-1), torch.tensor([model.signature.x_scale], dtype=torch.float64)
+    values = model.coefficients[known.features, known.states].abs()
+    effects = model.coefficients.abs() * model.library(x, torch.ones(1, model.signature.n_u)).abs().mT
+    shares = (effects / effects.amax(0).clamp_min(1e-300))[known.features, known.states]
+    ratio = torch.minimum(values / errors.clamp_min(1e-300), UNTOLD * shares / NEGLIGIBLE).nan_to_num(0.0)
+    if not len(ratio) or float(ratio.min()) >= UNTOLD:
+        return None
+    k = int(ratio.argmin())
+    return int(known.features[k]), int(known.states[k])
+
+
+def _free_name(name: str, signature: Signature) -> str:
+    name = re.sub(r"\W", "_", name)
+    while name in (*signature.state_names, *signature.input_names):
+        name += "_"
+    return name

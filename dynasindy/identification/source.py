@@ -106,7 +106,7 @@ class Source:
         return replace(self, signature=signature, training=parts[0], validation=parts[1])
 
     def with_states_of(self, model: SindyModel) -> Source:
-        """Return the data with the states of a model that no sensor sees: known rates, and those that follow a signal.
+        """Return the data with the states of a model that no sensor sees, and inputs that move as those of its log did.
 
         Args:
             model: a model that was fitted to them, or one of the same plant.
@@ -124,7 +124,8 @@ class Source:
             )
         source = self._widened(rates_of(model))
         states, parts = source.signature.state_names, (source.training, source.validation)
-        training, validation = (completed(part, states, model) for part in parts)
+        linear = [name in model.linear_inputs for name in model.signature.input_names]
+        training, validation = (completed(part, states, model).with_linear_inputs(linear) for part in parts)
         return replace(source, signature=model.signature, training=training, validation=validation)
 
 

@@ -13,8 +13,8 @@ from dynasindy.sindy.equations import require_finite
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.base import Signature
-from dynasindy.systems.integrators import trajectory
-from dynasindy.systems.interpreter import simulate_program
+from dynasindy.systems.integrators import moved
+from dynasindy.systems.interpreter import Observed, simulate_program
 from dynasindy.systems.machine import Program
 
 Field = Callable[[Tensor, Tensor], Tensor]
@@ -288,7 +288,14 @@ class _MachineWriter(InfixWriter):
 
 
 def simulate(
-    library: Library, coefficients: Tensor, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
+    library: Library,
+    coefficients: Tensor,
+    x: Tensor,
+    u: Tensor,
+    dt: float,
+    substeps: int,
+    u_end: Tensor | None = None,
+    observer: Observed | None = None,
 ) -> Tensor:
     """Predict trajectories by instructions, so that nothing is compiled for a model; by torch code where they cannot.
 
@@ -300,16 +307,21 @@ def simulate(
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in it.
         u_end: inputs at its end, see `Transitions`.
+        observer: what corrects the states after each interval.
 
     Returns:
-        States at the end of each interval, `(rows, T, n_x)`.
+        States at the end of each interval, `(rows, T, n_x)`, before they are corrected.
     """
     try:
-        return simulate_program(write_program(library, coefficients), x, u, dt, substeps, u_end)
+        return simulate_program(write_program(library, coefficients), x, u, dt, substeps, u_end, observer)
     except (ValueError, OSError):
         pass  # a function has no formula, or there is no compiler
-    last = None if u_end is None else u_end.movedim(1, 0)
-    return trajectory(generate(library, coefficients), x, u.movedim(1, 0), dt, substeps, last).movedim(0, 1)
+    field, states = generate(library, coefficients), list[Tensor]()
+    for k in range(u.shape[1]):
+        x = moved(field, x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
+        states.append(x)
+        x = x if observer is None else observer.corrected(x, k)
+    return torch.stack(states, 1)
 
 
 def write_functions(library: Library, shapes: Sequence[Factor]) -> tuple[Program, list[int | None]]:

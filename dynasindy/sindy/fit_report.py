@@ -135,8 +135,6 @@ class Refined(NamedTuple):
         covariance: how well the coefficients are known; None where that is not told.
         delay_at_end: whether the delay is the longest that was tried.
         missed: part of each state's change that predictions of single steps miss, where these were fitted.
-        aside: the fit by one simulation through all samples, where `auto` has set it aside for one in pieces: parts of
-            the log that no fit has seen tell which of the two predicts better. None where there is no such choice.
     """
 
     library: Library
@@ -147,21 +145,19 @@ class Refined(NamedTuple):
     covariance: Covariance | None = None
     delay_at_end: bool = False
     missed: dict[str, float] | None = None
-    aside: Refined | None = None
 
     def with_findings(self, findings: tuple[Finding, ...], longest: float, dt: float) -> Refined:
-        """Return it with findings before its own, the same of what was set aside, and that a delay is at its end.
+        """Return it with findings before its own, and that a delay is at its end.
 
         Args:
             findings: what was chosen before.
             longest: longest delay of the inputs that was looked for [s].
             dt: sampling time [s].
         """
-        aside = self.aside and self.aside.with_findings(findings, longest, dt)
         findings, at_end = findings + self.findings, bool(self.delay) and self.delay > longest - 0.5 * dt
         if at_end:
             findings += (weak("fit.longest_delay", seconds=longest),)
-        return self._replace(findings=findings, delay_at_end=at_end, aside=aside)
+        return self._replace(findings=findings, delay_at_end=at_end)
 
 
 CHANGE = "the change over a step"
@@ -188,7 +184,7 @@ class FitReport:
         dt: time that a transition takes [s].
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
-        in_pieces, delay_at_end, aside: see `Refined`.
+        in_pieces, delay_at_end: see `Refined`.
         told: how well the coefficients are known, or what computes it; None where that is not told.
         unscaled: states that no sensor sees and of which nothing tells the unit.
     """
@@ -205,7 +201,6 @@ class FitReport:
     unmeasured: frozenset[str] = frozenset()
     delay_at_end: bool = False
     unscaled: tuple[str, ...] = ()
-    aside: Refined | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, library: Library, coefficients: Tensor, sums: RunningSums, seconds: float, **more: Any) -> FitReport:

@@ -128,7 +128,7 @@ class _Search:
         if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
             return None
         gain = left - costs[time]
-        wide = self._wide(time)
+        wide = with_lag_state(self.model, self.signal)
         rows = self._rows(wide, time, keep, half)
         if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
             return None
@@ -162,7 +162,7 @@ class _Search:
 
     def _cost(self, time: float, keep: Tensor, half: int) -> float:
         """Return N/2 log of what is left over; infinite of a store that would drive what fills it."""
-        wide = self._wide(time)
+        wide = with_lag_state(self.model, self.signal)
         theta, dx = self._rows(wide, time, keep, half)
         free = self._free(wide, theta)
         if not self.input:
@@ -226,33 +226,38 @@ class _Search:
         found[-1, -1] = 1 / time
         return found
 
-    def _wide(self, time: float) -> SindyModel:
-        """Return the model with one state more, without coefficients but those that are known."""
-        old, model, name = self.model.signature, self.model, _lag_state_name(self.signal)
-        own = of("ahead", self.signal, name)
-        read = list(model.library.features)
-        if self.input:
-            signature = old.with_state(name, "1")
-            read = [feature.reading(self.signal, name) for feature in read]
-        else:
-            place = old.state_index(self.signal)
-            signature = old.with_state(name, old.state_units[place], old.x_scale[place])
-        states, written = old.state_names, [feature.name() for feature in read]
-        allowed = {
-            state: [n for n, may in zip(written, model.constraints.free[:, i], strict=True) if may]
-            for i, state in enumerate(states)
-        }
-        if not self.input:
-            allowed[states[self.moved]].append(own.name())
-        return SindyModel(
-            signature,
-            Library(signature, [*read, own]),
-            model.regression,
-            model.refinement,
-            known={states[i]: states[rate] for rate, i in self.rates.items()},
-            allowed=allowed | {name: [own.name()]},
-            machine_code=model.machine_code,
-        )
+
+def with_lag_state(model: SindyModel, signal: str) -> SindyModel:
+    """Return a model with one state more, which follows a signal, without coefficients but those that are known.
+
+    Args:
+        model: what may act through a lag.
+        signal: the input in whose place the state stands, or a measured state that it stands beside.
+    """
+    old, name = model.signature, _lag_state_name(signal)
+    own, states = of("ahead", signal, name), model.signature.state_names
+    read, more = list(model.library.features), {}
+    if signal in old.input_names:
+        signature = old.with_state(name, "1")
+        read = [feature.reading(signal, name) for feature in read]
+    else:
+        place = old.state_index(signal)
+        signature = old.with_state(name, old.state_units[place], old.x_scale[place])
+        more = {states[_moved(model, place)[0]]: [own.name()]}
+    written, known = [feature.name() for feature in read], rate_states(model.library, model.constraints)
+    allowed = {
+        state: [n for n, may in zip(written, model.constraints.free[:, i], strict=True) if may] + more.get(state, [])
+        for i, state in enumerate(states)
+    }
+    return SindyModel(
+        signature,
+        Library(signature, [*read, own]),
+        model.regression,
+        model.refinement,
+        known={states[i]: states[rate] for rate, i in known.items()},
+        allowed=allowed | {name: [own.name()]},
+        machine_code=model.machine_code,
+    )
 
 
 def _lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tensor, Tensor]:

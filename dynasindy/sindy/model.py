@@ -110,6 +110,7 @@ class SindyModel(WorldModel):
     ) -> None:
         super().__init__(signature)
         self.findings: tuple[Finding, ...] = ()
+        self.linear_inputs: tuple[str, ...] = ()  # those that moved evenly between the samples of the log
         self.machine_code, self.library = machine_code, _with_time(build_library(library, signature), time)
         self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
@@ -410,6 +411,8 @@ class SindyModel(WorldModel):
             data["functions"] = own
         if self.delay:
             data["delay"] = self.delay
+        if self.linear_inputs:
+            data["linear_inputs"] = list(self.linear_inputs)
         if library.step is not None:
             data["step"] = library.step
         if not bool(self.constraints.free.all()):
@@ -496,7 +499,7 @@ class SindyModel(WorldModel):
             return [weak("fit.dropped")], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end", "aside")}
+        fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end")}
         fields |= {} if found.missed is None else {"residual": found.missed}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
@@ -669,6 +672,11 @@ def _read(data: dict[str, Any]) -> SindyModel:
     model.constraints, model.delay = _constraints(library, data.get("constraints")), delay
     model.set_coefficients(coefficients)
     model.covariance = _covariance(library, data.get("uncertainty"))
+    model.linear_inputs = tuple(data.get("linear_inputs", ()))
+    if not set(model.linear_inputs) <= set(signature.input_names):
+        raise TypeError(
+            f"linear_inputs are {', '.join(map(str, model.linear_inputs))[:80]}, of which some are no inputs"
+        )
     return model
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -236,12 +237,15 @@ def find_missing_rates(library: Library, data: Transitions) -> list[str]:
     data, signature = data.to(torch.float64), library.signature
     smooth = polynomial(signature, 3 if signature.n_x + signature.n_u <= CUBIC else 2)
     library = Library(signature, [*library.features, *smooth.features])
-    rates = _rates(data)
+    rates = find_rates(data)
     return [name for i, name in enumerate(signature.state_names) if i not in rates and _moves_on(library, data, i)]
 
 
-def _rates(data: Transitions) -> set[int]:
-    """Return the states that are rates of others: their integrals by the trapezoidal rule are what others move by."""
+def find_rates(data: Transitions) -> dict[int, int]:
+    """Return which measured state is the rate of which other one, `{rate: state}`.
+
+    Its integral by the trapezoidal rule is what the other one moves by.
+    """
     data = _bridged(data)
     rows = torch.arange(len(data) - WINDOW + 1)
     last = rows + WINDOW - 1
@@ -249,7 +253,8 @@ def _rates(data: Transitions) -> set[int]:
     moved = data.x_next[last] - data.x[rows]
     sums = torch.cat([torch.zeros_like(data.x[:1]), (0.5 * data.dt * (data.x + data.x_next)).cumsum(0)])
     left = (moved.unsqueeze(-1) - (sums[last + 1] - sums[rows]).unsqueeze(-2)).square().sum(0)  # (state, rate)
-    return set((left < ALIKE * moved.square().sum(0).unsqueeze(-1)).nonzero()[:, 1].tolist())
+    alike = left < ALIKE * moved.square().sum(0).unsqueeze(-1)
+    return {rate: state for state, rate in alike.nonzero().tolist() if state != rate}
 
 
 def _bridged(data: Transitions) -> Transitions:
@@ -372,6 +377,16 @@ class DelayedRecording:
     def measured(self, delay: float) -> Transitions:
         """Return what was measured, under inputs that act `delay` seconds later."""
         return delay_inputs(self.data, delay).select(self.known)
+
+    def before(self, longest: float) -> Tensor:
+        """Return the inputs of the samples before each known row as they were given, the oldest first, `(N, M, n_u)`.
+
+        There is one more than a delay of `longest` seconds asks for, as inputs may change within a sample; before a
+        segment its first input held.
+        """
+        ago = torch.arange(math.ceil(longest / self.data.dt - 1e-9) + 1, 0, -1)
+        rows = torch.maximum(torch.arange(len(self.data)).unsqueeze(-1) - ago, self.data.segment_starts().unsqueeze(-1))
+        return self.data.u[rows[self.known]]
 
     def guessed(self, delay: float) -> Transitions:
         """Return the same with a guess of every state."""

@@ -31,13 +31,9 @@ from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates,
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, Flow, RunsAway, shooting_covariance
-from dynasindy.sindy.trajectory_fit import WORSE, few_steps, refine_trajectory, trajectory_error_ratio
+from dynasindy.sindy.trajectory_fit import WORSE, few_steps, first_gain, refine_trajectory, trajectory_error_ratio
 from dynasindy.systems.transitions import Transitions
 
-AGAIN = 3
-"""Rounds at most in which delay and equations are fitted in turn."""
-HOPELESS = 4.0
-"""Factor on the errors of windows on their own, beyond which no other delay lets one trajectory fit."""
 STEPS = 6
 """Gauss-Newton steps after which two delays are compared."""
 PERIODS = 2
@@ -53,7 +49,9 @@ ALIKE = 0.01
 SEVERAL = 10
 """Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "coloured", "prediction")
+ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
+OBSERVED = 500
+"""Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -76,13 +74,18 @@ class Refinement:
             farther where it is longer; else within two control periods or 0.05 s, or, without noise, not at all.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
             is new in such errors, as they last from sample to sample (`coloured`), or of windows that begin anew
-            (`prediction`), for plants that are pushed at random or unstable; `auto` takes windows that begin anew
-            where they leave over much less than a trajectory, and keeps the latter aside.
+            (`prediction`), for plants that are pushed at random or unstable, or of one step ahead of an observer whose
+            gain is fitted, too (`innovation`), for both; `auto` takes windows that begin anew
+            where they leave over much less than a trajectory.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
             of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
             counts. By default it must with `prediction`, whose errors last no longer than a window; what pushes a plant
             may last through one simulation, beside which no function would be worth anything.
+
+        select: whether functions come in and go while trajectories are fitted.
+        penalty: factor on what a coefficient of trajectories must be worth.
+        seconds: time of computing that a fit to a log may take, about, where candidates are tried [s].
 
     Raises:
         ValueError: a setting is not allowed.
@@ -93,8 +96,11 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float | None = 0.0
-    error: Literal["auto", "simulation", "coloured", "prediction"] | None = None
+    error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
     correlated: bool | None = None
+    select: bool = True
+    penalty: float = 1.0
+    seconds: float = 60.0
 
     def __post_init__(self) -> None:
         if self.method not in METHODS or self.error not in (None, *ERRORS):
@@ -260,17 +266,18 @@ class _Fit:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
         settings = self.settings
         descent = Descent(min(settings.window, int(self.recording.known.sum())), correlated=bool(settings.correlated))
+        descent = replace(descent, select=settings.select, penalty=settings.penalty)
         kinds = {
             "simulation": descent,
             "coloured": replace(descent, coloured=True),
             "prediction": replace(descent, joined=False, correlated=settings.correlated is not False),
+            "innovation": replace(descent, joined=False, window=max(settings.window, OBSERVED)),
         }
         error = settings.error or ("auto" if settings.method == "auto" else "simulation")
         if error != "auto":
-            return self._fit_with_delay(first, rough, kinds[error])
-        whole: Refined | None = None
+            return self._fit_with_delay(first, rough, kinds[error], observed=error == "innovation")
         try:
-            found = self._fit_with_delay(first, rough, descent, HOPELESS)
+            found = self._fit_with_delay(first, rough, descent)
             ratio = self._strain(found[:2], found.delay, descent)
         except RunsAway:
             why: dict[str, Any] = {"why": "runs_away"}
@@ -286,35 +293,25 @@ class _Fit:
                 return found._replace(findings=(follows, *found.findings))
             else:
                 why = {"why": "strays", **strain}
-                strays = weak("fit.simulation", samples=descent.window, limit=WORSE, gaps=False, **strain)
-                whole = found._replace(findings=(strays, *found.findings), in_pieces=True)
         pieces = weak("fit.multiple_shooting", samples=descent.window, **why)
         found = self._fit_with_delay(first, rough, kinds["prediction"])
-        return found._replace(findings=(pieces, *found.findings), in_pieces=True, aside=whole)
+        return found._replace(findings=(pieces, *found.findings), in_pieces=True)
 
-    def _fit_with_delay(self, found: Model, delay: float, descent: Descent, hopeless: float = math.inf) -> Refined:
-        """Return the model that trajectories tell, and the delay, fitted in turn with it.
-
-        Turns end where one trajectory strays more than `hopeless` times: no other delay mends that.
-        """
+    def _fit_with_delay(self, found: Model, delay: float, descent: Descent, observed: bool = False) -> Refined:
+        """Return the model that trajectories tell, or an observer's innovations, and the delay, fitted with it."""
         free, recording = self.constraints.free, self.recording
-
-        def _fitted(found: Model, delay: float) -> Flow:
-            return refine_trajectory(*found, free, recording.measured(delay), descent, recording.guessed(delay).x)
-
+        fits = bool(self.longest) and found[0].step is None
         if self.longest:
-            delay = self._fine(delay, found, descent)
+            delay = delay if fits else self._fine(delay, found, descent)
             found = self._regressed(found, delay)
-        flow = _fitted(found, delay)
-        # The equations that were chosen tell the delay better than those they were chosen from.
-        for _ in range(AGAIN if self.longest else 0):
-            last, delay = delay, self._fine(delay, _model(flow), descent)
-            if abs(delay - last) < 0.02 * recording.data.dt:
-                break
-            if hopeless < math.inf and bool((self._strain(_model(flow), last, descent) > hopeless).any()):
-                delay = last
-                break
-            flow = _fitted(_model(flow), delay)
+        data, guess, gain = recording.measured(0.0 if fits else delay), recording.guessed(delay).x, None
+        if observed:
+            corrects, gain = first_gain(data, recording.rates)
+            descent = replace(descent, corrects=corrects, window=min(descent.window, len(data)))
+        before = recording.before(self.longest) if fits else None
+        (library, xi), first = found, delay if fits else 0.0
+        flow = refine_trajectory(library, xi, free, data, descent, guess, first, before, gain)
+        delay = flow.estimate.delay if fits else delay
         findings: tuple[Finding, ...] = ()
         if flow.windows.length != descent.window:
             findings = (weak("fit.shorter_shooting", long=descent.window, short=flow.windows.length),)

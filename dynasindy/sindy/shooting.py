@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator
+from dynasindy.systems.interpreter import Observed
 from dynasindy.systems.transitions import Transitions
 
 ENOUGH = 10_000
@@ -48,6 +50,10 @@ class Windows:
         likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
             every coefficient is as likely as any other.
         last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
+        given: inputs as they were given, from some samples before each window on, `(W, M + L, n_u)`; with them the
+            delay after which they act is fitted, without `inputs` stay as they are. The last ones are at the end of it.
+        corrects: where the gain of an observer is fitted, bool `(n_x, n_x)`: which state each measured one corrects;
+            without, windows are simulated from their start.
     """
 
     rows: Tensor
@@ -61,9 +67,13 @@ class Windows:
     lasting: Tensor | None = None
     likely: Tensor | None = None
     last_inputs: Tensor | None = None
+    given: Tensor | None = None
+    corrects: Tensor | None = None
 
     @classmethod
-    def of(cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1) -> Windows:
+    def of(
+        cls, data: Transitions, length: int, joined: bool = True, substeps: int = 1, before: Tensor | None = None
+    ) -> Windows:
         """Cut every segment of a recording into windows of `length` intervals; the last one may be shorter.
 
         Args:
@@ -71,6 +81,7 @@ class Windows:
             length: sampling intervals in a window.
             joined: whether a window continues the one before; if not, each begins at a state of its own.
             substeps: Runge-Kutta steps in an interval.
+            before: inputs of the M samples before each row, `(N, M, n_u)`, where a delay is to be fitted.
         """
         begins = data.begins()
         within_segment = torch.arange(len(data)) - data.segment_starts()
@@ -91,7 +102,26 @@ class Windows:
             dt=data.dt,
             substeps=substeps,
             last_inputs=u_end,
+            given=None if before is None else torch.cat([before[starts], u, data.last_inputs[places[:, -1:]]], 1),
         )
+
+    def late(self, delay: float) -> Windows:
+        """Return the windows under inputs that act `delay` seconds later, `longest` at most."""
+        if self.given is None:
+            return self
+        whole, part = divmod(delay / self.dt, 1.0)
+        first = self.given.shape[1] - 1 - self.length - int(whole)
+        sooner, now, later = (self.given[:, first + k : first + k + self.length] for k in (-1, 0, 1))
+        inputs = (1 - part) * now + part * sooner
+        if self.last_inputs is None:
+            return replace(self, inputs=inputs)
+        linear = (self.last_inputs != self.inputs).flatten(0, 1).any(0)
+        return replace(self, inputs=inputs, last_inputs=torch.where(linear, (1 - part) * later + part * now, inputs))
+
+    @property
+    def longest(self) -> float:
+        """Longest delay of the inputs that is fitted [s]."""
+        return 0.0 if self.given is None else (self.given.shape[1] - self.length - 2) * self.dt
 
     def of_states(self, chosen: Tensor) -> Windows:
         """Return what was measured of some states, bool `(n_x,)`."""
@@ -132,6 +162,9 @@ class Descent:
         correlated: whether a coefficient must be worth the more, the longer errors last.
         coloured: whether errors of a trajectory are taken to last, as long as they do.
         price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
+        select: whether functions come in and go; if not, those of the first estimate stay.
+        penalty: factor on that price.
+        corrects: where the gain of an observer is fitted, see `Windows`; None of simulations.
     """
 
     window: int
@@ -140,8 +173,13 @@ class Descent:
     correlated: bool = False
     coloured: bool = False
     price: float = 0.0
+    select: bool = True
+    penalty: float = 1.0
+    corrects: Tensor | None = None
 
 
+LATER = 1e-3
+"""Samples by which inputs are shifted to tell what the delay changes: within a sample their means move in a line."""
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 ROUNDING = 1e-12
@@ -153,11 +191,27 @@ delays are compared, and the most that is stable; and how many steps of an inter
 
 @dataclass
 class Estimate:
-    """Hold the unknowns of a fit to trajectories: the library with its shapes, Xi, and the nodes."""
+    """Hold the unknowns of a fit to trajectories.
+
+    Attributes:
+        library: functions with their shapes.
+        xi: coefficients, `(n_features, n_x)`.
+        nodes: states at the begin of each window, `(W, n_x)`.
+        delay: of the inputs [s], where it is fitted.
+        gain: of the observer that corrects the states after each interval, `(n_x, n_x)`; None of simulations.
+    """
 
     library: Library
     xi: Tensor
     nodes: Tensor
+    delay: float = 0.0
+    gain: Tensor | None = None
+
+    def observer(self, windows: Windows) -> Observed | None:
+        """Return what corrects the states in windows."""
+        if self.gain is None:
+            return None
+        return Observed(torch.where(windows.mask > 0, windows.measured, math.nan), self.gain)
 
 
 @dataclass(frozen=True)
@@ -179,15 +233,29 @@ class Flow:
     @classmethod
     def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
         """Integrate all windows."""
+        windows = windows.late(estimate.delay)
         return cls(estimate, parameters, windows, _states_of(estimate, windows))
 
     @cached_property
     def s(self) -> Tensor:
-        """Derivatives of the states by the window's start, shapes and Xi, `(W, L, n_x, n_x + S + P)`."""
-        estimate, windows = self.estimate, self.windows
+        """Derivatives of the states by the window's start, gain, delay, shapes and Xi, `(W, L, n_x, n_x + D + S + P)`.
+
+        D numbers of the gain and the delay are fitted.
+        """
+        estimate, windows, n_x = self.estimate, self.windows, self.predicted.shape[-1]
         propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
+        observer, others, nodes = estimate.observer(windows), list[Tensor](), estimate.nodes
         inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
-        return propagator.trajectories(estimate.nodes, *inputs)[1]
+        s = propagator.trajectories(nodes, *inputs, observer)[1]
+        if estimate.gain is not None and windows.corrects is not None:
+            for i, j in windows.corrects.nonzero().tolist():
+                gain = estimate.gain.clone()
+                gain[i, j] += (size := LATER * max(abs(float(gain[i, j])), LATER))
+                others.append((_states_of(replace(estimate, gain=gain), windows) - self.predicted) / size)
+        if windows.given is not None:
+            later = _states_of(estimate, windows.late(estimate.delay + LATER * windows.dt))
+            others.append((later - self.predicted) / (LATER * windows.dt))
+        return torch.cat([s[..., :n_x], *(slope.unsqueeze(-1) for slope in others), s[..., n_x:]], -1)
 
     @property
     def count(self) -> int:
@@ -212,10 +280,11 @@ class Flow:
 
     def part(self, rows: slice) -> Flow:
         """Return the trajectories of some of the windows."""
-        names = ("rows", "first", "inputs", "measured", "mask", "joined")
-        last = None if self.windows.last_inputs is None else self.windows.last_inputs[rows]
-        parts = {name: getattr(self.windows, name)[rows] for name in names}
-        windows = replace(self.windows, **parts, last_inputs=last)
+        names = ("rows", "first", "inputs", "measured", "mask", "joined", "last_inputs", "given")
+        parts: dict[str, Any] = {
+            name: None if (each := getattr(self.windows, name)) is None else each[rows] for name in names
+        }
+        windows = replace(self.windows, **parts)
         estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
         part = Flow(estimate, self.parameters, windows, self.predicted[rows])
         if self.count <= MOST_SLOPES:
@@ -248,7 +317,7 @@ def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
     if not bool(estimate.xi.isfinite().all()):
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
     inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
-    return simulate(estimate.library, estimate.xi, estimate.nodes, *inputs)
+    return simulate(estimate.library, estimate.xi, estimate.nodes, *inputs, estimate.observer(windows))
 
 
 def _white(rows: Tensor, windows: Windows) -> Tensor:
@@ -657,7 +726,15 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
     if shapes:
         numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
         library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
-    return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes)
+    delay, gain, place = estimate.delay, estimate.gain, n_fixed - len(shapes)
+    if flow.windows.given is not None:
+        place -= 1
+        delay = min(max(delay + float(step[place]), 0.0), flow.windows.longest)
+    if gain is not None and (corrects := flow.windows.corrects) is not None:
+        gain = gain.masked_scatter(corrects, gain[corrects] + step[place - int(corrects.sum()) : place])
+        # No observer goes away from what was measured: where that would fit best, it is a simulation.
+        gain = torch.where(gain.diagonal() < 0, 0.0, gain)
+    return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes, delay, gain)
 
 
 def left_over(model: Linearised, windows: Windows) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 
@@ -63,6 +64,15 @@ NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
 ROUGH, MOVES_LITTLE = 1e-4, 1e-5
 """Part of the cost that a step gains, below which steps end: where functions may still go, and where none does."""
+ALPHA = 0.7
+"""Part of an error of one step that a filter first takes for the state's (Kalata 1984)."""
+ELEMENTS, FEWEST = 300_000_000, 2000
+"""Numbers in the products that choose functions, about, and rows that they are chosen by, at least."""
+SHORTEST_DELAY = 0.01
+"""Shortest delay of the inputs that is believed [samples]."""
+SLIGHT = 0.05
+"""Squared error, in units of its variance, below which a step tells nothing of a fit to innovations: an observer that
+hardly corrects moves on and on."""
 TRIES = 10
 """Sets of functions that are tried at most."""
 
@@ -70,6 +80,31 @@ TRIES = 10
 def _worth(descent: Descent, errors: Tensor, windows: Windows) -> float:
     """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
     return descent.price * repetition(errors, windows.mask, windows.joined) if descent.correlated else descent.price
+
+
+def first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
+    """Return where the gain of an observer is fitted, bool `(n_x, n_x)`, and a first guess, as of an alpha-beta filter.
+
+    Each measured state corrects itself and its rate, and all of them what no sensor sees in any form.
+
+    Args:
+        data: the recording, NaN where a state was not measured.
+        rates: which state is the rate of which other one, `{rate: state}`.
+    """
+    seen = ~data.x_next.isnan().all(0)
+    corrects, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
+    for i in (~seen).nonzero().flatten().tolist():
+        of = rates.get(i)
+        if of is None or not bool(seen[of]):
+            corrects[i] = seen
+        else:
+            corrects[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
+    return corrects, gain
+
+
+def _rows_for(free: Tensor) -> int:
+    """Return how many rows of a recording functions are chosen by: the fewer, the more there are to choose from."""
+    return max(FEWEST, min(ENOUGH, round(ELEMENTS / max(int(free.sum()), 1) ** 2)))
 
 
 def _price(n: int, free: Tensor) -> float:
@@ -218,9 +253,9 @@ def _settle(
                 return flow, replace(model, least=True)
             damping = max(10 * damping, 1e-3)
             continue
-        gain = (model.cost - cost) / model.cost
+        gain, slight = (model.cost - cost) / model.cost, model.cost - cost < SLIGHT and flow.estimate.gain is not None
         flow, model, damping = trial, after, damping / 10 if damping > 1e-6 else 0.0
-        if gain < enough:
+        if gain < enough or slight:
             break
     return flow, model
 
@@ -244,23 +279,42 @@ NEGLIGIBLE = 1e-6
 
 
 def refine_trajectory(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor | None = None
+    library: Library,
+    xi: Tensor,
+    free: Tensor,
+    data: Transitions,
+    descent: Descent,
+    start: Tensor | None = None,
+    delay: float = 0.0,
+    before: Tensor | None = None,
+    gain: Tensor | None = None,
 ) -> Flow:
     """Minimise the error of whole trajectories over coefficients and start states; drop what does not matter.
 
     Segments are to be long against the window. `start` is a guess of the states before each transition, `(N, n_x)`; the
-    measured ones by default.
+    measured ones by default. With the inputs of the samples `before` each one, `(N, M, n_u)`, their delay is fitted,
+    too, from a first guess [s] on, and left out where it is not worth a coefficient. With a first guess of the `gain`
+    of an observer what is minimised are its innovations: errors of one step ahead, the states of which are estimated
+    from all samples before (Ljung 1999, section 7.2). They are white where the model is right, whether the plant is
+    pushed at random, the sensors are noisy, or both.
 
     Raises:
         RunsAway: the model runs away within the shortest of windows.
     """
+    if not descent.select:
+        free = free & (xi != 0)
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
     joined = descent.joined
-    some = choose_stretches(len(data), ENOUGH)
-    part, descent = data.select(some), replace(descent, price=_price(int(some.sum()), free))
-    first = Estimate(library, xi, guess[some])
-    flow = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE)
+    some = choose_stretches(len(data), _rows_for(free))
+
+    def _priced(n: int) -> Descent:
+        return replace(descent, price=descent.penalty * _price(n, free) if descent.select else 0.0)
+
+    part, descent = data.select(some), _priced(int(some.sum()))
+    some_before = None if before is None else before[some]
+    first = Estimate(library, xi, guess[some], delay, gain)
+    flow = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE, some_before)
     found, windows = flow.estimate, flow.windows
     may_begin_anew = joined is None and not descent.coloured
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
@@ -280,16 +334,33 @@ def refine_trajectory(
         found, windows = _fit_with_lasting_errors(found, free, windows, descent)
     if not bool(some.all()):
         support = (found.xi != 0) & free
-        flow = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined))
+        flow = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined), before=before)
         whole, windows = flow.estimate, flow.windows
         if descent.coloured:
             windows = _lasting(whole, windows)
         elif may_begin_anew:
             windows = replace(windows, joined=_grows(flow)[1])
-        found, _ = _descend(whole, support, windows, replace(descent, price=_price(len(data), free)))
+        found, _ = _descend(whole, support, windows, _priced(len(data)))
     elif not descent.coloured:
         found, windows = _finely(found, free, windows, descent)
+    found = _without_delay(found, free, windows, descent)
     return Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
+
+
+def _without_delay(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Estimate:
+    """Return an estimate without its delay, where that is not worth a coefficient, or a hundredth of a sample."""
+    support = (found.xi != 0) & free
+    if not found.delay or not bool(support.any()):
+        return found
+    with suppress(RunsAway):
+        prompt = replace(windows.late(0.0), given=None)
+        flow, parameters = Flow.of(found, Parameters.where(support), windows), Parameters.where(support)
+        simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt), descent.max_rounds)
+        worth = _worth(replace(descent, price=_price(int(windows.mask.sum()), free)), model.errors, windows)
+        told = found.delay > SHORTEST_DELAY * windows.dt
+        if not told or 2 * (left_over(model, prompt) - left_over(linearise_windows(flow), windows)) <= worth:
+            return simple.estimate
+    return found
 
 
 def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Windows]:
@@ -386,7 +457,14 @@ def trajectory_error_ratio(
     return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
 
 
-def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Descent, turned: float = FINE) -> Flow:
+def _grown(
+    estimate: Estimate,
+    support: Tensor,
+    data: Transitions,
+    descent: Descent,
+    turned: float = FINE,
+    before: Tensor | None = None,
+) -> Flow:
     """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away.
 
     The nodes of the first estimate are a guess of the states before each transition, `(N, n_x)`.
@@ -397,7 +475,8 @@ def _grown(estimate: Estimate, support: Tensor, data: Transitions, descent: Desc
     prior = likely(estimate.library, estimate.xi, guess, data, length)
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
-        windows = replace(Windows.of(data, length, descent.joined is not False, substeps), likely=prior)
+        windows = Windows.of(data, length, descent.joined is not False, substeps, before)
+        windows = replace(windows, likely=prior, corrects=descent.corrects)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 

@@ -30,7 +30,13 @@ CALLS = (*FORMULA_FUNCTIONS, "exceeds")
 
 
 def simulate_program(
-    program: Program, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
+    program: Program,
+    x: Tensor,
+    u: Tensor,
+    dt: float,
+    substeps: int,
+    u_end: Tensor | None = None,
+    observer: Observed | None = None,
 ) -> Tensor:
     """Advance states over periods that follow each other, see `dynasindy.systems.integrators.trajectory`.
 
@@ -41,9 +47,10 @@ def simulate_program(
         dt: length of a period [s].
         substeps: Runge-Kutta steps in it.
         u_end: inputs at the end of each period, see `Transitions`.
+        observer: what corrects the states after each period.
 
     Returns:
-        States at the end of each period, `(rows, T, n_x)`.
+        States at the end of each period, `(rows, T, n_x)`, before they are corrected.
 
     Raises:
         ValueError: a formula holds something that is none.
@@ -57,9 +64,32 @@ def simulate_program(
     places = map(_data, (listing.code, listing.results, constants))
     rows, periods, count = (ctypes.c_long(n) for n in (len(x), u.shape[1], len(listing.code)))
     whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
-    data = map(_data, (*whole, ends, room))
+    correction = _correction(observer)
+    data = map(_data, (*whole, ends, room, *correction))
     _library().simulate(rows, periods, *sizes, count, *places, ctypes.c_double(h), steps, int(difference), *data)
     return ends
+
+
+class Observed(NamedTuple):
+    """Hold an observer of constant gain.
+
+    Attributes:
+        measured: what was measured at the end of each period, `(rows, T, n_x)`, NaN where nothing was.
+        gain: of what an end misses of it, `(n_x, n_x)`, which is added before the next period.
+    """
+
+    measured: Tensor
+    gain: Tensor
+
+    def corrected(self, x: Tensor, period: int) -> Tensor:
+        """Return states after a period, `(rows, n_x)`, as the next one begins with them."""
+        return x + (self.measured[:, period] - x).nan_to_num() @ self.gain.mT
+
+
+def _correction(observer: Observed | None) -> tuple[Tensor | None, Tensor | None]:
+    if observer is None:
+        return None, None
+    return observer.measured.double().contiguous(), observer.gain.double().contiguous()
 
 
 class Slopes:
@@ -96,6 +126,7 @@ class Slopes:
         dt: float,
         substeps: int,
         u_end: Tensor | None = None,
+        observer: Observed | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return states after periods that follow each other, and their derivatives by what they depend on.
 
@@ -107,15 +138,23 @@ class Slopes:
             dt: length of a period [s].
             substeps: Runge-Kutta steps in it; a difference equation has its own.
             u_end: inputs at the end of each period, see `Transitions`.
+            observer: what corrects the states after each period.
 
         Returns:
             States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the shapes and
             the coefficients, `(rows, T, n_x, n_x + S + P)`.
         """
-        return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps))
+        return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps), observer)
 
     def _passed(
-        self, xi: Tensor, parameters: tuple[Tensor, Tensor], x: Tensor, u: Tensor, u_end: Tensor | None, steps: Steps
+        self,
+        xi: Tensor,
+        parameters: tuple[Tensor, Tensor],
+        x: Tensor,
+        u: Tensor,
+        u_end: Tensor | None,
+        steps: Steps,
+        observer: Observed | None = None,
     ) -> tuple[Tensor, Tensor]:
         listing, n_x, (rows, periods, n_u) = self._listing, self.program.n_x, u.shape
         features, states = (xi != 0).nonzero(as_tuple=True)
@@ -134,7 +173,7 @@ class Slopes:
         arguments = [
             *(*map(ctypes.c_long, (rows, periods)), *sizes, *map(ctypes.c_long, (listing.first, len(listing.code)))),
             *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
-            *(int(steps.difference), *whole, ends, slopes, room),
+            *(int(steps.difference), *whole, ends, slopes, room, *_correction(observer)),
         ]
         self._code.sensitivities(
             *(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments)

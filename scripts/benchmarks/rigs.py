@@ -283,9 +283,9 @@ def _none(data: Transitions) -> Transitions:
 
 
 def ours(case: Case) -> Predictor:
-    """Read and identify with all settings at their defaults."""
-    more = {"validation_share": case.facts["kept"]} if "kept" in case.facts else {}
-    source = read([str(file) for file in case.files], **case.facts.get("columns", {}), **more)
+    """Read and identify with all settings at their defaults; what is scored is a log of its own, or the part kept."""
+    share, columns = case.facts.get("kept", 0.0), case.facts.get("columns", {})
+    source = read([str(file) for file in case.files], **columns, validation_share=share)
     names = source.signature.state_names
     units = zip(source.signature.state_units, case.states.values(), strict=True)
     factors = np.array([1.0 if mine == unit else in_radians(unit)[1] for mine, unit in units])

@@ -9,7 +9,6 @@ from benchmarks.identify import TEXTBOOK
 from scipy.linalg import expm
 
 from dynasindy.envs.rollout_data import disturb
-from dynasindy.identification.log_fit import _take_alternative
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.sindy.refinement import METHODS
@@ -201,27 +200,11 @@ def of_store(error):
     return SindyModel(STORE, ["1", "y", "u"], Regression("bic"), refinement)
 
 
-def test_what_was_set_aside_is_what_one_simulation_finds():
-    data = pushed()
-    pieces, whole = of_store("auto"), of_store("simulation")
-    report = pieces.fit(data)
-    before = pieces.coefficients.clone()
-    expected = whole.fit(data)
-    assert report.in_pieces and report.aside is not None
-    other, told = _take_alternative(pieces, report.aside, data)
-    assert torch.equal(other.coefficients, whole.coefficients) and not torch.equal(other.coefficients, before)
-    assert torch.equal(pieces.coefficients, before), "the model itself stays"
-    assert torch.equal(other.covariance.matrix, whole.covariance.matrix)
-    assert told.residual["y"] == pytest.approx(expected.residual["y"], rel=1e-12)
-    assert told.in_pieces and told.aside is None
-    assert other.refinement == whole.refinement, "what is fitted anew is fitted by one simulation"
-
-
-def test_a_log_that_one_simulation_follows_leaves_nothing_aside():
+def test_a_log_that_one_simulation_follows_is_not_cut_into_pieces():
     u = torch.from_numpy(np.repeat(np.random.default_rng(0).uniform(0, 1, 20), 10))[:, None]
     y = [torch.ones(1, dtype=torch.float64)]
     for held in u:
         y.append(2 * held + (y[-1] - 2 * held) * np.exp(-0.05))
     seen = torch.stack(y) + 0.02 * torch.randn(201, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     report = of_store("auto").fit(Transitions.from_trajectory(seen, u, 0.1))
-    assert not report.in_pieces and report.aside is None
+    assert not report.in_pieces

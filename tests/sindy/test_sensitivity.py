@@ -6,12 +6,14 @@ import torch
 from scipy.linalg import expm
 
 from dynasindy.sindy import functions, sensitivity
+from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.functions import Function, register_function
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import build_library, paper_table
 from dynasindy.sindy.sensitivity import Parameters, Propagator, TorchSlopes
 from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
+from dynasindy.systems.interpreter import Observed
 
 LIBRARY = paper_table(Xi().signature)
 
@@ -71,8 +73,9 @@ def test_sensitivities_are_those_of_autograd_through_the_integrator(path, linear
     torch.testing.assert_close(propagator.slopes_by_state(x, u), slopes, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.parametrize("observed", [False, True])
 @pytest.mark.parametrize("linear", [False, True])
-def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, linear):
+def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, linear, observed):
     """More rows than are handled at once, and windows of three intervals of two steps each."""
     words = ["tanh(~2 a)", "u^2 tanh(~2 a)^3 b", "max(0, b - .25)", "a", "slack(a, b; ~0.5)", "sin(2 a)", "u"]
     library, rows = Library(TWO, map(parse, words)), 70
@@ -80,6 +83,8 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
     numbers, xi = torch.tensor([2.0, 0.5]).double(), draw(len(words), 2, seed=1)
     x, u, u_end = draw(rows, 2), draw(rows, 3, 1, seed=2), draw(rows, 3, 1, seed=3)
     u_end = u_end if linear else u
+    measured, gain = draw(rows, 3, 2, seed=4), torch.tensor([[0.5, 0.1], [-0.3, 0.2]]).double()
+    measured[::3, 1, 0] = torch.nan  # a sample that was lost corrects nothing
 
     def field(x, u, xi, numbers):
         (a, b), v = x.unbind(-1), u[..., 0]
@@ -88,18 +93,21 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
         functions = t, v**2 * t**3 * b, (b - 0.25).clamp_min(0), a, slack, torch.sin(2 * a), v
         return torch.stack(functions, -1) @ xi
 
-    def predict(x, numbers, xi, u, u_end):
+    def predict(x, numbers, xi, u, u_end, measured):
         ends = []
-        for begin, end in zip(u, u_end):
+        for begin, end, y in zip(u, u_end, measured):
             x = integrated(lambda x, u: field(x, u, xi, numbers), x, begin, end, 0.1, 2)
             ends.append(x)
+            x = x + observed * gain @ torch.where(y.isnan(), 0.0, y.nan_to_num() - x)
         return torch.stack(ends)
 
     propagator = Propagator(library, xi, Parameters.where(xi != 0), library.shapes)
-    ours, s = propagator.trajectories(x, u, 0.2, 2, u_end if linear else None)
-    rest = x, numbers, xi, u, u_end
-    torch.testing.assert_close(ours, torch.func.vmap(predict, (0, None, None, 0, 0))(*rest), rtol=1e-12, atol=1e-14)
-    by_x, by_number, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1, 2)), (0, None, None, 0, 0))(*rest)
+    observer, ends = Observed(measured, gain) if observed else None, u_end if linear else None
+    ours, s = propagator.trajectories(x, u, 0.2, 2, ends, observer)
+    rest, each = (x, numbers, xi, u, u_end, measured), (0, None, None, 0, 0, 0)
+    torch.testing.assert_close(ours, torch.func.vmap(predict, each)(*rest), rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(simulate(library, xi, x, u, 0.2, 2, ends, observer), ours, rtol=1e-12, atol=1e-14)
+    by_x, by_number, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1, 2)), each)(*rest)
     wanted = torch.cat([by_x, by_number, by_xi.mT.flatten(-2)], -1)
     torch.testing.assert_close(s, wanted, rtol=1e-11, atol=1e-13)
 

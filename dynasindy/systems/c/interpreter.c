@@ -57,12 +57,43 @@ static void put_inputs(double (*v)[W], long first, int width, int n_u, long ever
         }
 }
 
-/* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x). The first values of `room` are states and
-   inputs, then come `n_k` constants; behind all `n_v` values are 4 n_x arrays of the steps. Of a difference equation a
-   step has one stage. */
+/* The observer of W rows: states after a period are corrected by `gain`: (n_x, n_x) times what their ends miss of what
+   was measured, which is NaN where nothing was, and their derivatives alike. */
+static void correct(const double *gain, int n_x, int width, long every, const double *measured, const double *ends,
+                    double (*at)[W], double (*s)[W], long columns)
+{
+    double error[W], part[W];
+    for (int j = 0; j < n_x; j++) {
+        for (int r = 0; r < W; r++) {
+            long place = (r < width ? r : 0) * every + j;
+            error[r] = measured[place] - ends[place];
+        }
+        for (int i = 0; i < n_x; i++)
+            for (int r = 0; r < W; r++) at[i][r] += error[r] == error[r] ? gain[i * n_x + j] * error[r] : 0;
+    }
+    for (long k = 0; k < columns; k++) {
+        double sum[n_x][W];
+        memset(sum, 0, sizeof sum);
+        for (int j = 0; j < n_x; j++) {
+            for (int r = 0; r < W; r++) {
+                double y = measured[(r < width ? r : 0) * every + j];
+                part[r] = y == y ? s[j * columns + k][r] : 0;
+            }
+            for (int i = 0; i < n_x; i++)
+                for (int r = 0; r < W; r++) sum[i][r] += gain[i * n_x + j] * part[r];
+        }
+        for (int i = 0; i < n_x; i++)
+            for (int r = 0; r < W; r++) s[i * columns + k][r] -= sum[i][r];
+    }
+}
+
+/* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x). The first values
+   of `room` are states and inputs, then come `n_k` constants; behind all `n_v` values are 4 n_x arrays of the steps. Of
+   a difference equation a step has one stage. With a gain states are corrected by what was measured: (rows, periods,
+   n_x), before the next period. */
 void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long n, const int *code, const int *results,
               const double *constants, double h, int steps, int difference, const double *x, const double *u,
-              const double *u_end, double *ends, double *room)
+              const double *u_end, double *ends, double *room, const double *measured, const double *gain)
 {
     double (*v)[W] = (double (*)[W])room, (*at)[W] = v + n_v, (*sum)[W] = at + n_x, (*once)[W] = sum + n_x;
     for (int k = 0; k < n_k; k++)
@@ -100,6 +131,8 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long 
             }
             for (int r = 0; r < width; r++)
                 for (int i = 0; i < n_x; i++) ends[((first + r) * periods + t) * n_x + i] = at[i][r];
+            long row = (first * periods + t) * n_x;
+            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, at, NULL, 0);
         }
     }
 }
@@ -242,7 +275,7 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                    const int *shapes, const double *shapes_by, int n_state_places, const int *state_places,
                    int n_shape_places, const int *shape_places, const int *parameters, const double *constants,
                    double h, int steps, int difference, const double *x, const double *u, const double *u_end,
-                   double *ends, double *slopes, double *room)
+                   double *ends, double *slopes, double *room, const double *measured, const double *gain)
 {
     struct flow f = {n_x, n_f, difference ? 1 : 4, steps, h, code, features,
                      {n_rates, rates, rates + n_rates, rates_by}, {n_states, states, states + n_states, states_by},
@@ -301,6 +334,9 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                     double *to = slopes + ((first + r) * periods + t) * size;
                     for (long k = some; k < size && k < some + TILE; k++) to[k] = s[k][r];
                 }
+            long row = (first * periods + t) * n_x;
+            double (*last)[W] = f.at + steps * n_x;
+            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns);
         }
     }
 }
