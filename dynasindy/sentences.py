@@ -926,6 +926,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each step. If the "
     "samples were even and only their times were written late, give a counter as the time and {dt:data.dt}",
     "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
+    "log.references": "left out, as references by name: {columns:list}; what is none can be named in <data.states> or "
+    "<data.inputs>",
+    "log.followed": "{columns:list} move in steps that another column follows, and are taken as references, which are "
+    "neither inputs nor states; if they are states, give {states:data.states}",
+    "log.guessed_inputs": "{inputs:list} are taken as inputs, for they move in steps and all others in most rows; no "
+    "heading says so: if they are not, correct {inputs:data.inputs} and {states:data.states}",
     "log.labels": "{columns:list} hold whole numbers that hardly ever change, as labels of trials and modes do; if "
     "they are such, leave them out of the states: {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",

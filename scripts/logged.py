@@ -79,6 +79,8 @@ def prepare(cfg: DictConfig) -> Preparation:
     Args:
         cfg: The settings. `plant.known` and `plant.rates` are written into them where nobody gave them.
     """
+    if (device := cfg.get("device", "cpu")) != "cpu":
+        raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")
     planning = _planning_settings(cfg)
     source, findings = load_data(cfg) if cfg.get("data") is not None else (None, [])
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))

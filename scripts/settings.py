@@ -81,7 +81,12 @@ TOP: dict[str, Any] = {
     **{"evaluation.every": int, "evaluation.must_improve": bool, "evaluation.must_control": bool},
     **{"evaluation.within": float, "checkpoint.every": int, "device": str},
     **{"scenario": Scenario, "data": LoggedData | Simulated, "level": Level},
-    **{"dt": Positive, "targets": Annotated[list[list[float]], SOME] | None, "flights": int, "guard": Guard},
+    **{
+        "dt": Annotated[float, Field(gt=0, le=1e5)],
+        "targets": Annotated[list[list[float]], SOME] | None,
+        "flights": int,
+        "guard": Guard,
+    },
     **{"seconds": Annotated[float, Field(gt=0, le=1e5)] | None, "planner": dict[str, Any] | None},
 }
 """Keys of any command's config, besides those of what it builds."""

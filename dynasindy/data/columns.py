@@ -13,9 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
-from dynasindy.data.headings import PER_MINUTE, find_names, in_radians, is_rate_of, parts_of, split_unit, units_of
-from dynasindy.data.table import REGULAR, ColumnSummary, correct_map, summarise_columns
-from dynasindy.findings import Finding, LogError, note
+from dynasindy.data.headings import (
+    PER_MINUTE,
+    SECONDS,
+    find_names,
+    in_radians,
+    is_clock,
+    is_rate_of,
+    named_by,
+    parts_of,
+    split_unit,
+    units_of,
+)
+from dynasindy.data.table import REGULAR, ColumnSummary, correct_map, read_columns, summarise_columns
+from dynasindy.findings import Finding, LogError, note, weak
 
 Array = NDArray[np.float64]
 
@@ -121,6 +132,53 @@ def _is_label(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) != 0).mean() < RARE and (column == column.round()).all())
 
 
+def _steps_of(column: Array) -> NDArray[np.int64]:
+    """Return the rows in which a column has another number than before."""
+    return np.flatnonzero(np.diff(column)) + 1
+
+
+def _standing(column: Array) -> float:
+    """Return the share of the rows in which a column has the same number as before."""
+    return 1 - len(_steps_of(column)) / max(len(column) - 1, 1)
+
+
+def _is_followed(column: Array, others: Iterable[Array]) -> bool:
+    """Tell whether a column moves in steps that another one follows, as a reference does that a plant is taken to.
+
+    After a step the other one is where the reference was before, and at the end of it where it was led; a slow sensor
+    of the same is there from the beginning.
+    """
+    steps = _steps_of(column)
+    if _standing(column) <= HELD or len(steps) < LEADS:
+        return False
+    steps, ends = steps[:-1], steps[1:] - 1
+    size = np.abs(column[steps] - column[steps - 1])
+    before, after = ([np.abs(x[rows] - column[steps]) / size for x in others] for rows in (steps, ends))
+    pairs = zip(before, after, strict=True)
+    return any(np.median(first) > AWAY and np.median(last) < 1 - AWAY for first, last in pairs)
+
+
+def _stepping(columns: Mapping[str, Array]) -> list[str]:
+    """Return the columns that are inputs by how they move: in steps, where all others move in most rows.
+
+    There is none where that is no clear matter: where one may be a label, where several are no array of the same, or
+    where what would be a state stands still, too.
+
+    Args:
+        columns: Numbers of the columns that move, by name.
+    """
+    standing = {name: _standing(column) for name, column in columns.items()}
+    found = [name for name, share in standing.items() if share > HELD and not _is_label(columns[name])]
+    most = 0.5 * min((standing[name] for name in found), default=0.0)
+    smooth = all(standing[name] < most for name in columns if name not in found)
+    stems = {name: re.sub(r"[\W_]*\d+$", "", name) for name in columns}
+    if not smooth or len({stems[name] for name in found}) != 1:
+        return []
+    pair = [name for name in columns if stems[name] == stems[found[0]]]
+    alone = found if len(found) < len(columns) else []
+    return pair if len(pair) < len(columns) else alone  # columns of one matrix are no pair
+
+
 def infer(
     path: str,
     time: str = CLOCK,
@@ -131,9 +189,10 @@ def infer(
 ) -> tuple[dict[str, Column], dict[str, Column]]:
     """Read the columns of states and inputs off the headings of a file, `name` or `name [unit]`.
 
-    Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; references,
-    predictions, columns without any number, those that never change and those that count the rows are left out; all
-    other columns but time are states, unless they are named.
+    Inputs, unless they are named, are called u, u1, u_..., or input..., and where none is, cmd or command; where none
+    is either, they are the columns that move in steps while all others move in most rows. References, predictions,
+    columns without any number, those that never change and those that count the rows are left out; all other columns
+    but time are states, unless they are named.
 
     Args:
         path: the file.
@@ -169,6 +228,11 @@ def infer(
         if h in look.numeric and not name.startswith(("reference_", "predicted_"))
     }
     counting = {*look.counting, *look.clocks(clock)}
+    targets = [
+        name
+        for name in others
+        if name not in named and REFERENCE.fullmatch(name) and not (INPUT.fullmatch(name) or COMMAND.fullmatch(name))
+    ]
     free = {name: column.name for name, column in others.items() if name not in named}
     still = {name: look.still[h] for name, h in free.items() if h in look.still}
     counts = [name for name, h in free.items() if h in counting]
@@ -180,7 +244,16 @@ def infer(
     else:
         found = _chosen(others, inputs, path, "data.inputs")
     left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
+    moves = {n: look.moving[c.name] for n, c in left.items() if n not in targets}
+    led = [n for n in moves if n not in named and _is_followed(moves[n], [moves[m] for m in moves if m != n])]
+    guessed = not found and inputs is None and timed
+    if guessed:
+        steps = _stepping(moves) or _stepping({n: x for n, x in moves.items() if n not in led})
+        found = {n: left[n] for n in steps if n not in named}
+        led = [n for n in led if n not in found]
+    left = {n: c for n, c in left.items() if n not in {*found, *targets, *led}}
     if states is not None:
+        targets, led = [], []
         left = _chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
@@ -192,8 +265,14 @@ def infer(
         "date_columns": dates if timed else dates[1:],  # the first is the time where nothing else is
     }
     out = [note(f"log.{why}", columns=columns) for why, columns in left_out.items() if columns]
+    if targets:
+        out.append(note("log.references", columns=targets))
     if not left or not found or not timed:
         raise _without_roles(path, look, clock, list(found), out, dt)
+    if led:
+        out.append(weak("log.followed", columns=led, states=[*left, *led]))
+    if guessed:
+        out.append(weak("log.guessed_inputs", inputs=[*found], states=[*left]))
     labels = [name for name, column in left.items() if name not in named and _is_label(look.moving[column.name])]
     if labels and (rest := [name for name in left if name not in labels]):
         out.append(note("log.labels", columns=labels, states=rest))
@@ -224,6 +303,14 @@ INPUT = re.compile(r"(u|U|input)([_\d].*)?")
 """How inputs are called."""
 COMMAND = re.compile(r"(.*_)?(cmd|command|input)([_ \d].*)?")
 """How they may be called where none is called so: beside an input, a command may be a target."""
+REFERENCE = re.compile(
+    r"(.*[_ .])?(ref|r[e\u00e9]f[e\u00e9]ren\w*|set[_ ]?point|sp|target|soll\w*|consign\w*)([_ .\d].*)?", re.I
+)
+"""What references are called, in several languages."""
+HELD = 0.5
+"""Share of the rows with the same number as before beyond which a column moves in steps."""
+LEADS, AWAY = 4, 0.7
+"""Steps of a reference that are followed at least; part of a step that is left after it, and gone at its end."""
 
 
 def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
@@ -325,6 +412,38 @@ def row_counter(path: Path, time: str, named: Collection[str]) -> str:
     step = np.median(steps)
     regular = (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
     return growing[0] if regular else time
+
+
+def clock_in_units(path: Path, time: str, named: Collection[str], dates: bool) -> str:
+    """Return the heading of the time of a log in which nothing is called one: the only column with a unit of time.
+
+    It rises throughout, and by much the same in most rows. Dates are as good as a unit. Where there is no such column,
+    or a choice, what was given is returned.
+
+    Args:
+        path: The file.
+        time: Heading of the time as it was given, or `time`.
+        named: Names of the columns that were named as states or inputs.
+        dates: Whether dates are looked at.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: The file is no table of text.
+    """
+    headings = read_columns(path).headings
+    if time != CLOCK or any(map(is_clock, headings)) or named_by(time, headings):
+        return time
+    look = summarise_columns(path)
+    columns = {h: look.moving[h] for h in look.growing if parts_of(h)[1].lower() in SECONDS}
+    columns |= {h: look.table.column(h) for h in look.dated if dates}
+    found = [h for h, column in columns.items() if split_unit(h)[0] not in named and _is_regular(column)]
+    return found[0] if len(found) == 1 else time
+
+
+def _is_regular(column: Array) -> bool:
+    """Tell whether a column rises from row to row, by about the same in most of them."""
+    steps = np.diff(column[np.isfinite(column)])
+    return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < 0.5).mean() > HELD)
 
 
 def guess_columns(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -57,7 +57,7 @@ class ControlEnv(EnvBase):
         self,
         system: System,
         task: Task,
-        dt: float = 0.05,
+        dt: Annotated[float, range(100_001), "seconds; a plant is hardly controlled once a day"] = 0.05,
         substeps: Count = 5,
         *,
         batch_size: tuple[int, ...] = (),

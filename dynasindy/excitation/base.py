@@ -88,6 +88,10 @@ class Excitation(TensorDictModuleBase, ABC):
         self.n_u, self.duration, self.dt = n_u, float(duration), float(dt)
         self._check_size(self.dt, 1)
         self.register_buffer("amplitude", _per_input(amplitude, n_u, "amplitude"))
+        if not bool(self.amplitude.any()):
+            raise ValueError(
+                "excitation.amplitude is 0; allowed is a half range above 0 of an input: without nothing moves"
+            )
         self.register_buffer("offset", _per_input(offset, n_u, "offset"))
         if bool((self.offset.abs() + self.amplitude.abs() > 1 + 1e-6).any()):
             raise ValueError(

@@ -34,7 +34,7 @@ class Chirp(Excitation):
         **common: amplitude, offset and seed, see `Excitation`.
 
     Raises:
-        ValueError: a frequency is negative, or what `Excitation` raises.
+        ValueError: a frequency is negative or above half of the control rate, or what `Excitation` raises.
     """
 
     def __init__(
@@ -50,6 +50,11 @@ class Chirp(Excitation):
         band = (0.0, TURNS / dt) if band is None else band
         if len(band) != 2 or min(band) < 0:
             raise ValueError(f"chirp got the band {list(band)} Hz; allowed are two frequencies of 0 or more: from, to")
+        if max(band) > 0.5 / dt:
+            raise ValueError(
+                f"excitation.band is {list(band)} Hz; allowed is up to half of the control rate, {0.5 / dt:g} Hz, "
+                "beyond which an input that is held for a period is another signal: lower it, or env.dt"
+            )
         self.start = float(band[0])
         self.stop = torch.tensor([band[1] * (1.0 if i % 2 == 0 else 0.7) for i in range(n_u)], dtype=torch.float64)
         self.phase = torch.tensor([(i - 1) * math.pi / 2 for i in range(n_u)], dtype=torch.float64)
@@ -153,9 +158,14 @@ class _Switching(Excitation):
         **common: Unpack[Common],
     ) -> None:
         super().__init__(n_u, duration, dt, **common)
-        hold = HELD * dt if hold is None else hold
+        own, hold = hold, HELD * dt if hold is None else hold
         if not hold > 0:
             raise ValueError(f"excitation got hold {hold} s; allowed is a positive time: 0.5 s suits the twin rotor")
+        if own is not None and hold > self.duration:
+            raise ValueError(
+                f"excitation.hold is {hold:g} s; allowed is up to the whole experiment, excitation.duration="
+                f"{self.duration:g} s: shorten it, for one level identifies nothing"
+            )
         self.hold = float(hold)
         self._check_size(self.hold, 1)
         generator = torch.Generator().manual_seed(self.seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -10,7 +11,7 @@ from typing import Annotated
 
 from dynasindy.sentences import setting
 from dynasindy.sindy.library import CONSTANT, Feature, Library, of, parse, variable
-from dynasindy.systems.base import Signature
+from dynasindy.systems.base import TURNS, Signature
 
 COUPLING = -0.03
 """First guess of p; a fit goes 30 times as far at most, so 1 + p cos^2 a stays positive."""
@@ -74,8 +75,12 @@ DRY = 10.0
 """First guess of the inverse of the rate at which dry friction is full [s/rad]."""
 FULL, SLIPS = 20.0, 4.0
 """First guesses of the parts of a rate's range at which dry friction is full, and beyond which it no longer sticks."""
-SPEEDS = frozenset(f"{unit}/s" for unit in ("rad", "mrad", "deg", "°", "m", "mm", "cm", "km"))
-"""Units of the rates of angles and places."""
+_PLACE = "|".join(
+    (*(f"{prefix}m" for prefix in ("", "k", "c", "d", "m", "u", "µ", "μ", "n")), "in", "ft", "rad", *TURNS)
+)
+TURNING = re.compile(r"rpm|rps|(?:1|U|r|rev|turns?)/min")
+SPEED = re.compile(rf"(?!{TURNING.pattern})(?:{_PLACE})/(?:h|min|s|ms)")
+"""Units of the rates of angles and places: any angle or length per time, and turns per minute, as those of shafts."""
 SLACK = 0.1
 """First guess of the input that a dead zone swallows."""
 LibraryBuilder = Callable[[Signature], Library]
@@ -264,15 +269,19 @@ def auto_rig(signature: Signature) -> Library:
     """Build what suits the units of a real plant: `auto`, and dry friction of each rate of an angle or a place.
 
     Dry friction is tanh(v / width), which is full beyond a small rate v; the width is fitted. Of two rates or more it
-    is there times cos a of each angle a, too: what rubs on a cart turns the pole on it.
+    is there times cos a of each angle a, too: what rubs on a cart turns the pole on it. A shaft of which the turns per
+    minute are known, and no angle, has bearings of its own, and rubs on nothing else.
 
     Args:
-        signature: names and units of states and inputs; rates are the states in a unit of `SPEEDS`.
+        signature: names and units of states and inputs; rates are the states in a unit of `SPEED` or `TURNING`.
     """
-    units = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
-    dry = [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if unit in SPEEDS]
+    units = [*zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)]
+    dry, shafts = (
+        [of("tanh", name, frequency=FULL / scale, fitted=True) for name, unit, scale in units if kind.fullmatch(unit)]
+        for kind in (SPEED, TURNING)
+    )
     turned = [f * of("cos", angle) for f in dry for angle in _angles_of(signature)] if len(dry) > 1 else []
-    return Library(signature, [*auto(signature, dry).features, *dry, *turned])
+    return Library(signature, [*auto(signature, dry).features, *dry, *turned, *shafts])
 
 
 NAMED: dict[str, LibraryBuilder] = {

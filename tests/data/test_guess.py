@@ -8,7 +8,7 @@ import pytest
 
 from dynasindy.data.columns import guess_columns, infer, row_counter
 from dynasindy.data.table import summarise_columns
-from dynasindy.findings import LogError, note, wrong
+from dynasindy.findings import LogError, note, weak, wrong
 from dynasindy.identification.identify import LoggedData
 
 
@@ -36,7 +36,7 @@ def roles(guess):
     [
         ("Zeit,Winkel,Rate,Befehl", (0, 1, 2, 3)),
         ("Befehl,Winkel,Rate,Zeit", (3, 1, 2, 0)),
-        ("Zeit [s],Winkel [rad],Rate,der Befehl (V)", (0, 1, 2, 3)),
+        ("Zeit,Winkel [rad],Rate,der Befehl (V)", (0, 1, 2, 3)),
     ],
 )
 def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headings, order):
@@ -51,9 +51,8 @@ def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headi
 
 def test_what_headings_tell_is_no_guess(tmp_path):
     path = written(tmp_path / "log.csv", "t,a,b,c")
-    told = refused(lambda: infer(str(path)))
-    assert told.values["lacks"] == "inputs"
-    assert roles(told.values["guess"]) == {"time": "t", "inputs": ["c"], "states": ["a", "b"]}
+    guess = guess_columns(summarise_columns(path), "t", [])
+    assert roles(guess) == {"time": "t", "inputs": ["c"], "states": ["a", "b"]}
     named = guess_columns(summarise_columns(path), "t", ["a"])
     assert roles(named) == {"time": "t", "inputs": ["a"], "states": ["b", "c"]}
 
@@ -76,9 +75,10 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
-    told, still = refused(lambda: infer(str(path))).values, note("log.constant_columns", columns={"supply": 24.5})
-    assert roles(told["guess"]) == {"time": "time", "inputs": ["motor"], "states": ["angle"]}
-    assert told["left_out"] == [still]
+    still = note("log.constant_columns", columns={"supply": 24.5})
+    states, inputs = infer(str(path), findings=(told := []))
+    assert (list(states), list(inputs)) == (["angle"], ["motor"]) and still in told
+    assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"])
     found = LoggedData(str(path), inputs=["motor"]).recording(None)
     assert found.signature.state_names == ("angle",) and still in found.findings
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
@@ -225,3 +225,92 @@ def test_a_column_that_grows_by_one_in_each_row_counts(tmp_path):
     look = summarise_columns(write(tmp_path, "\n".join(["half,row,gap [-],jump,even,once,down,still", *rows])))
     assert look.counting == ("row", "gap [-]") and set(look.still) == {"once", "still"}
     assert summarise_columns(write(tmp_path, "a,b\n1,5\n2,6\n3,7\n")).counting == ()  # three rows may do so by chance
+
+
+def closed_loop(rows=1500):
+    """Return time, a reference in steps, a first-order plant that follows it, and what drives it, by hand."""
+    rng = np.random.default_rng(2)
+    r, y, e = np.repeat(rng.uniform(-1, 1, rows // 100), 100), np.zeros(rows), rng.normal(0, 0.1, rows)
+    u = np.zeros(rows)
+    for k in range(rows - 1):
+        u[k] = 3 * (r[k] - y[k]) + r[k] + e[k]
+        y[k + 1] = y[k] + 0.01 * 5 * (u[k] - y[k])
+    return {"t": 0.01 * np.arange(rows), "r": r, "y": y, "u": u}
+
+
+def codes(recording):
+    return {each.code: each for each in recording.findings}
+
+
+@pytest.mark.parametrize(
+    ("heading", "scale"), [("tempo_ms", 1000), ("Zeit [s]", 1), ("Run_1_Time (min)", 1 / 60), ("reloj us", 1e6)]
+)
+def test_the_only_column_with_a_unit_of_time_is_the_clock_whatever_it_is_called(tmp_path, heading, scale):
+    loop = closed_loop()
+    rows = np.stack([loop["t"] * scale, loop["y"], loop["u"]], -1).tolist()
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([f"{heading},y,u", *(",".join(map(repr, row)) for row in rows)]))
+    found = LoggedData(str(path)).recording(None)
+    assert found.transitions.dt == pytest.approx(0.01) and found.signature.state_names == ("y",)
+
+
+def test_a_column_with_a_unit_of_time_is_no_clock_where_another_may_be_or_it_does_not_rise_evenly(tmp_path):
+    loop, path = closed_loop(), tmp_path / "log.csv"
+    for headings, second in (("left [ms],right [s],y,u", loop["t"]), ("left [ms],right,y,u", loop["y"])):
+        first = 1000 * loop["t"] if second is loop["t"] else np.exp(10 * loop["t"])
+        rows = np.stack([first, second, loop["y"], loop["u"]], -1).tolist()
+        path.write_text("\n".join([headings, *(",".join(map(repr, row)) for row in rows)]))
+        assert refused(lambda: LoggedData(str(path)).recording(None)).code == "log.no_roles"
+
+
+@pytest.mark.parametrize("name", ["referencia", "sollwert", "consigna", "y_ref", "SetPoint", "target_1", "SP"])
+def test_a_reference_is_left_out_by_its_name_unless_it_is_named(tmp_path, name):
+    loop, path = closed_loop(), tmp_path / "log.csv"
+    rows = np.stack(list(loop.values()), -1).tolist()
+    path.write_text("\n".join([f"t,{name},y,u", *(",".join(map(repr, row)) for row in rows)]))
+    found = LoggedData(str(path)).recording(None)
+    assert found.signature.state_names == ("y",)
+    assert codes(found)["log.references"] == note("log.references", columns=[name])
+    assert LoggedData(str(path), states=["y", name]).recording(None).signature.state_names == ("y", name)
+    assert LoggedData(str(path), inputs=[name]).recording(None).signature.input_names == (name,)
+
+
+def test_a_reference_by_another_name_is_one_by_what_follows_it_and_a_slow_sensor_is_none(tmp_path):
+    loop, path = closed_loop(), tmp_path / "log.csv"
+    slow = loop["y"][np.arange(len(loop["y"])) // 40 * 40]
+    for second, states in ((loop["r"], ("y",)), (slow, ("a", "y"))):
+        rows = np.stack([loop["t"], second, loop["y"], loop["u"]], -1).tolist()
+        path.write_text("\n".join(["t,a,y,u", *(",".join(map(repr, row)) for row in rows)]))
+        found = LoggedData(str(path)).recording(None)
+        assert found.signature.state_names == states
+        assert ("log.followed" in codes(found)) == (states == ("y",))
+    held = np.repeat(np.random.default_rng(5).uniform(-1, 1, 75), 20)
+    rows = np.stack([loop["t"], loop["r"], loop["y"], held], -1).tolist()
+    path.write_text("\n".join(["t,a,y,drive", *(",".join(map(repr, row)) for row in rows)]))
+    found = LoggedData(str(path)).recording(None)
+    assert found.signature.input_names == ("drive",) and codes(found)["log.followed"].severity == "weak"
+
+
+def test_columns_that_move_in_steps_are_the_inputs_where_no_heading_says_so_and_others_are_not(tmp_path):
+    t = np.arange(600.0)
+    rng = np.random.default_rng(4)
+    one, two, mode = (np.repeat(rng.uniform(0, 50, 600 // n), n) for n in (30, 20, 15))
+    a, b = (np.convolve(x, np.ones(50) / 50)[:600] + rng.normal(0, 0.1, 600) for x in (one, two))
+    path = tmp_path / "log.csv"
+
+    def read(headings, *columns):
+        rows = np.stack(columns, -1).tolist()
+        path.write_text("\n".join([headings, *(",".join(map(repr, row)) for row in rows)]))
+        return LoggedData(str(path)).recording(None)
+
+    found = read("Time (sec), Heater 1, Heater 2, Temperature 1, Temperature 2", t, one, two, a, b)
+    assert found.signature.input_names == ("Heater 1", "Heater 2")
+    assert codes(found)["log.guessed_inputs"].severity == "weak"
+    for headings, columns in (
+        ("time,fan,valve,a,b", (t, one, mode, a, b)),  # which of them drives the plant nobody knows
+        ("time,a,b,c", (t, a, b, rng.normal(0, 1, 600))),
+        ("time,a,b,phase", (t, a, b, t // 200)),  # a label
+        ("time,x_1,x_2", (t, one, two)),
+    ):
+        with pytest.raises(LogError):
+            read(headings, *columns)

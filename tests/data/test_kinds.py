@@ -66,8 +66,10 @@ def test_places_in_arrays_and_paths_are_names(tmp_path):
 
 def test_names_of_a_pair_get_the_same_role(tmp_path):
     held = np.arange(ROWS) // 20 % 3 - 1.0
+    found = recording(tmp_path / "l.csv", "time,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
+    assert found.signature.input_names == ("Heater 1", "Heater 2")
     with pytest.raises(LogError) as error:
-        recording(tmp_path / "l.csv", "time,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
+        recording(tmp_path / "l.csv", "Zeit,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
     assert error.value.finding.values["guess"]["inputs"] == ["Heater 1", "Heater 2"]
 
 

@@ -615,7 +615,7 @@ def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_pa
     states, _ = infer(path, findings=(found := []))
     assert list(states) == ["angle", "rate"] and found == [note("log.counters", columns=["row"])]
     assert list(infer(path, states=["angle", "row"])[0]) == ["angle", "row"]
-    path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "volt", "row"))
+    path = write(tmp_path / "log.csv", table, ("Zeit", "angle", "rate", "volt", "row"))
     with pytest.raises(LogError) as error:
         infer(path)
     told = error.value.finding.values

@@ -212,8 +212,31 @@ def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns()
     dry = {"tanh(10 v)", "tanh(2 w)"}
     assert set(auto_rig(cart).names) - set(auto(cart).names) == dry | {f"{f} cos(a)" for f in dry}
     assert all(shape.fitted for shape in auto_rig(one).shapes)
-    tank = Signature(("h",), ("cm",), ("u",), (1.0,))
-    assert auto_rig(tank).names == auto(tank).names
+    for unit in ("cm", "degC/s", "V/s", "1/s", "mol/min", "rpm/s"):
+        tank = Signature(("h",), (unit,), ("u",), (1.0,))
+        assert auto_rig(tank).names == auto(tank).names
+    for unit in ("rpm", "deg/s", "°/s", "rev/s", "1/min", "rev/min", "km/h", "mm/s", "rad/min"):
+        shaft = Signature(("w",), (unit,), ("u",), (100.0,))
+        assert set(auto_rig(shaft).names) - set(auto(shaft).names) == {"tanh(0.2 w)"}
+    rotor = Signature(("a", "w", "n"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 4.0, 100.0))
+    assert set(auto_rig(rotor).names) - set(auto(rotor).names) == {"tanh(5 w)", "tanh(0.2 n)"}
+
+
+def test_dry_friction_of_a_motor_in_turns_per_minute_is_identified_from_a_log():
+    """J w' = k u - b w - c tanh(w / w_0), by scipy, in turns per minute."""
+    gain, viscous, dry, width, dt = 9000.0, 2.0, 1500.0, 60.0, 0.01
+    u, n = 0.9 * np.sin(2 * np.pi * np.outer(0.01 * np.arange(1200), (0.4, 1.1, 2.3))).mean(1), [0.0]
+    for held in u:
+        rate = lambda _, z, held=held: gain * held - viscous * z - dry * np.tanh(z / width)  # noqa: E731
+        n.append(solve_ivp(rate, (0, dt), n[-1:], rtol=1e-9, atol=1e-9).y[0, -1])
+    motor = Signature(("n",), ("rpm",), ("u",), (max(map(abs, n)),))
+    model = SindyModel(motor, "auto_rig", Regression("bic"), Refinement("one_step", rounds=4))
+    model.fit(Transitions.from_trajectory(torch.tensor(n).double()[:, None], torch.from_numpy(u)[:, None], dt))
+    (shape,) = model.library.shapes
+    found = dict(zip(model.library.names, model.coefficients[:, 0].tolist(), strict=True))
+    assert 1 / shape.frequency == pytest.approx(width, rel=0.01)
+    dried = next(name for name in found if name.startswith("tanh"))
+    assert (found["u"], found["n"], found[dried]) == pytest.approx((gain, -viscous, -dry), rel=0.01)
 
 
 CART_POLE = Signature(("p", "theta", "v", "omega"), ("m", "rad", "m/s", "rad/s"), ("force",), (1.0, 0.3, 1.0, 1.0))
