@@ -472,7 +472,7 @@ def _simulated(model: SindyModel, x: Tensor, inputs: tuple[Tensor, Tensor | None
     u, u_end = (None if u is None else u.double().expand(wide) for u in inputs)
     assert u is not None
     with torch.no_grad():
-        substeps = min(max(1, math.ceil(dt / LONGEST_STEP - 1e-9)), MOST_STEPS)
+        substeps = max(min(math.ceil(dt / LONGEST_STEP - 1e-9), MOST_STEPS), model.substeps(dt))
         return model.simulate(x, u, dt, substeps, u_end)[..., 1:, :]
 
 

@@ -44,13 +44,16 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, poly
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS, Signature
 from dynasindy.systems.transitions import Transitions
 
 KEPT = 0.25
 """Part of the training data, at its end, that candidates are judged on."""
-SHORT, FOLDS = 6000, 3
+ROWS = 10_000
+"""Rows that a candidate is fitted to at most, in stretches spread evenly."""
+SHORT, FOLDS = 3000, 3
 """Samples below which several parts are kept in turn, and how many."""
 BLOCKS, CHANCE = 4, 0.5
 """Blocks of a part between which errors are compared, and standard errors of a mean difference that tell nothing."""
@@ -346,7 +349,8 @@ class _Search:
         """Try linear equations of several structures, then functions, longer windows and fewer coefficients."""
         self._single_steps()
         structures = list(self._structures())
-        self._regressed(*structures[0])
+        if self.builder is None:
+            self._regressed(*structures[0])
         for model, source in structures:
             self._linear(model, source)
         linear: dict[tuple[str, ...], Candidate] = {}
@@ -355,8 +359,10 @@ class _Search:
                 linear.setdefault(each.model.signature.state_names, each)
         for each in self._near(list(linear.values()))[:STRUCTURES]:
             self._select(each)
-        for model, source in structures[1:]:
-            self._regressed(model, source)
+        near = {each.source.signature.state_names for each in self._near(self.tried)} if self.tried else set()
+        for model, source in structures if self.builder is not None else ():
+            if not near or source.signature.state_names in near:
+                self._regressed(model, source)
         if self.builder is not None and self.tried:
             self._wider(self.best)
         for each in self._leaders() if self.tried else ():
@@ -395,7 +401,8 @@ class _Search:
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
-                fitted[-1].fit(source.training.select(fold.early))
+                data = source.training.select(fold.early)
+                fitted[-1].fit(data.select(choose_stretches(len(data), ROWS)))
                 if not bool((fitted[-1].coefficients[model.constraints.free] != 0).any()):
                     return None
                 for each, found in zip((errors, blocks), fold.errors(fitted[-1], source), strict=True):

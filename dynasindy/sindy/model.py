@@ -48,7 +48,15 @@ from dynasindy.sindy.reconstruction import (
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
 from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
-from dynasindy.sindy.shooting import CHOSEN_STRETCHES, ENOUGH, RunsAway, states_without_scale
+from dynasindy.sindy.shooting import (
+    CHOSEN_STRETCHES,
+    COARSE,
+    ENOUGH,
+    RunsAway,
+    relative_step,
+    states_without_scale,
+    substeps_for,
+)
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
 from dynasindy.systems.integrators import moved, plain, trajectory
@@ -57,6 +65,8 @@ from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 FORMAT = "dynasindy sparse model 1"
+POINTS = 64
+"""Points within the ranges of states and inputs at which a model's fastest motion is looked for."""
 LONGEST = 1e9
 """Longest step and delay that a file may have [s]."""
 LARGEST_SYSTEM = 200
@@ -115,6 +125,7 @@ class SindyModel(WorldModel):
         self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int, Library] | None = None
+        self._fastest: float | None = None
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
@@ -148,7 +159,7 @@ class SindyModel(WorldModel):
         # The tensor itself is compared and so kept alive: its id may be that of a later one once it is gone.
         if made_of is self.coefficients and version == self.coefficients._version and library is self.library:
             return
-        self._field = None
+        self._field = self._fastest = None
         self._machines.clear()
         require_finite(self.library, self.coefficients)
         self._field_of = self.coefficients, self.coefficients._version, self.library
@@ -156,6 +167,16 @@ class SindyModel(WorldModel):
     def __getstate__(self) -> dict[str, object]:
         """Leave generated code out of copies and pickles; it is written again when needed."""
         return {**super().__getstate__(), "_field": None, "_field_of": None}
+
+    def substeps(self, dt: float) -> int:
+        """Return into how many Runge-Kutta steps a time [s] is divided for its fastest motion within its ranges."""
+        self._forget()
+        if self._fastest is None:
+            n_x, n_u = self.signature.n_x, self.signature.n_u
+            points = 2 * torch.rand(POINTS, n_x + n_u, generator=torch.Generator().manual_seed(0)).double() - 1
+            x = points[:, :n_x] * torch.tensor(self.signature.x_scale, dtype=torch.float64)
+            self._fastest = relative_step(self.library, self.coefficients, x, points[:, n_x:], 1.0)
+        return substeps_for(self._fastest * dt, COARSE)
 
     def predict(self, x: Tensor, u: Tensor, dt: float, substeps: int = 1) -> Tensor:
         """Predict states one sampling time ahead, `(*batch, n_x)`, by `substeps` Runge-Kutta steps."""
