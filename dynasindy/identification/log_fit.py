@@ -40,7 +40,7 @@ from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, 
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, polynomial
+from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
@@ -75,8 +75,10 @@ LEADERS = 3
 """Models with other functions each that longer simulations are fitted by, those first that predict best."""
 MANY = 80
 """Functions up to which regressions choose among all of them."""
-STRUCTURES = 3
+STRUCTURES = 2
 """Linear models of other states each to which functions are added, those first that predict best."""
+SHARE = 0.25
+"""Part of the time that states that follow a signal may take."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -309,7 +311,12 @@ class _Search:
     @property
     def over(self) -> bool:
         """Whether the time is used up."""
-        return time.process_time() - self.began > (self.given.refinement or Refinement()).seconds
+        return time.process_time() - self.began > self.seconds
+
+    @property
+    def seconds(self) -> float:
+        """Time of computing that the search may take [s]."""
+        return (self.given.refinement or Refinement()).seconds
 
     @cached_property
     def builder(self) -> LibraryBuilder | None:
@@ -351,14 +358,14 @@ class _Search:
         structures = list(self._structures())
         if self.builder is None:
             self._regressed(*structures[0])
-        for model, source in structures:
-            self._linear(model, source)
-        linear: dict[tuple[str, ...], Candidate] = {}
-        for each in sorted(self.tried, key=lambda each: each.score):
-            if each.structure is not None:
-                linear.setdefault(each.model.signature.state_names, each)
-        for each in self._near(list(linear.values()))[:STRUCTURES]:
-            self._select(each)
+        linear = [found for each in structures if (found := self._linear(*each)) is not None]
+        linear.sort(key=lambda each: each.score)
+        if linear:
+            linear[0] = self._moving(linear[0])
+            for each in self._near(linear)[:STRUCTURES]:
+                self._select(each)
+            if (lagging := self._lagging(linear[0])) is not linear[0]:
+                self._select(lagging)
         near = {each.source.signature.state_names for each in self._near(self.tried)} if self.tried else set()
         for model, source in structures if self.builder is not None else ():
             if not near or source.signature.state_names in near:
@@ -456,10 +463,13 @@ class _Search:
         if measured and len(rates) > len(known):
             yield self._rebuilt(self.source, rates), self.source
         lacking = [name for name in names if name not in rates and name not in rates.values()]
-        if lacking:
-            wide = rates | {name: _free_name(f"{name}_rate", signature) for name in lacking}
-            source = self.source.with_rates(wide)
-            yield self._rebuilt(source, wide), source
+        units = dict(zip(names, signature.state_units, strict=True))
+        places = [name for name in lacking if not is_speed(units[name])]
+        for some in dict.fromkeys((tuple(places), tuple(lacking))):
+            if some:
+                wide = rates | {name: _free_name(f"{name}_rate", signature) for name in some}
+                source = self.source.with_rates(wide)
+                yield self._rebuilt(source, wide), source
 
     def _rebuilt(self, source: Source, known: Mapping[str, str]) -> SindyModel:
         old = self.given
@@ -472,29 +482,39 @@ class _Search:
             machine_code=old.machine_code,
         )
 
-    def _linear(self, model: SindyModel, source: Source) -> None:
-        """Fit the linear functions of a model, under inputs that are held or move evenly, and with states that lag."""
+    def _linear(self, model: SindyModel, source: Source) -> Candidate | None:
+        """Fit the linear functions of a model."""
         places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
         plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
         delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
         begun = [_linear_start(plain, source.training.select(fold.early), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
-        best = self._fit(f"linear equations of {names}", begun, source, settings, model)
-        if best is None:
-            return
-        moving = replace(source, training=source.training.with_linear_inputs())
-        moving = replace(moving, validation=source.validation.with_linear_inputs())
-        best = _better(best, self._fit("the same under inputs that move evenly", begun, moving, settings, model))
-        for _ in range(source.signature.n_u):
+        return self._fit(f"linear equations of {names}", begun, source, settings, model)
+
+    def _moving(self, of: Candidate) -> Candidate:
+        """Try inputs that move in straight lines between samples, and return the better one."""
+        training, validation = (part.with_linear_inputs() for part in (of.source.training, of.source.validation))
+        source = replace(of.source, training=training, validation=validation)
+        what, models = f"{of.what}, inputs that move evenly", [_started(model) for model in of.models]
+        return _better(of, self._fit(what, models, source, self._settings(select=False), of.structure))
+
+    def _lagging(self, of: Candidate) -> Candidate:
+        """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
+        best, began = of, time.process_time()
+        for _ in range(of.source.signature.n_u):
             last = best
             with attempt():
-                trials = lag_state_candidates(best.model, best.source.training.select(self.folds[0].early))[:LAGGING]
-                for trial in trials:
-                    what = f"linear equations of {names} and a state that follows {trial.signal}"
-                    models, data = self._each(trial.model), self._completed(trial.model, last)
-                    best = _better(best, self._fit(what, models, data, settings, model))
+                trials = lag_state_candidates(best.model, best.source.training.select(self.folds[0].early))
+                for trial in trials[:LAGGING]:
+                    if time.process_time() - began > SHARE * self.seconds:
+                        return best
+                    what, models = f"{last.what}, a state that follows {trial.signal}", self._each(trial.model)
+                    data = self._completed(trial.model, last)
+                    found = self._fit(what, models, data, self._settings(select=False), of.structure)
+                    best = _better(best, found)
             if best is last:
                 break
+        return best
 
     def _completed(self, model: SindyModel, of: Candidate) -> Source:
         source = of.source

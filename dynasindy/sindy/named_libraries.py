@@ -19,6 +19,11 @@ LINKS = -0.3
 """Where the fit of p begins for links in a row; nearer to zero a force and its quotient can hardly be told apart."""
 
 
+def is_speed(unit: str) -> bool:
+    """Tell whether a unit is that of an angle or a length per time."""
+    return bool(SPEED.fullmatch(unit) or TURNING.fullmatch(unit))
+
+
 def _angles_of(signature: Signature) -> tuple[str, ...]:
     """Return the states in rad, if there is a state in rad/s; none without one."""
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
