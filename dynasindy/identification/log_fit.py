@@ -410,8 +410,9 @@ class _Search:
                 fitted[-1].refinement = settings
                 data = source.training.select(fold.early)
                 fitted[-1].fit(data.select(choose_stretches(len(data), ROWS)))
-                if not bool((fitted[-1].coefficients[model.constraints.free] != 0).any()):
-                    return None
+                sought = model.constraints.free.any(0)
+                if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
+                    return None  # what moves by nothing is no equation
                 for each, found in zip((errors, blocks), fold.errors(fitted[-1], source), strict=True):
                     each.append(found)
                 scores.append(fold.score(errors[-1]))
