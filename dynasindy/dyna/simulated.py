@@ -26,6 +26,8 @@ from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
 PERIOD = 0.05
 """Control period of a plant that names none [s]."""
+HOLD = 0.5
+"""Time for which an input of the validation is held, unless it is shorter [s]."""
 VALIDATION = 400
 """Control periods of the validation, where its length is not given."""
 LONGEST = 1e8
@@ -139,6 +141,7 @@ class Simulated:
             signal.n_u,
             seconds,
             signal.dt,
+            hold=min(HOLD, seconds),
             amplitude=(0.7 * signal.amplitude).tolist(),
             offset=signal.offset.tolist(),
             seed=self.seed + 1,
