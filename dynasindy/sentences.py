@@ -452,17 +452,12 @@ def _in_pieces(samples: int, why: str, state: str = "", ratio: float = math.nan)
     )
 
 
-def _one_simulation(samples: int, state: str, ratio: float, limit: float, gaps: bool) -> str:
+def _one_simulation(samples: int, state: str, ratio: float, gaps: bool) -> str:
     over = "of each of its stretches between gaps, " if gaps else ""
-    if ratio <= limit:
-        return (
-            f"the model follows the log in one simulation {over}from its first sample to its last: the error of "
-            f"{state} is {ratio:.2f} times that of simulations that begin anew every {samples} samples, which noise "
-            "of the sensors explains (error=simulation)"
-        )
     return (
-        f"in one simulation through all samples the error of {state} is {ratio:.2f} times that of pieces that begin "
-        f"anew every {samples} samples: something pushes the plant, or functions are missing"
+        f"the model follows the log in one simulation {over}from its first sample to its last: the error of "
+        f"{state} is {ratio:.2f} times that of simulations that begin anew every {samples} samples, which noise "
+        "of the sensors explains (error=simulation)"
     )
 
 

@@ -148,13 +148,13 @@ def review_rates(model: SindyModel, source: Source) -> MissingRates:
         angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
     return MissingRates(
         *(
-            known | {name: _name_of_rate(name, signature) for name in names if name not in known}
+            known | {name: rate_name(name, signature) for name in names if name not in known}
             for names in (missing, [*missing, *angles])
         )
     )
 
 
-def _name_of_rate(name: str, signature: Signature) -> str:
+def rate_name(name: str, signature: Signature) -> str:
     """Return a name that functions and words of the command line can hold, and that no state or input has."""
     rate = re.sub(r"\W", "_", name) + "_rate"
     while rate in (*signature.state_names, *signature.input_names):

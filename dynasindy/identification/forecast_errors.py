@@ -268,9 +268,7 @@ def _forecast(
     if not steps:
         return None
     starts = _starts(back, ahead, fit, steps[0])
-    later = starts.unsqueeze(-1) + torch.arange(steps[-1])
-    real = _real(validation, starts, later, ahead)
-    later = later.clamp_max(len(validation) - 1)
+    later, real = samples_after(validation, starts, steps[-1])
     # As for the linear model, the middle horizon counts: what is farther says little of where a prediction began.
     usual = [k for k in steps if k * validation.dt >= time / 10] or steps
     middle = usual[len(usual) // 2]
@@ -306,16 +304,14 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
         steps: horizons over which predictions are to be good [samples].
     """
     lengths = [longest >> k for k in range(longest.bit_length()) if not k or longest >> k >= SHORTEST_FIT]
-    back, ahead = _beside(data)
-    starts = _starts(back, ahead, longest, steps[0])
+    starts, _ = start_rows(data, longest, steps[0])
     if len(lengths) < 2 or not len(starts):
         return longest
-    later = starts.unsqueeze(-1) + torch.arange(steps[-1])
-    real = _real(data, starts, later, ahead)
+    later, real = samples_after(data, starts, steps[-1])
     most = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64)
 
     def _cost(length: int) -> float:
-        predicted = predict_from(model, data, starts, later.clamp_max(len(data) - 1), length)
+        predicted = predict_from(model, data, starts, later, length)
         return float(errors_over(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
 
     best, least = longest, math.inf
@@ -363,16 +359,13 @@ def start_rows(data: Transitions, before: int, after: int = 1) -> tuple[Tensor, 
 
 
 def samples_after(data: Transitions, starts: Tensor, steps: int) -> tuple[Tensor, Tensor]:
-    """Return the rows of so many samples after each start, `(S, T)`, and what was measured there, `(S, T, n_x)`."""
+    """Return the rows of so many samples after each start, `(S, T)`, and what was measured there, `(S, T, n_x)`.
+
+    It is NaN where nothing was, or beyond the segment.
+    """
     later = starts.unsqueeze(-1) + torch.arange(steps)
-    real = _real(data, starts, later, _beside(data)[1])
-    return later.clamp_max(len(data) - 1), real
-
-
-def _real(data: Transitions, starts: Tensor, later: Tensor, ahead: Tensor) -> Tensor:
-    """Return what was measured after each start, `(S, T, n_x)`, NaN where nothing was, or beyond its segment."""
-    inside = torch.arange(later.shape[1]) < ahead[starts].unsqueeze(-1)
-    return torch.where(inside.unsqueeze(-1), data.x_next[later.clamp_max(len(data) - 1)], math.nan)
+    inside, later = torch.arange(steps) < _beside(data)[1][starts].unsqueeze(-1), later.clamp_max(len(data) - 1)
+    return later, torch.where(inside.unsqueeze(-1), data.x_next[later], math.nan)
 
 
 def _reach(back: Tensor, ahead: Tensor, fit: int) -> int:

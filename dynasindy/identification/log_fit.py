@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import math
-import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
+from dynasindy.identification.before_fit import rate_name
 from dynasindy.identification.equations import equation_findings, idle_states
 from dynasindy.identification.forecast_errors import (
     LinearModel,
@@ -31,12 +31,12 @@ from dynasindy.identification.forecast_errors import (
     start_rows,
 )
 from dynasindy.identification.recording_diagnostics import resolutions
-from dynasindy.identification.source import Source
+from dynasindy.identification.source import Source, rates_of
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
-from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, widened, with_lag_state
+from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, with_lag_state
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
@@ -46,11 +46,17 @@ from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
-from dynasindy.systems.base import TURNS, Signature
+from dynasindy.systems.base import TURNS
 from dynasindy.systems.transitions import Transitions
 
 KEPT = 0.25
-"""Part of the training data, at its end, that candidates are judged on."""
+"""Part of the training data that candidates are judged on at a time."""
+FEWEST, MOST = 40, 200
+"""Samples before a start on which its states may be estimated, at least where there are so many, and at most."""
+SOONEST, SLOWEST = 0.02, 3
+"""First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
+LOST = 1e3
+"""Times the error of the best simple model that counts at most, as of a candidate that runs away."""
 ROWS = 10_000
 """Rows that a candidate is fitted to at most, in stretches spread evenly."""
 SHORT, FOLDS = 3000, 3
@@ -87,16 +93,16 @@ LATEST = 30
 """Samples within which a delay is looked for, at least."""
 EXACT = 1e-5
 """Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
-LAGGING = 3
+LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
-UNTOLD, NEGLIGIBLE = 2.0, 1e-6
+SIGNIFICANT, NEGLIGIBLE = 2.0, 1e-6
 """Standard errors, and part of the largest term of an equation, below which a coefficient may be left out."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
 
 
 @contextmanager
-def attempt() -> Iterator[None]:
+def _attempt() -> Iterator[None]:
     """Let a fit fail; that memory runs out is no failure of what was tried."""
     try:
         yield
@@ -148,12 +154,11 @@ def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
     """
     began = time.perf_counter()
     report_progress("fit")
-    free = (
-        model.refinement is not None and model.refinement.method == "auto" and model.refinement.error in (None, "auto")
-    )
-    if source.logged and free and model.step is None:
+    settings = model.refinement
+    free = settings is not None and settings.method == "auto" and settings.error in (None, "auto")
+    if settings is not None and free and source.logged and model.step is None:
         folds = HoldOut.folds(source.training)
-        found = _Search(model, source, folds, rates).run() if folds else None
+        found = _Search(model, settings, source, folds, rates).run() if folds else None
         if found is not None:
             return replace(found, report=replace(found.report, seconds=time.perf_counter() - began))
     return LogFit(model, source, model.fit(source.training))
@@ -200,12 +205,12 @@ class HoldOut:
     def _of(cls, data: Transitions, early: Tensor) -> HoldOut | None:
         fit, kept = data.select(early), data.select(~early)
         slow = characteristic(fit)
-        before = min(max(round(slow / data.dt), 40), 200, len(kept) // 4)
+        before = min(max(round(slow / data.dt), FEWEST), MOST, len(kept) // 4)
         starts, reach = start_rows(kept, before)
-        last = min(2 * reach // 3, max(round(3 * slow / data.dt), FARTHEST))
+        last = min(2 * reach // 3, max(round(SLOWEST * slow / data.dt), FARTHEST))
         if before < 3 or last < 2:
             return None
-        first = min(max(1, round(slow / 50 / data.dt)), last)
+        first = min(max(1, round(SOONEST * slow / data.dt)), last)
         steps = sorted({round(k) for k in np.geomspace(first, last, HORIZONS).tolist()})
         starts, _ = start_rows(kept, before, steps[-1])
         starts = starts[torch.linspace(0, len(starts) - 1, min(STARTS, len(starts))).long().unique()]
@@ -233,7 +238,7 @@ class HoldOut:
         kept, n_x = source.training.select(~self.early), self.real.shape[-1]
         found, best = torch.full_like(self.simple, math.inf), torch.full_like(self.real, math.inf)
         for length in dict.fromkeys(max(3, self.before >> k) for k in (0, 1, 2, 4)):
-            with attempt():
+            with _attempt():
                 guess = predict_from(model, kept, self.starts, self.later, length)[..., :n_x]
                 errors = errors_over(guess, self.real, self.steps)
                 if errors.clamp_max(1e9).log().nanmean() < found.clamp_max(1e9).log().nanmean():
@@ -251,7 +256,7 @@ class HoldOut:
     def ratios(self, errors: Tensor) -> Tensor:
         """Return the logarithm of errors by those of the best simple model, `(H, n_x)`; none is below the floor."""
         least = self.floor.clamp_min(1e-300)
-        most = 1e3 * self.simple.maximum(least)
+        most = LOST * self.simple.maximum(least)
         return (errors.maximum(least).minimum(most) / self.simple.maximum(least)).log()
 
     def exact(self, errors: Tensor) -> bool:
@@ -266,6 +271,7 @@ class Candidate:
     Attributes:
         models: the model, as it was fitted for each part that was kept.
         source: the data with all of its states.
+        settings: of its fit.
         errors: over each horizon, `(H, n_x)`, for each part that was kept.
         blocks: mean logarithm of errors in each block of all these parts, by those of a simple model, `(B,)`.
         score: what is to be least.
@@ -275,6 +281,7 @@ class Candidate:
 
     models: list[SindyModel]
     source: Source
+    settings: Refinement
     errors: list[Tensor]
     blocks: Tensor
     score: float
@@ -298,6 +305,7 @@ class _Search:
     """Fit candidates, those first that cost little, and keep the best."""
 
     given: SindyModel
+    refinement: Refinement
     source: Source
     folds: list[HoldOut]
     rates: bool
@@ -309,14 +317,9 @@ class _Search:
         return min(self.tried, key=lambda each: each.score)
 
     @property
-    def over(self) -> bool:
+    def expired(self) -> bool:
         """Whether the time is used up."""
-        return time.process_time() - self.began > self.seconds
-
-    @property
-    def seconds(self) -> float:
-        """Time of computing that the search may take [s]."""
-        return (self.given.refinement or Refinement()).seconds
+        return time.process_time() - self.began > self.refinement.seconds
 
     @cached_property
     def builder(self) -> LibraryBuilder | None:
@@ -333,10 +336,10 @@ class _Search:
         except KeyboardInterrupt:
             if not self.tried:
                 raise
-            return self._final(self._plainest(), stopped=True)
-        return self._final(self._plainest()) if self.tried else None
+            return self._final(self._parsimonious(), stopped=True)
+        return self._final(self._parsimonious()) if self.tried else None
 
-    def _plainest(self) -> Candidate:
+    def _parsimonious(self) -> Candidate:
         """Return the smallest candidate that predicts as well as the best one but for what differs by chance."""
         best, fold = self.best, self.folds[0]
         count = max(2.0, min(len(best.blocks), len(self.folds) * len(fold.kept) / fold.steps[-1]))
@@ -361,21 +364,21 @@ class _Search:
         linear = [found for each in structures if (found := self._linear(*each)) is not None]
         linear.sort(key=lambda each: each.score)
         if linear:
-            linear[0] = self._moving(linear[0])
+            linear[0] = self._with_linear_inputs(linear[0])
             for each in self._near(linear)[:STRUCTURES]:
                 self._select(each)
-            if (lagging := self._lagging(linear[0])) is not linear[0]:
+            if (lagging := self._with_lag_states(linear[0])) is not linear[0]:
                 self._select(lagging)
         near = {each.source.signature.state_names for each in self._near(self.tried)} if self.tried else set()
         for model, source in structures if self.builder is not None else ():
             if not near or source.signature.state_names in near:
                 self._regressed(model, source)
         if self.builder is not None and self.tried:
-            self._wider(self.best)
+            self._with_larger_library(self.best)
         for each in self._leaders() if self.tried else ():
             self._windows(each)
         if self.tried:
-            self._simplify()
+            self._prune()
 
     def _leaders(self) -> list[Candidate]:
         """Return the best candidates whose equations have different functions."""
@@ -398,13 +401,13 @@ class _Search:
         source: Source,
         settings: Refinement,
         structure: SindyModel | None = None,
-        plainer: bool = False,
+        pruned: bool = False,
     ) -> Candidate | None:
         """Fit copies of a model to what is not kept, and judge them."""
-        if self.tried and (self.over or (self._exact() and not plainer)):
+        if self.tried and (self.expired or (self._exact() and not pruned)):
             return None
         fitted, errors, blocks, scores = list[SindyModel](), list[Tensor](), list[Tensor](), list[float]()
-        with attempt(), reporting_as(what):
+        with _attempt(), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
@@ -422,27 +425,26 @@ class _Search:
             errors += errors[:1] * (len(self.folds) - len(errors))
             score = sum(scores) / len(scores) + PER_TERM * int((fitted[0].coefficients != 0).sum())
             score += PER_STATE * len(fitted[0].followed) + PER_TERM * float(source.training.u_end is not None)
-            self.tried.append(Candidate(fitted, source, errors, torch.cat(blocks), score, what, structure))
+            self.tried.append(Candidate(fitted, source, settings, errors, torch.cat(blocks), score, what, structure))
             report_progress("fit", note=f"{what}: score {score:.3f}, best {self.best.score:.3f}")
             return self.tried[-1]
         return None
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
         """Fit the models of a candidate again, from their coefficients on."""
-        return self._fit(what, [_started(model) for model in of.models], of.source, settings, of.structure)
+        return self._fit(what, [_warm_started(model) for model in of.models], of.source, settings, of.structure)
 
     def _settings(self, **changes: Any) -> Refinement:
-        given = self.given.refinement or Refinement()
-        longest, data = given.longest_delay, self.source.training
+        longest, data = self.refinement.longest_delay, self.source.training
         if longest is None:
             longest = min(max(LATEST * data.dt, characteristic(data) / 4), len(data) * data.dt / 10)
-        base = replace(given, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
+        base = replace(self.refinement, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
         return replace(base, **changes)
 
     def _single_steps(self) -> None:
         """Try the fit of single steps, which finds exact equations in data without noise."""
         if not bool(self.source.training.x_next.isnan().any()):
-            settings = replace(self.given.refinement or Refinement(), method="one_step")
+            settings = replace(self.refinement, method="one_step")
             self._fit("single steps", self._each(self.given), self.source, settings)
 
     def _each(self, model: SindyModel) -> list[SindyModel]:
@@ -451,24 +453,20 @@ class _Search:
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
         """Yield the model as it is, and with the rates of states that have none, measured or not."""
         yield self.given, self.source
-        signature, data, known = (
-            self.given.signature,
-            self.source.training,
-            rate_states(self.given.library, self.given.constraints),
-        )
         if self.builder is None or not self.rates:
             return
+        signature, known = self.given.signature, rates_of(self.given)
         names = signature.state_names
-        measured = {names[i]: names[rate] for rate, i in find_rates(data).items()}
-        rates = {names[i]: names[rate] for rate, i in known.items()} | measured
-        if measured and len(rates) > len(known):
+        measured = {names[i]: names[rate] for rate, i in find_rates(self.source.training).items()}
+        rates = known | measured
+        if len(rates) > len(known):
             yield self._rebuilt(self.source, rates), self.source
         lacking = [name for name in names if name not in rates and name not in rates.values()]
         units = dict(zip(names, signature.state_units, strict=True))
         places = [name for name in lacking if not is_speed(units[name])]
         for some in dict.fromkeys((tuple(places), tuple(lacking))):
             if some:
-                wide = rates | {name: _free_name(f"{name}_rate", signature) for name in some}
+                wide = rates | {name: rate_name(name, signature) for name in some}
                 source = self.source.with_rates(wide)
                 yield self._rebuilt(source, wide), source
 
@@ -492,37 +490,30 @@ class _Search:
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
         return self._fit(f"linear equations of {names}", begun, source, settings, model)
 
-    def _moving(self, of: Candidate) -> Candidate:
+    def _with_linear_inputs(self, of: Candidate) -> Candidate:
         """Try inputs that move in straight lines between samples, and return the better one."""
         training, validation = (part.with_linear_inputs() for part in (of.source.training, of.source.validation))
         source = replace(of.source, training=training, validation=validation)
-        what, models = f"{of.what}, inputs that move evenly", [_started(model) for model in of.models]
+        what, models = f"{of.what}, inputs that move evenly", [_warm_started(model) for model in of.models]
         return _better(of, self._fit(what, models, source, self._settings(select=False), of.structure))
 
-    def _lagging(self, of: Candidate) -> Candidate:
+    def _with_lag_states(self, of: Candidate) -> Candidate:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
         best, began = of, time.process_time()
         for _ in range(of.source.signature.n_u):
             last = best
-            with attempt():
+            with _attempt():
                 trials = lag_state_candidates(best.model, best.source.training.select(self.folds[0].early))
-                for trial in trials[:LAGGING]:
-                    if time.process_time() - began > SHARE * self.seconds:
+                for trial in trials[:LAG_STATES]:
+                    if time.process_time() - began > SHARE * self.refinement.seconds:
                         return best
                     what, models = f"{last.what}, a state that follows {trial.signal}", self._each(trial.model)
-                    data = self._completed(trial.model, last)
+                    data = last.source.with_unmeasured(trial.model.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
                     best = _better(best, found)
             if best is last:
                 break
         return best
-
-    def _completed(self, model: SindyModel, of: Candidate) -> Source:
-        source = of.source
-        while source.signature.n_x < model.signature.n_x:
-            parts = widened(source.training), widened(source.validation)
-            source = replace(source, signature=model.signature, training=parts[0], validation=parts[1])
-        return source
 
     def _select(self, of: Candidate) -> None:
         """Let functions of the whole library come in and go, at two prices."""
@@ -531,26 +522,26 @@ class _Search:
             return
         for signal in of.model.followed.values():
             full = with_lag_state(full, signal)
-        last: Candidate | None = replace(
-            of, models=[_with_coefficients(full, model) for model in of.models], structure=None
-        )
+        begun = replace(of, models=[_with_coefficients(full, model) for model in of.models], structure=None)
+        self._at_prices(f"{of.what}, functions", begun, replace(of.settings, rounds=0, select=True))
+
+    def _at_prices(self, what: str, last: Candidate | None, settings: Refinement) -> None:
+        """Let functions come in and go from a candidate on, at rising prices."""
         for penalty in PRICES:
             if last is not None:
-                what = f"{of.what}, functions at {penalty:g} times a price"
-                settings = replace(of.model.refinement or self._settings(), rounds=0, select=True, penalty=penalty)
-                last = self._again(what, last, settings)
+                last = self._again(f"{what} at {penalty:g} times a price", last, replace(settings, penalty=penalty))
 
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
         if len(model.library) > MANY:
             return
-        names, settings = ", ".join(source.signature.state_names), replace(self._settings(), rounds=2)
-        settings = replace(settings, longest_delay=(self.given.refinement or Refinement()).longest_delay)
+        names = ", ".join(source.signature.state_names)
+        settings = self._settings(rounds=2, longest_delay=self.refinement.longest_delay)
         pieces = replace(settings, error="prediction")
         self._fit(f"functions of {names} in simulations of {pieces.window} samples", self._each(model), source, pieces)
         self._fit(f"functions of {names} that regressions choose", self._each(model), source, settings)
 
-    def _wider(self, of: Candidate) -> None:
+    def _with_larger_library(self, of: Candidate) -> None:
         """Try cubic functions, and roots of what is never negative, too."""
         signature, model = of.model.signature, of.model
         used = {
@@ -575,12 +566,8 @@ class _Search:
                 [n in model.followed for n in signature.state_names]
             )
             free = torch.cat([model.constraints.free, (~derived).expand(len(more), -1)])
-            last: Candidate | None = replace(of, models=[_with_library(each, library, free) for each in of.models])
-            for penalty in PRICES:
-                if last is not None:
-                    last = self._again(
-                        f"{what} at {penalty:g} times their price", last, self._settings(penalty=penalty)
-                    )
+            begun = replace(of, models=[_with_library(each, library, free) for each in of.models])
+            self._at_prices(what, begun, self._settings())
 
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
@@ -597,24 +584,24 @@ class _Search:
         if best is not of:
             self._select(best)
 
-    def _simplify(self) -> None:
+    def _prune(self) -> None:
         """Leave out coefficients that the data do not tell, one after the other, where kept data do not miss them."""
-        while not self.over:
-            best, places = self.best, [_least_told(model) for model in self.best.models]
+        while not self.expired:
+            best, places = self.best, [_least_significant(model) for model in self.best.models]
             if places[0] is None:
                 return
-            models = [_started(model) for model in best.models]
+            models = [_warm_started(model) for model in best.models]
             for model in models:
                 assert model.initial is not None
                 model.initial[places[0]] = 0.0
-            settings = replace(best.model.refinement or self._settings(), rounds=0, select=False)
-            found = self._fit(f"{best.what}, without one", models, best.source, settings, plainer=True)
+            settings = replace(best.settings, rounds=0, select=False)
+            found = self._fit(f"{best.what}, without one", models, best.source, settings, pruned=True)
             if found is None or self.best is best:
                 return
 
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
         """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time."""
-        model, settings = _started(best.model), best.model.refinement or self._settings()
+        model, settings = _warm_started(best.model), best.settings
         if settings.method == "one_step":
             model = copy.deepcopy(self.given)
         else:
@@ -627,12 +614,12 @@ class _Search:
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
-        if stopped or self.over:
+        if stopped or self.expired:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
 
 
-def _started(model: SindyModel) -> SindyModel:
+def _warm_started(model: SindyModel) -> SindyModel:
     """Return a copy of a fitted model that is fitted anew from its coefficients on."""
     other = copy.deepcopy(model)
     other.initial, other.initial_delay = model.coefficients.clone(), model.delay
@@ -696,7 +683,7 @@ def _better(first: Candidate, second: Candidate | None) -> Candidate:
     return first if second is None or first.score <= second.score else second
 
 
-def _least_told(model: SindyModel) -> tuple[int, int] | None:
+def _least_significant(model: SindyModel) -> tuple[int, int] | None:
     """Return the free coefficient that the data tell least, if its sign or that it matters is not told; else None."""
     known = model.covariance
     if known is None:
@@ -705,15 +692,8 @@ def _least_told(model: SindyModel) -> tuple[int, int] | None:
     values = model.coefficients[known.features, known.states].abs()
     effects = model.coefficients.abs() * model.library(x, torch.ones(1, model.signature.n_u)).abs().mT
     shares = (effects / effects.amax(0).clamp_min(1e-300))[known.features, known.states]
-    ratio = torch.minimum(values / errors.clamp_min(1e-300), UNTOLD * shares / NEGLIGIBLE).nan_to_num(0.0)
-    if not len(ratio) or float(ratio.min()) >= UNTOLD:
+    ratio = torch.minimum(values / errors.clamp_min(1e-300), SIGNIFICANT * shares / NEGLIGIBLE).nan_to_num(0.0)
+    if not len(ratio) or float(ratio.min()) >= SIGNIFICANT:
         return None
     k = int(ratio.argmin())
     return int(known.features[k]), int(known.states[k])
-
-
-def _free_name(name: str, signature: Signature) -> str:
-    name = re.sub(r"\W", "_", name)
-    while name in (*signature.state_names, *signature.input_names):
-        name += "_"
-    return name

@@ -97,13 +97,18 @@ class Source:
 
     def _widened(self, known: Mapping[str, str]) -> Source:
         """Add a column for each rate that was not logged."""
-        signature = with_rates(self.signature, known)
-        if signature == self.signature:
-            return self
-        parts = self.training, self.validation
+        return self.with_unmeasured(with_rates(self.signature, known))
+
+    def with_unmeasured(self, signature: Signature) -> Source:
+        """Return the data with the states of a signature that come behind those of the data, which no sensor sees.
+
+        Args:
+            signature: names, units and ranges of all states.
+        """
+        training, validation = self.training, self.validation
         for _ in range(signature.n_x - self.signature.n_x):
-            parts = widened(parts[0]), widened(parts[1])
-        return replace(self, signature=signature, training=parts[0], validation=parts[1])
+            training, validation = widened(training), widened(validation)
+        return replace(self, signature=signature, training=training, validation=validation)
 
     def with_states_of(self, model: SindyModel) -> Source:
         """Return the data with the states of a model that no sensor sees, and inputs that move as those of its log did.

@@ -14,7 +14,7 @@ from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.base import Signature
 from dynasindy.systems.integrators import moved
-from dynasindy.systems.interpreter import Observed, simulate_program
+from dynasindy.systems.interpreter import MeasurementUpdate, simulate_program
 from dynasindy.systems.machine import Program
 
 Field = Callable[[Tensor, Tensor], Tensor]
@@ -295,7 +295,7 @@ def simulate(
     dt: float,
     substeps: int,
     u_end: Tensor | None = None,
-    observer: Observed | None = None,
+    update: MeasurementUpdate | None = None,
 ) -> Tensor:
     """Predict trajectories by instructions, so that nothing is compiled for a model; by torch code where they cannot.
 
@@ -307,20 +307,20 @@ def simulate(
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in it.
         u_end: inputs at its end, see `Transitions`.
-        observer: what corrects the states after each interval.
+        update: what corrects the states after each interval.
 
     Returns:
         States at the end of each interval, `(rows, T, n_x)`, before they are corrected.
     """
     try:
-        return simulate_program(write_program(library, coefficients), x, u, dt, substeps, u_end, observer)
+        return simulate_program(write_program(library, coefficients), x, u, dt, substeps, u_end, update)
     except (ValueError, OSError):
         pass  # a function has no formula, or there is no compiler
     field, states = generate(library, coefficients), list[Tensor]()
     for k in range(u.shape[1]):
         x = moved(field, x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
         states.append(x)
-        x = x if observer is None else observer.corrected(x, k)
+        x = x if update is None else update.corrected(x, k)
     return torch.stack(states, 1)
 
 

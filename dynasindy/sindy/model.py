@@ -51,12 +51,12 @@ from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
     COARSE,
-    ENOUGH,
     RunsAway,
     relative_step,
     states_without_scale,
     substeps_for,
 )
+from dynasindy.sindy.trajectory_fit import selection_rows
 from dynasindy.sindy.world_model import WorldModel
 from dynasindy.systems.base import PRECISIONS, Diverged, Signature
 from dynasindy.systems.integrators import moved, plain, trajectory
@@ -97,7 +97,8 @@ class SindyModel(WorldModel):
             sampling time of the data.
 
     `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
-    `dynasindy.identify` found.
+    `dynasindy.identify` found, and `linear_inputs` the names of the inputs that moved in straight lines between the
+    samples of the log, where others are held.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.
@@ -120,7 +121,7 @@ class SindyModel(WorldModel):
     ) -> None:
         super().__init__(signature)
         self.findings: tuple[Finding, ...] = ()
-        self.linear_inputs: tuple[str, ...] = ()  # those that moved evenly between the samples of the log
+        self.linear_inputs: tuple[str, ...] = ()
         self.machine_code, self.library = machine_code, _with_time(build_library(library, signature), time)
         self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
@@ -528,9 +529,10 @@ class SindyModel(WorldModel):
             self.sums = RunningSums(len(self.library), self.signature.n_x)
             recording = DelayedRecording.of(data, guess, rate_states(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording.seen(self.delay)))
-        if self.refinement.method == "integral" or len(data) <= ENOUGH:
+        rows = selection_rows(constraints.free, self.refinement.error or "")
+        if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
             return list(found.findings), fields
-        chosen = note("fit.chosen_on", rows=ENOUGH, total=len(data), stretches=CHOSEN_STRETCHES)
+        chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)
         return [*found.findings, chosen], fields
 
     def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:

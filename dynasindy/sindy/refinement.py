@@ -75,8 +75,8 @@ class Refinement:
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
             is new in such errors, as they last from sample to sample (`coloured`), or of windows that begin anew
             (`prediction`), for plants that are pushed at random or unstable, or of one step ahead of an observer whose
-            gain is fitted, too (`innovation`), for both; `auto` takes windows that begin anew
-            where they leave over much less than a trajectory.
+            gain is fitted, too (`innovation`), for both; `auto` takes windows that begin anew where they leave over
+            much less than a trajectory.
             The default is `auto` for the method `auto`, and `simulation` for others.
         correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
             of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
@@ -107,6 +107,11 @@ class Refinement:
             raise ValueError(
                 f"refinement got method {self.method!r} and error {self.error!r}; allowed are {', '.join(METHODS)}, "
                 f"and {', '.join(ERRORS)}: choose one"
+            )
+        if not (self.penalty > 0 and self.seconds > 0):
+            raise ValueError(
+                f"refinement got penalty {self.penalty} and seconds {self.seconds}; allowed are numbers above 0: give "
+                "1 and 60, for example"
             )
         known = 0 <= (self.longest_delay or 0.0) < math.inf
         if not known or self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
@@ -289,7 +294,7 @@ class _Fit:
                 why = {"why": "empty"}
             elif float(ratio[worst]) <= WORSE:
                 gaps = int(self.recording.data.begins().sum()) > 1
-                follows = note("fit.simulation", samples=descent.window, limit=WORSE, gaps=gaps, **strain)
+                follows = note("fit.simulation", samples=descent.window, gaps=gaps, **strain)
                 return found._replace(findings=(follows, *found.findings))
             else:
                 why = {"why": "strays", **strain}
@@ -306,8 +311,8 @@ class _Fit:
             found = self._regressed(found, delay)
         data, guess, gain = recording.measured(0.0 if fits else delay), recording.guessed(delay).x, None
         if observed:
-            corrects, gain = first_gain(data, recording.rates)
-            descent = replace(descent, corrects=corrects, window=min(descent.window, len(data)))
+            mask, gain = first_gain(data, recording.rates)
+            descent = replace(descent, gain_mask=mask, window=min(descent.window, len(data)))
         before = recording.before(self.longest) if fits else None
         (library, xi), first = found, delay if fits else 0.0
         flow = refine_trajectory(library, xi, free, data, descent, guess, first, before, gain)

@@ -14,7 +14,7 @@ from dynasindy.sindy.codegen import Writer, write_functions
 from dynasindy.sindy.functions import function
 from dynasindy.sindy.library import Factor, Feature, Library
 from dynasindy.systems.compiler import compiler
-from dynasindy.systems.interpreter import Observed, Slopes
+from dynasindy.systems.interpreter import MeasurementUpdate, Slopes
 from dynasindy.systems.steps import between, steps_of
 
 Values = tuple[Tensor, Tensor, Tensor]
@@ -283,7 +283,7 @@ class Propagator:
         dt: float,
         substeps: int,
         u_end: Tensor | None = None,
-        observer: Observed | None = None,
+        update: MeasurementUpdate | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return states after intervals that follow each other, and their derivatives by what the first begins with.
 
@@ -293,23 +293,23 @@ class Propagator:
             dt: length of an interval [s].
             substeps: Runge-Kutta steps in it; a difference equation has its own.
             u_end: inputs at its end, see `Transitions`.
-            observer: what corrects the states after each interval.
+            update: what corrects the states after each interval.
 
         Returns:
             States, `(W, L, n_x)`, and derivatives by the states x, the shapes and the coefficients,
             `(W, L, n_x, n_x + S + P)`.
         """
         if self._code:
-            return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end, observer)
+            return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end, update)
         ends, slopes, before = [], list[Tensor](), x
         for k in range(u.shape[1]):
             x, moved = self.transfer(x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
             ends.append(x)
             slopes.append(_chained(moved, before) if slopes else moved)
             before = slopes[-1]
-            if observer is not None:
-                x, there = observer.corrected(x, k), observer.measured[:, k].isfinite()
-                before = before - (observer.gain * there.unsqueeze(-2)) @ before
+            if update is not None:
+                x, there = update.corrected(x, k), update.measured[:, k].isfinite()
+                before = before - (update.gain * there.unsqueeze(-2)) @ before
         return torch.stack(ends, 1), torch.stack(slopes, 1)
 
     def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None) -> tuple[Tensor, Tensor]:

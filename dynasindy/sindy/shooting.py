@@ -18,7 +18,7 @@ from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator
-from dynasindy.systems.interpreter import Observed
+from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
 
 ENOUGH = 10_000
@@ -50,9 +50,9 @@ class Windows:
         likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
             every coefficient is as likely as any other.
         last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
-        given: inputs as they were given, from some samples before each window on, `(W, M + L, n_u)`; with them the
-            delay after which they act is fitted, without `inputs` stay as they are. The last ones are at the end of it.
-        corrects: where the gain of an observer is fitted, bool `(n_x, n_x)`: which state each measured one corrects;
+        history: inputs as they were applied, from M samples before each window to its end, `(W, M + L + 1, n_u)`; with
+            them the delay after which they act is fitted, without `inputs` stay as they are.
+        gain_mask: where the gain of an observer is fitted, bool `(n_x, n_x)`: which state each measured one corrects;
             without, windows are simulated from their start.
     """
 
@@ -67,8 +67,8 @@ class Windows:
     lasting: Tensor | None = None
     likely: Tensor | None = None
     last_inputs: Tensor | None = None
-    given: Tensor | None = None
-    corrects: Tensor | None = None
+    history: Tensor | None = None
+    gain_mask: Tensor | None = None
 
     @classmethod
     def of(
@@ -102,16 +102,16 @@ class Windows:
             dt=data.dt,
             substeps=substeps,
             last_inputs=u_end,
-            given=None if before is None else torch.cat([before[starts], u, data.last_inputs[places[:, -1:]]], 1),
+            history=None if before is None else torch.cat([before[starts], u, data.last_inputs[places[:, -1:]]], 1),
         )
 
-    def late(self, delay: float) -> Windows:
+    def delayed(self, delay: float) -> Windows:
         """Return the windows under inputs that act `delay` seconds later, `longest` at most."""
-        if self.given is None:
+        if self.history is None:
             return self
         whole, part = divmod(delay / self.dt, 1.0)
-        first = self.given.shape[1] - 1 - self.length - int(whole)
-        sooner, now, later = (self.given[:, first + k : first + k + self.length] for k in (-1, 0, 1))
+        first = self.history.shape[1] - 1 - self.length - int(whole)
+        sooner, now, later = (self.history[:, first + k : first + k + self.length] for k in (-1, 0, 1))
         inputs = (1 - part) * now + part * sooner
         if self.last_inputs is None:
             return replace(self, inputs=inputs)
@@ -121,7 +121,7 @@ class Windows:
     @property
     def longest(self) -> float:
         """Longest delay of the inputs that is fitted [s]."""
-        return 0.0 if self.given is None else (self.given.shape[1] - self.length - 2) * self.dt
+        return 0.0 if self.history is None else (self.history.shape[1] - self.length - 2) * self.dt
 
     def of_states(self, chosen: Tensor) -> Windows:
         """Return what was measured of some states, bool `(n_x,)`."""
@@ -164,7 +164,7 @@ class Descent:
         price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
         select: whether functions come in and go; if not, those of the first estimate stay.
         penalty: factor on that price.
-        corrects: where the gain of an observer is fitted, see `Windows`; None of simulations.
+        gain_mask: where the gain of an observer is fitted, see `Windows`; None of simulations.
     """
 
     window: int
@@ -175,11 +175,11 @@ class Descent:
     price: float = 0.0
     select: bool = True
     penalty: float = 1.0
-    corrects: Tensor | None = None
+    gain_mask: Tensor | None = None
 
 
-LATER = 1e-3
-"""Samples by which inputs are shifted to tell what the delay changes: within a sample their means move in a line."""
+STEP = 1e-3
+"""Samples by which inputs are shifted, and part by which a gain is changed, to differentiate by them."""
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 ROUNDING = 1e-12
@@ -207,11 +207,11 @@ class Estimate:
     delay: float = 0.0
     gain: Tensor | None = None
 
-    def observer(self, windows: Windows) -> Observed | None:
+    def measurement_update(self, windows: Windows) -> MeasurementUpdate | None:
         """Return what corrects the states in windows."""
         if self.gain is None:
             return None
-        return Observed(torch.where(windows.mask > 0, windows.measured, math.nan), self.gain)
+        return MeasurementUpdate(torch.where(windows.mask > 0, windows.measured, math.nan), self.gain)
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class Flow:
     @classmethod
     def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
         """Integrate all windows."""
-        windows = windows.late(estimate.delay)
+        windows = windows.delayed(estimate.delay)
         return cls(estimate, parameters, windows, _states_of(estimate, windows))
 
     @cached_property
@@ -244,17 +244,17 @@ class Flow:
         """
         estimate, windows, n_x = self.estimate, self.windows, self.predicted.shape[-1]
         propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
-        observer, others, nodes = estimate.observer(windows), list[Tensor](), estimate.nodes
+        update, others, nodes = estimate.measurement_update(windows), list[Tensor](), estimate.nodes
         inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
-        s = propagator.trajectories(nodes, *inputs, observer)[1]
-        if estimate.gain is not None and windows.corrects is not None:
-            for i, j in windows.corrects.nonzero().tolist():
+        s = propagator.trajectories(nodes, *inputs, update)[1]
+        if estimate.gain is not None and windows.gain_mask is not None:
+            for i, j in windows.gain_mask.nonzero().tolist():
                 gain = estimate.gain.clone()
-                gain[i, j] += (size := LATER * max(abs(float(gain[i, j])), LATER))
+                gain[i, j] += (size := STEP * max(abs(float(gain[i, j])), STEP))
                 others.append((_states_of(replace(estimate, gain=gain), windows) - self.predicted) / size)
-        if windows.given is not None:
-            later = _states_of(estimate, windows.late(estimate.delay + LATER * windows.dt))
-            others.append((later - self.predicted) / (LATER * windows.dt))
+        if windows.history is not None:
+            later = _states_of(estimate, windows.delayed(estimate.delay + STEP * windows.dt))
+            others.append((later - self.predicted) / (STEP * windows.dt))
         return torch.cat([s[..., :n_x], *(slope.unsqueeze(-1) for slope in others), s[..., n_x:]], -1)
 
     @property
@@ -280,7 +280,7 @@ class Flow:
 
     def part(self, rows: slice) -> Flow:
         """Return the trajectories of some of the windows."""
-        names = ("rows", "first", "inputs", "measured", "mask", "joined", "last_inputs", "given")
+        names = ("rows", "first", "inputs", "measured", "mask", "joined", "last_inputs", "history")
         parts: dict[str, Any] = {
             name: None if (each := getattr(self.windows, name)) is None else each[rows] for name in names
         }
@@ -317,7 +317,7 @@ def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
     if not bool(estimate.xi.isfinite().all()):
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
     inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
-    return simulate(estimate.library, estimate.xi, estimate.nodes, *inputs, estimate.observer(windows))
+    return simulate(estimate.library, estimate.xi, estimate.nodes, *inputs, estimate.measurement_update(windows))
 
 
 def _white(rows: Tensor, windows: Windows) -> Tensor:
@@ -727,11 +727,11 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         numbers = step[n_fixed - len(shapes) : n_fixed].tolist()
         library = library.with_shapes([shape.frequency + by for shape, by in zip(shapes, numbers, strict=True)])
     delay, gain, place = estimate.delay, estimate.gain, n_fixed - len(shapes)
-    if flow.windows.given is not None:
+    if flow.windows.history is not None:
         place -= 1
         delay = min(max(delay + float(step[place]), 0.0), flow.windows.longest)
-    if gain is not None and (corrects := flow.windows.corrects) is not None:
-        gain = gain.masked_scatter(corrects, gain[corrects] + step[place - int(corrects.sum()) : place])
+    if gain is not None and (mask := flow.windows.gain_mask) is not None:
+        gain = gain.masked_scatter(mask, gain[mask] + step[place - int(mask.sum()) : place])
         # No observer goes away from what was measured: where that would fit best, it is a simulation.
         gain = torch.where(gain.diagonal() < 0, 0.0, gain)
     return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes, delay, gain)

@@ -92,18 +92,27 @@ def first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Ten
         rates: which state is the rate of which other one, `{rate: state}`.
     """
     seen = ~data.x_next.isnan().all(0)
-    corrects, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
+    mask, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
     for i in (~seen).nonzero().flatten().tolist():
         of = rates.get(i)
         if of is None or not bool(seen[of]):
-            corrects[i] = seen
+            mask[i] = seen
         else:
-            corrects[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
-    return corrects, gain
+            mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
+    return mask, gain
 
 
-def _rows_for(free: Tensor) -> int:
-    """Return how many rows of a recording functions are chosen by: the fewer, the more there are to choose from."""
+def selection_rows(free: Tensor, error: str) -> int:
+    """Return how many rows of a recording functions are chosen by.
+
+    Of innovations, of which every sample tells as much, the fewer, the more there are to choose from.
+
+    Args:
+        free: coefficients to choose from, bool `(n_features, n_x)`.
+        error: what is minimised, see `Refinement`.
+    """
+    if error != "innovation":
+        return ENOUGH
     return max(FEWEST, min(ENOUGH, round(ELEMENTS / max(int(free.sum()), 1) ** 2)))
 
 
@@ -253,7 +262,8 @@ def _settle(
                 return flow, replace(model, least=True)
             damping = max(10 * damping, 1e-3)
             continue
-        gain, slight = (model.cost - cost) / model.cost, model.cost - cost < SLIGHT and flow.estimate.gain is not None
+        gain = (model.cost - cost) / model.cost
+        slight = flow.estimate.gain is not None and model.cost - cost < SLIGHT
         flow, model, damping = trial, after, damping / 10 if damping > 1e-6 else 0.0
         if gain < enough or slight:
             break
@@ -306,7 +316,7 @@ def refine_trajectory(
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
     joined = descent.joined
-    some = choose_stretches(len(data), _rows_for(free))
+    some = choose_stretches(len(data), selection_rows(free, "simulation" if gain is None else "innovation"))
 
     def _priced(n: int) -> Descent:
         return replace(descent, price=descent.penalty * _price(n, free) if descent.select else 0.0)
@@ -353,7 +363,7 @@ def _without_delay(found: Estimate, free: Tensor, windows: Windows, descent: Des
     if not found.delay or not bool(support.any()):
         return found
     with suppress(RunsAway):
-        prompt = replace(windows.late(0.0), given=None)
+        prompt = replace(windows.delayed(0.0), history=None)
         flow, parameters = Flow.of(found, Parameters.where(support), windows), Parameters.where(support)
         simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt), descent.max_rounds)
         worth = _worth(replace(descent, price=_price(int(windows.mask.sum()), free)), model.errors, windows)
@@ -476,7 +486,7 @@ def _grown(
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = Windows.of(data, length, descent.joined is not False, substeps, before)
-        windows = replace(windows, likely=prior, corrects=descent.corrects)
+        windows = replace(windows, likely=prior, gain_mask=descent.gain_mask)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 

@@ -36,7 +36,7 @@ def simulate_program(
     dt: float,
     substeps: int,
     u_end: Tensor | None = None,
-    observer: Observed | None = None,
+    update: MeasurementUpdate | None = None,
 ) -> Tensor:
     """Advance states over periods that follow each other, see `dynasindy.systems.integrators.trajectory`.
 
@@ -47,7 +47,7 @@ def simulate_program(
         dt: length of a period [s].
         substeps: Runge-Kutta steps in it.
         u_end: inputs at the end of each period, see `Transitions`.
-        observer: what corrects the states after each period.
+        update: what corrects the states after each period.
 
     Returns:
         States at the end of each period, `(rows, T, n_x)`, before they are corrected.
@@ -64,14 +64,14 @@ def simulate_program(
     places = map(_data, (listing.code, listing.results, constants))
     rows, periods, count = (ctypes.c_long(n) for n in (len(x), u.shape[1], len(listing.code)))
     whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
-    correction = _correction(observer)
+    correction = _correction(update)
     data = map(_data, (*whole, ends, room, *correction))
     _library().simulate(rows, periods, *sizes, count, *places, ctypes.c_double(h), steps, int(difference), *data)
     return ends
 
 
-class Observed(NamedTuple):
-    """Hold an observer of constant gain.
+class MeasurementUpdate(NamedTuple):
+    """Correct predicted states by what was measured, with a constant gain (as of a stationary Kalman filter).
 
     Attributes:
         measured: what was measured at the end of each period, `(rows, T, n_x)`, NaN where nothing was.
@@ -86,10 +86,10 @@ class Observed(NamedTuple):
         return x + (self.measured[:, period] - x).nan_to_num() @ self.gain.mT
 
 
-def _correction(observer: Observed | None) -> tuple[Tensor | None, Tensor | None]:
-    if observer is None:
+def _correction(update: MeasurementUpdate | None) -> tuple[Tensor | None, Tensor | None]:
+    if update is None:
         return None, None
-    return observer.measured.double().contiguous(), observer.gain.double().contiguous()
+    return update.measured.double().contiguous(), update.gain.double().contiguous()
 
 
 class Slopes:
@@ -126,7 +126,7 @@ class Slopes:
         dt: float,
         substeps: int,
         u_end: Tensor | None = None,
-        observer: Observed | None = None,
+        update: MeasurementUpdate | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return states after periods that follow each other, and their derivatives by what they depend on.
 
@@ -138,13 +138,13 @@ class Slopes:
             dt: length of a period [s].
             substeps: Runge-Kutta steps in it; a difference equation has its own.
             u_end: inputs at the end of each period, see `Transitions`.
-            observer: what corrects the states after each period.
+            update: what corrects the states after each period.
 
         Returns:
             States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the shapes and
             the coefficients, `(rows, T, n_x, n_x + S + P)`.
         """
-        return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps), observer)
+        return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps), update)
 
     def _passed(
         self,
@@ -154,7 +154,7 @@ class Slopes:
         u: Tensor,
         u_end: Tensor | None,
         steps: Steps,
-        observer: Observed | None = None,
+        update: MeasurementUpdate | None = None,
     ) -> tuple[Tensor, Tensor]:
         listing, n_x, (rows, periods, n_u) = self._listing, self.program.n_x, u.shape
         features, states = (xi != 0).nonzero(as_tuple=True)
@@ -173,7 +173,7 @@ class Slopes:
         arguments = [
             *(*map(ctypes.c_long, (rows, periods)), *sizes, *map(ctypes.c_long, (listing.first, len(listing.code)))),
             *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
-            *(int(steps.difference), *whole, ends, slopes, room, *_correction(observer)),
+            *(int(steps.difference), *whole, ends, slopes, room, *_correction(update)),
         ]
         self._code.sensitivities(
             *(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments)

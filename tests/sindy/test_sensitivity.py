@@ -13,7 +13,7 @@ from dynasindy.sindy.named_libraries import build_library, paper_table
 from dynasindy.sindy.sensitivity import Parameters, Propagator, TorchSlopes
 from dynasindy.systems import Tras, Xi
 from dynasindy.systems.base import Signature
-from dynasindy.systems.interpreter import Observed
+from dynasindy.systems.interpreter import MeasurementUpdate
 
 LIBRARY = paper_table(Xi().signature)
 
@@ -102,7 +102,7 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
         return torch.stack(ends)
 
     propagator = Propagator(library, xi, Parameters.where(xi != 0), library.shapes)
-    observer, ends = Observed(measured, gain) if observed else None, u_end if linear else None
+    observer, ends = MeasurementUpdate(measured, gain) if observed else None, u_end if linear else None
     ours, s = propagator.trajectories(x, u, 0.2, 2, ends, observer)
     rest, each = (x, numbers, xi, u, u_end, measured), (0, None, None, 0, 0, 0)
     torch.testing.assert_close(ours, torch.func.vmap(predict, each)(*rest), rtol=1e-12, atol=1e-14)
