@@ -1051,8 +1051,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
     "training data that the fit had not seen: {what}",
     "fit.budget": lambda seconds, stopped: (
-        f"{'it was stopped' if stopped else 'the time for it was over'} after {seconds:.0f} s of computing; the best "
-        f"model until then was kept. For a longer search give {setting('world_model.refinement.seconds')} more"
+        f"the search {'was stopped' if stopped else 'used up its time'} after {seconds:.0f} s of computing; the best "
+        f"model until then was kept. For a longer one give {setting('world_model.refinement.seconds')} more"
     ),
     # the model
     "model.delay": lambda seconds: (

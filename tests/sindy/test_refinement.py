@@ -66,7 +66,11 @@ def test_what_is_given_stays_in_every_method():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}, {"error": "both"}]
+    "wrong",
+    [
+        *({"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}, {"error": "both"}),
+        *({"penalty": 0.0}, {"seconds": math.nan}),
+    ],
 )
 def test_settings_that_are_not_allowed_are_refused(wrong):
     with pytest.raises(ValueError, match="allowed"):
