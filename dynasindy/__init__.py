@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynasindy.control import Controller, load
+    from dynasindy.identification.identify import identify, read
     from dynasindy.progress import Progress
-    from dynasindy.workbench import forecast, identify, plan, read
+    from dynasindy.workbench import forecast, plan
 
 __all__ = ["Controller", "Progress", "__version__", "forecast", "identify", "load", "plan", "read"]
 
@@ -61,9 +62,9 @@ _PLACES = {
     "load": "dynasindy.control",
     "Progress": "dynasindy.progress",
     "forecast": "dynasindy.workbench",
-    "identify": "dynasindy.workbench",
+    "identify": "dynasindy.identification.identify",
     "plan": "dynasindy.workbench",
-    "read": "dynasindy.workbench",
+    "read": "dynasindy.identification.identify",
 }
 
 

@@ -26,12 +26,9 @@ from __future__ import annotations
 
 import copy
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 
@@ -39,21 +36,16 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
-from dynasindy.data.columns import Column
-from dynasindy.data.rates import check_rates, require_consistent_rates
+from dynasindy.control.period import as_planned, other_period, suited_period
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding
-from dynasindy.identification.before_fit import missing_rates, review_rates, with_missing_rates
 from dynasindy.identification.forecast_errors import forecast_errors
-from dynasindy.identification.identify import LoggedData
-from dynasindy.identification.log_fit import fit_log
-from dynasindy.identification.period import as_planned, other_period, suited_period
 from dynasindy.identification.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.identification.signal_resolution import low_signal_states, resolved_errors
-from dynasindy.identification.source import VALIDATION_SHARE, Source, rates_of
+from dynasindy.identification.source import Source, rates_of
 from dynasindy.identification.targets import require_radians
 from dynasindy.identification.verdict import (
     inputs_beyond_log,
@@ -68,9 +60,8 @@ from dynasindy.planning.plan_settings import LONGEST, find_task_equilibria, unhe
 from dynasindy.progress import reporting_as
 from dynasindy.sensing import Channel, Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting
-from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.named_libraries import LibraryBuilder
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
@@ -81,94 +72,6 @@ FLOWN = 64
 """Targets that are flown to where no scenario is given."""
 HALVES = 2
 """Stretches of a log that a model is fitted to again, to see what the log leaves open."""
-
-
-def read(
-    path: str | Path | Sequence[str | Path],
-    states: Mapping[str, Any] | Sequence[str] | None = None,
-    inputs: Mapping[str, Any] | Sequence[str] | None = None,
-    time: str = "time",
-    dt: float | None = None,
-    validation_share: float = VALIDATION_SHARE,
-) -> Source:
-    """Read a log of a plant from a CSV file, or from several; the last part of it is kept for `forecast`.
-
-    Args:
-        path: The file, with a line of headings such as `angle [rad]`; or a list of files with the same columns.
-        states: Columns of the states by name: the heading, or keys of `dynasindy.data.columns.Column`; a list takes
-            them as they are; all columns but time and inputs if omitted.
-        inputs: Columns of the inputs, likewise; those that are called `u`, `u_...` or `input_...` if omitted.
-        time: Heading of the time column, in seconds unless it says another unit, as in `count [ms]`.
-        dt: Sampling time [s]; the file's own if omitted. Where the time counts rows it is the time between two.
-        validation_share: Part of the log, at its end, that neither the fit nor the plan sees. With 0 they see all of
-            it, and `forecast` can promise nothing.
-
-    Returns:
-        Both parts, the signature, and `findings` on what was skipped or resampled.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is no log of a plant.
-    """
-    files = str(path) if isinstance(path, str | Path) else list(map(str, path))
-    return Source.of(LoggedData(files, states, inputs, time, dt).recording(), validation_share)
-
-
-def identify(
-    log: Source,
-    library: str | Sequence[str] | LibraryBuilder = "auto_rig",
-    known: Mapping[str, str] | None = None,
-    method: Literal["integral", "one_step", "trajectory", "auto"] = "auto",
-    longest_delay: float | None = None,
-    time: Literal["continuous", "discrete"] = "continuous",
-    seconds: float = 60.0,
-) -> SindyModel:
-    """Identify sparse equations from a log, as `train.py data=csv` does.
-
-    Where they lack something, an input that acts through a lag is looked for; the lag is then a state of the model.
-
-    Args:
-        log: What `read` returned.
-        library: Candidate functions: a name of `dynasindy.sindy.named_libraries.NAMED`, or functions in words.
-            `auto_rig` is quadratic polynomials and sines of states in rad, or for angles in rad and their rates in
-            rad/s the functions of mechanics, and dry friction of every rate.
-        known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
-            the log does not have is estimated with the model. If omitted, rates that the log shows to be missing are
-            added as `angle_rate`; `{}` adds none.
-        method: How the fit is refined; `auto` chooses by the noise of the data.
-        longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
-        time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
-            time of the log, for what moves in steps: all states have to be in the log.
-        seconds: Time of computing that may be taken, about, where `auto` tries candidates [s].
-
-    Returns:
-        The model; `equations()` shows it, `save` keeps it, and `findings` holds what was found before the fit, by it,
-        and of delay, dry friction, springs, dead zones and saturations in the equations. What is found before the
-        fit is a warning, too.
-
-    Raises:
-        ValueError: The data or the library do not allow a fit, or a rate that is known is in other units than its
-            state, counts the other way, or was exchanged with it.
-        Diverged: A coefficient is not finite.
-    """
-    refinement = Refinement(method, longest_delay=longest_delay, seconds=seconds)
-    regression = Regression("bic", tolerance=1e-4)
-    build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
-    source, rates, added = with_missing_rates(build, log, known)
-    source = source.with_rates(rates)
-    columns = {name: Column(name) for name in log.signature.state_names}
-    require_consistent_rates(source.training, source.signature, rates, columns)
-    model = build(signature=source.signature, known=rates)
-    before = (
-        *added,
-        *check_rates(source.training, source.signature, rates),
-        *missing_rates(model, review_rates(model, source)),
-    )
-    for each in before:
-        warnings.warn(str(each), stacklevel=2)
-    found = fit_log(model, source, known is None)
-    found.model.findings = (*before, *found.report.findings, *found.content)
-    return found.model
 
 
 def plan(

@@ -17,11 +17,11 @@ def main(cfg: Any) -> None:
     from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_tracking
-    from dynasindy.planning.equilibria import states_that_matter
     from dynasindy.progress import say, width
     from dynasindy.safe_io import output_folder
     from dynasindy.sentences import lines
     from dynasindy.sindy import SindyModel
+    from dynasindy.systems.equilibria import states_that_matter
     from dynasindy.viz.animation import animate
     from dynasindy.viz.controllers import name_by_planning
     from dynasindy.viz.response import draw_evaluation

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cli import command
 
 if TYPE_CHECKING:
+    from dynasindy.findings import Finding
     from dynasindy.identification.identify import Identified
     from dynasindy.identification.source import Source
 
@@ -18,7 +19,6 @@ def main(cfg: Any) -> None:
     """Load data, fit, judge, write everything and print it."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.utils import instantiate
-    from logged import load_data
     from next_steps import next_steps
 
     from dynasindy.identification.before_fit import before_fit, plants_with
@@ -45,9 +45,33 @@ def main(cfg: Any) -> None:
     known = plants_with(source.signature) if source.logged and system is None else []
     source = found.source
     write_identification(found, source, folder, findings)
-    draw(found, source, folder, list(cfg.formats))
+    if cfg.formats:
+        draw(found, source, folder, list(cfg.formats))
     rates = before.missing.certain if found.predicts else before.missing.possible
     say(to_words(found, source, width()), f"written to {folder}", next_steps(*next_commands(cfg, found, known, rates)))
+
+
+def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
+    """Return the data of a config, and what was added to them.
+
+    Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
+    `plant.known`.
+
+    Args:
+        cfg: The settings. `plant.known` is written into them where nobody gave it.
+    """
+    from hydra.utils import instantiate
+
+    from dynasindy.identification.before_fit import with_missing_rates
+
+    data, system, excitation = (instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation"))
+    source = data.load(system, excitation)
+    named = system is not None and system.known
+    if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:
+        return source, []
+    build = instantiate(cfg.world_model, _convert_="all")
+    source, cfg.plant.known, added = with_missing_rates(build, source, None)
+    return source, added
 
 
 def next_commands(cfg: Any, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> Iterator[str]:
@@ -63,7 +87,7 @@ def next_commands(cfg: Any, found: Identified, known: Sequence[str], rates: Mapp
     from next_steps import command_line, without
     from omegaconf import OmegaConf
 
-    from dynasindy.identification.period import closest_period
+    from dynasindy.identification.source import closest_period
     from dynasindy.identification.targets import targets_like
     from dynasindy.sentences import command_word
 

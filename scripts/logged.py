@@ -10,20 +10,20 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from hydra.utils import instantiate
+from identify import load_data
 from job import command_and_commit
 from next_steps import command_line, improvements, next_steps, run_steps, without
 from omegaconf import DictConfig, OmegaConf
 
 from dynasindy.control import save
 from dynasindy.control.files import NAME
+from dynasindy.control.period import suited_period
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import log_report, model_of
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
-from dynasindy.identification.before_fit import with_missing_rates
-from dynasindy.identification.period import PERIOD, closest_period, suited_period
 from dynasindy.identification.signal_resolution import low_signal_targets
-from dynasindy.identification.source import Source
+from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
@@ -32,7 +32,7 @@ from dynasindy.sentences import lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
-from dynasindy.workbench import damped, forecast, plan, rates_of
+from dynasindy.workbench import damped, forecast, plan
 
 
 @dataclass(frozen=True)
@@ -52,25 +52,6 @@ class Preparation:
     parts: Mapping[str, Any]
     targets: str
     findings: Sequence[Finding]
-
-
-def load_data(cfg: DictConfig) -> tuple[Source, list[Finding]]:
-    """Return the data of a config, and what was added to them.
-
-    Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
-    `plant.known`.
-
-    Args:
-        cfg: The settings. `plant.known` is written into them where nobody gave it.
-    """
-    data, system, excitation = (instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation"))
-    source = data.load(system, excitation)
-    named = system is not None and system.known
-    if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:
-        return source, []
-    build = instantiate(cfg.world_model, _convert_="all")
-    source, cfg.plant.known, added = with_missing_rates(build, source, None)
-    return source, added
 
 
 def prepare(cfg: DictConfig) -> Preparation:

@@ -30,12 +30,10 @@ from pydantic.fields import FieldInfo
 from trust import nodes
 from typing_extensions import TypedDict
 
-from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.simulated import Simulated
 from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.scenarios import Scenario
-from dynasindy.identification.identify import LoggedData
-from dynasindy.rig import Guard
+from dynasindy.excitation import Excitation
+from dynasindy.identification.source import DataSource
+from dynasindy.sindy import WorldModel
 from dynasindy.sindy.functions import register_formula
 from dynasindy.systems import System
 from dynasindy.tasks.references import Signal
@@ -61,9 +59,8 @@ PLANT: dict[str, Any] = {
 }
 """Keys of the plant, from which other groups copy; a mistake is named here rather than where it was copied to."""
 TOP: dict[str, Any] = {
-    **get_type_hints(Recipe),
     "seed": Annotated[int, range(2**63)],
-    "system": System | None,
+    **{"system": System | None, "excitation": Callable[..., Excitation], "world_model": Callable[..., WorldModel]},
     "threads": Annotated[int, THREADS, "eight for each core"],
     **{"folder": str, "run": str | None, "resume": str | None, "results": str, "output": str, "controller": str | None},
     **{
@@ -80,16 +77,15 @@ TOP: dict[str, Any] = {
     **{"longest_delay": Annotated[float, Field(ge=0)] | None, "horizons": Annotated[list[Positive], SOME] | None},
     **{"evaluation.every": int, "evaluation.must_improve": bool, "evaluation.must_control": bool},
     **{"evaluation.within": float, "checkpoint.every": int, "device": str},
-    **{"scenario": Scenario, "data": LoggedData | Simulated, "level": Level},
+    **{"data": DataSource, "level": Level},
     **{
         "dt": Annotated[float, Field(gt=0, le=1e5)],
         "targets": Annotated[list[list[float]], SOME] | None,
         "flights": int,
-        "guard": Guard,
     },
     **{"seconds": Annotated[float, Field(gt=0, le=1e5)] | None, "planner": dict[str, Any] | None},
 }
-"""Keys of any command's config, besides those of what it builds."""
+"""Keys of any command's config, besides those of what it builds, and those whose types import TorchRL."""
 EXPORTING: dict[str, Any] = {
     **{"formats": list[Literal["c", "onnx", "fmu", "model"]], "folder": str | None, "fmi": Literal[2, 3]},
 }
@@ -99,7 +95,6 @@ CHECKING: dict[str, Any] = {
     **{"points": Annotated[int, range(1, 51)], "grid": Annotated[int, range(2, 101)]},
     **{"draws": Annotated[int, range(10_001)]},
 }
-EXPERIMENT = {"task", "env", "agent", "replay", "planning", "gate"}
 
 
 def check(cfg: DictConfig, file: str = "") -> None:
@@ -114,14 +109,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
     """
     try:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
-        for name in sorted(get_type_hints(Recipe).keys() - tree.keys() - {"sensors"}) if file else ():
-            raise ValueError(f"'{name}' is not given; restore it, or train again")
-        hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
-        if "save" in tree:  # a run may be kept without any scenario
-            hints["scenarios"] = list[str]
-        if "train" not in tree and not file:  # a plant has words for the task of an experiment, which is not built
-            hints = {key: hint for key, hint in hints.items() if key not in EXPERIMENT}
-        for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, hints)):
+        for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, _hints(tree, bool(file)))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
                 OmegaConf.update(cfg, key, fit, merge=False)
@@ -136,6 +124,38 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(f"{what}, which is not given, or no group of keys; give the keys as conf/ does") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
+
+
+def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
+    """Return what the keys of a config allow that are no arguments; TorchRL is imported for those that need it.
+
+    Args:
+        tree: The config.
+        finished: Whether it is a finished run's.
+    """
+    hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
+    if "save" in tree:  # a run may be kept without any scenario
+        hints["scenarios"] = list[str]
+    if "train" in tree or finished:  # elsewhere a plant has words for the task of an experiment, which is not built
+        from dynasindy.dyna.experiment import Recipe
+
+        parts = get_type_hints(Recipe)
+        for name in sorted(parts.keys() - tree.keys() - {"sensors"}) if finished else ():
+            raise ValueError(f"'{name}' is not given; restore it, or train again")
+        hints = parts | hints
+    elif tree.get("sensors") is not None:
+        from dynasindy.sensing import Sensors
+
+        hints["sensors"] = Sensors
+    if "scenario" in tree:
+        from dynasindy.evaluation.scenarios import Scenario
+
+        hints["scenario"] = Scenario
+    if "guard" in tree:
+        from dynasindy.rig import Guard
+
+        hints["guard"] = Guard
+    return hints
 
 
 def register_functions(tree: Mapping[str, Any]) -> None:

@@ -145,7 +145,7 @@ EXAMPLES = [path for path in sorted((REPOSITORY / "dynasindy").rglob("*.py")) if
 
 
 def test_the_way_from_a_log_to_a_controller_has_an_example():
-    assert Path(inspect.getfile(inspect.unwrap(dynasindy.identify))) in EXAMPLES
+    assert Path(inspect.getfile(inspect.unwrap(dynasindy.plan))) in EXAMPLES
 
 
 @pytest.mark.slow

@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.planning.equilibria import find_equilibria
 from dynasindy.progress import report_progress
+from dynasindy.systems.equilibria import find_equilibria
 
 NUDGE = 1e-5
 """Step of the differences [ranges]."""

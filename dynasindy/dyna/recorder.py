@@ -30,9 +30,9 @@ from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
 from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_tracking, representative_episode
 from dynasindy.findings import note, records
-from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
+from dynasindy.systems.equilibria import states_that_matter
 from dynasindy.tasks import Tracking
 
 GATE_COLUMNS = (

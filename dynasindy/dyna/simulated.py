@@ -16,7 +16,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import before_leaving, disturb, observed, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
-from dynasindy.identification.source import Source
+from dynasindy.identification.source import DataSource, Source
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
@@ -35,7 +35,7 @@ LONGEST = 1e8
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(DataSource):
     """Take data from a simulated plant.
 
     A plant that is known to stay by itself is moved open loop. Any other is excited as in training: within bounds, by a

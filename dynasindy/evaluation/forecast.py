@@ -14,10 +14,10 @@ from dynasindy.envs import ControlEnv, DelayedEnv
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, judge_tracking
 from dynasindy.findings import Finding, note, records, weak, wrong
-from dynasindy.planning.equilibria import states_that_matter
 from dynasindy.sensing import Sensing
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
+from dynasindy.systems.equilibria import states_that_matter
 
 OVERSHOT = 20.0
 """Overshoot that a prediction tells of [% of the step]."""

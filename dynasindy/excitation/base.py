@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from dynasindy.limits import check_memory
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
 
 Levels = float | Sequence[float]
 PERIODS = 200
@@ -36,7 +37,7 @@ class Common(_Careful, total=False):
     seed: int
 
 
-class Excitation(TensorDictModuleBase, ABC):
+class Excitation(nn.Module, ABC):
     """Give inputs over time: `offset + amplitude * wave(t)`, clipped to [-1, 1].
 
     As a policy it reads `step_count` and writes `action`; the input is held for one control period.
@@ -60,8 +61,8 @@ class Excitation(TensorDictModuleBase, ABC):
         ValueError: `first` is not in (0, 1], or `gain` has not one row of finite numbers per input.
     """
 
-    in_keys = ["step_count"]  # noqa: RUF012 - the base class of TensorDict sets these per class
-    out_keys = ["action"]  # noqa: RUF012
+    in_keys = ("step_count",)
+    out_keys = ("action",)
 
     def __init__(
         self,

@@ -21,13 +21,13 @@ import torch
 from torch import Tensor
 
 from dynasindy.identification.recording_diagnostics import resolutions, resolutions_by
-from dynasindy.planning.equilibria import fastest_time_constant
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
 from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
+from dynasindy.systems.equilibria import fastest_time_constant
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,13 +18,20 @@ from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import completed, widened
 from dynasindy.sindy.reconstruction import rate_states, with_rate_ranges
-from dynasindy.systems.base import WHOLE, Signature
+from dynasindy.systems.base import WHOLE, Signature, System
 from dynasindy.systems.transitions import Transitions
+
+if TYPE_CHECKING:
+    from dynasindy.excitation import Excitation
 
 VALIDATION_SHARE = 0.25
 """Part of a log, at its end, that is kept to judge on."""
 ALIKE = 1e-5
 """Part of an input's range by which ends may differ and still be the same, as those are that were written down."""
+PERIOD = 0.05
+"""Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
+SAMPLES = 10
+"""Samples of a log in a control period at most, if nobody asks for another one."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,6 +140,33 @@ class Source:
         linear = [name in model.linear_inputs for name in model.signature.input_names]
         training, validation = (completed(part, states, model).with_linear_inputs(linear) for part in parts)
         return replace(source, signature=model.signature, training=training, validation=validation)
+
+
+class DataSource(ABC):
+    """Where data come from: a log, or a simulated plant."""
+
+    @abstractmethod
+    def load(self, system: System | None, excitation: Callable[..., Excitation]) -> Source:
+        """Return data of a plant, None of one that nobody knows, which is moved by an excitation if it is simulated."""
+
+
+def closest_period(log: Source | None, wanted: float | None = None) -> float:
+    """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
+
+    Of two that are as near it is the shorter; without a log it is the one wanted. If none is wanted, it is 0.05 s, or
+    ten samples of a log that is sampled faster: so is the log of a plant that is as fast.
+
+    Raises:
+        ValueError: The one wanted is not positive.
+    """
+    if wanted is not None and not wanted > 0:
+        raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
+    if log is None:
+        return wanted or PERIOD
+    wanted = wanted or min(PERIOD, SAMPLES * log.training.dt)
+    step = log.training.dt
+    period = step * max(1, math.ceil(wanted / step - 0.5 - 1e-6))
+    return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period
 
 
 def rates_of(model: SindyModel) -> dict[str, str]:

@@ -12,9 +12,9 @@ from torch.quasirandom import SobolEngine
 from dynasindy.findings import LogError
 from dynasindy.identification.source import Source
 from dynasindy.identification.verdict import logged_input_ranges
-from dynasindy.planning.equilibria import PERIOD, find_equilibria
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature, turn_of
+from dynasindy.systems.equilibria import PERIOD, find_equilibria
 
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""

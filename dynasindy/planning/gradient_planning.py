@@ -20,7 +20,6 @@ from torch import Tensor, nn
 from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
-from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.gate import Bound
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
@@ -30,6 +29,7 @@ from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, Signature, System
+from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks import Task, Tracking
 
 DIVERGED = 100.0

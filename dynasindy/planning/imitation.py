@@ -29,12 +29,12 @@ import torch
 from torch import Tensor, nn
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
 from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, TrajectoryLibrary
 from dynasindy.planning.trajectory_search import cross_entropy
 from dynasindy.progress import track
+from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks import Tracking
 
 LADDER = (0.003, 0.03, 0.3, 3.0, 30.0, 300.0)

@@ -22,8 +22,8 @@ from torch import Tensor
 from torch.quasirandom import SobolEngine
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria, find_equilibria, growth, modes, slopes
 from dynasindy.planning.regulator import Regulator, Weights, regulated, squares_of
+from dynasindy.systems.equilibria import Equilibria, find_equilibria, growth, modes, slopes
 from dynasindy.tasks import Tracking
 from dynasindy.text import format_duration
 

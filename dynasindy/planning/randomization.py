@@ -22,10 +22,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.sentences import setting
 from dynasindy.systems import Altered, Stops, System
+from dynasindy.systems.equilibria import Equilibria
 from dynasindy.systems.machine import Machine
 from dynasindy.tasks import Tracking
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria
+from dynasindy.systems.equilibria import Equilibria
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Tracking
 

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.equilibria import Equilibria
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import sensitivities
 from dynasindy.planning.trajectory_search import POPULATION, ROUNDS, Trajectory, roll, search
+from dynasindy.systems.equilibria import Equilibria
 
 STARTS = 24
 """Starts from which ways are searched."""

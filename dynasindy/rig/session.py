@@ -20,7 +20,7 @@ from dynasindy.control.files import NAME
 from dynasindy.data.rates import with_rates
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Excitation
-from dynasindy.identification.identify import LoggedData
+from dynasindy.identification.identify import LoggedData, identify
 from dynasindy.identification.source import Source, same_input_ranges
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
@@ -202,7 +202,7 @@ class Session:
         delay = knowledge.longest_delay
 
         with warnings.catch_warnings(action="ignore"):  # they are among the findings
-            model = workbench.identify(log, knowledge.library, knowledge.known, longest_delay=delay)
+            model = identify(log, knowledge.library, knowledge.known, longest_delay=delay)
         for each in model.findings:
             if each.code != "model.delay":  # which is said below, in control periods too
                 self.tell(f"  {line(each)}")

@@ -45,6 +45,7 @@ from benchmarks.opponents import (
 from benchmarks.pysindy_regression import pysindy_of
 from dynasindy.data.headings import CLOCKS, SECONDS, in_radians, plain_heading, split_unit
 from dynasindy.identification.forecast_errors import predict_ahead
+from dynasindy.identification.identify import identify, read
 from dynasindy.identification.source import Source
 from dynasindy.safe_io import Row, read_rows, write_csv, write_rows
 from dynasindy.sindy.model import SindyModel
@@ -53,7 +54,6 @@ from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
-from dynasindy.workbench import identify, read
 
 COLUMNS = ("rig", "model", "metric", "value", "unit", "coefficients", "cpu_seconds", "commit")
 COURSES = ("rig", "model", "seconds", "error", "unit", "commit")

@@ -13,10 +13,10 @@ from benchmarks.peers import serve
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
-from dynasindy.planning.equilibria import find_equilibria
 from dynasindy.safe_io import read_rows
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Tras
+from dynasindy.systems.equilibria import find_equilibria
 
 PROPORTIONAL = """
 import sys

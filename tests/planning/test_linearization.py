@@ -5,9 +5,9 @@ import pytest
 import torch
 from scipy.signal import cont2discrete
 
-from dynasindy.planning.equilibria import Equilibria, find_equilibria, modes
 from dynasindy.planning.regulator import _discretize
 from dynasindy.systems import Signature, System, Tras, Xi
+from dynasindy.systems.equilibria import Equilibria, find_equilibria, modes
 
 OUTPUTS = (0, 1)
 

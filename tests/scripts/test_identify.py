@@ -1,6 +1,8 @@
 """The identification command writes what it found, and says in one line what is wrong."""
 
 import json
+import math
+import os
 import random
 import shlex
 import subprocess
@@ -42,6 +44,31 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     } <= names
     assert {"training_data.png", "prediction.png"} <= names
     assert max(json.loads((tmp_path / "run/metrics.json").read_text())["open_loop_nrmse"].values()) < 1e-4
+
+
+IDENTIFIED = """
+import sys
+sys.argv = ["identify", "data=csv", "data.path=log.csv", "folder=run", "formats=[]"]
+import identify
+identify.main()
+import dynasindy
+print(*dynasindy.identify(dynasindy.read("log.csv"), {library!r}).equations())
+print(*sys.modules)
+"""
+
+
+def test_a_log_is_identified_without_what_plans_and_draws(tmp_path, write_log):
+    speed, u = [0.0], torch.tensor([1.0, -0.5, 0.3, 0.8]).repeat_interleave(20)
+    for value in u:
+        speed.append(float(value + math.exp(-0.02) * (speed[-1] - value)))
+    write_log(tmp_path / "log.csv", ["speed [m/s]", "u"], torch.tensor(speed[:-1])[:, None], u[:, None])
+    environment = {**os.environ, "PYTHONPATH": f"{REPOSITORY}{os.pathsep}{REPOSITORY / 'scripts'}"}
+    code = [sys.executable, "-c", IDENTIFIED.format(library=["speed", "u"])]
+    done = subprocess.run(code, cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    *_, equations, modules = done.stdout.splitlines()
+    assert equations == "speed' = -2 speed + 2 u" and (tmp_path / "run/model.json").is_file()
+    assert not {"torchrl", "tensordict", "gymnasium", "matplotlib", "pysindy", "sympy"} & set(modules.split())
 
 
 def next_command(done):

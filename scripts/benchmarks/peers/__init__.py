@@ -36,10 +36,10 @@ from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.export.formats import casadi_source
-from dynasindy.planning.equilibria import find_equilibria
 from dynasindy.safe_io import Row
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Tras
+from dynasindy.systems.equilibria import find_equilibria
 
 Array = NDArray[np.float64]
 HERE = Path(__file__).parent

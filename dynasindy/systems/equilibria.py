@@ -27,7 +27,7 @@ import torch
 from scipy.linalg import eig, expm
 from torch import Tensor
 
-from dynasindy.systems import System
+from dynasindy.systems.base import System
 
 STARTS = 64
 """Guesses from which the first rest is searched."""

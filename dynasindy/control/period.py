@@ -1,4 +1,4 @@
-"""Where a log mostly was, and the control period that suits it and the model that was fitted to it."""
+"""The control period that suits a log and the model that was fitted to it, and where the log mostly was."""
 
 from __future__ import annotations
 
@@ -11,20 +11,16 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.source import Source
+from dynasindy.identification.source import PERIOD, Source, closest_period
 from dynasindy.identification.verdict import logged_input_ranges
-from dynasindy.planning.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
+from dynasindy.systems.equilibria import fastest_doubling, fastest_oscillation
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 
-PERIOD = 0.05
-"""Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
-SAMPLES = 10
-"""Samples of a log in a control period at most, if nobody asks for another one."""
 PART = 5
 """Control periods in the fastest oscillation of the model at least, if nobody asks for another one."""
 QUARTER = 4
@@ -205,25 +201,6 @@ def _two_digits(seconds: float) -> float:
 
 def _chosen(seconds: float, cause: str, value: float = 0.0) -> Period:
     return Period(seconds, note("control.period", seconds=seconds, cause=cause, value=value, ahead=LONGEST))
-
-
-def closest_period(log: Source | None, wanted: float | None = None) -> float:
-    """Return the control period that suits a log: the multiple of its sampling time nearest to the one wanted [s].
-
-    Of two that are as near it is the shorter; without a log it is the one wanted. If none is wanted, it is 0.05 s, or
-    ten samples of a log that is sampled faster: so is the log of a plant that is as fast.
-
-    Raises:
-        ValueError: The one wanted is not positive.
-    """
-    if wanted is not None and not wanted > 0:
-        raise ValueError(f"env.dt must be a time > 0, got {wanted} s; the default is {PERIOD} s")
-    if log is None:
-        return wanted or PERIOD
-    wanted = wanted or min(PERIOD, SAMPLES * log.training.dt)
-    step = log.training.dt
-    period = step * max(1, math.ceil(wanted / step - 0.5 - 1e-6))
-    return wanted if math.isclose(period, wanted, rel_tol=1e-6) else period
 
 
 def _typical(data: Transitions, model: SindyModel) -> Tensor:

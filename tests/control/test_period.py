@@ -9,13 +9,13 @@ import torch
 
 import dynasindy
 from dynasindy.control import save
+from dynasindy.control.period import _typical, as_planned, other_period, suited_period
 from dynasindy.data.recording import Recording
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.period import _typical, as_planned, closest_period, other_period, suited_period
-from dynasindy.identification.source import Source
+from dynasindy.identification.source import Source, closest_period
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, System
 from dynasindy.workbench import tracking_task

@@ -6,14 +6,14 @@ import pytest
 import torch
 from scipy.linalg import expm
 
-from dynasindy.planning.equilibria import (
+from dynasindy.systems import Pendulum, Signature, System
+from dynasindy.systems.equilibria import (
     fastest_doubling,
     fastest_oscillation,
     find_equilibria,
     growth,
     slopes,
 )
-from dynasindy.systems import Pendulum, Signature, System
 
 
 class Cart(System):
