@@ -1050,6 +1050,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.many_functions": _many_functions,
     "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
     "training data that the fit had not seen: {what}",
+    "fit.behind": lambda state, seconds, factor: (
+        f"{state} up to {format_duration(seconds)} ahead was predicted {factor:.3g} times as well by the best simple "
+        "model, of past samples (ARX) or the last value held, in data kept back"
+    ),
     "fit.budget": lambda seconds, stopped: (
         f"the search {'was stopped' if stopped else 'used up its time'} after {seconds:.0f} s of computing; the best "
         f"model until then was kept. For a longer one give {setting('world_model.refinement.seconds')} more"

@@ -55,6 +55,8 @@ FEWEST, MOST = 40, 200
 """Samples before a start on which its states may be estimated, at least where there are so many, and at most."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
+RUNAWAY = 3.0
+"""Standard deviations of a state beyond which an error is of a model that runs away."""
 LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
 ROWS = 10_000
@@ -73,6 +75,8 @@ FARTHEST = 200
 """Samples ahead up to which candidates are judged at least, where there are so many."""
 BEHIND = 1.0
 """Weight of being behind the best simple model where that is worst, beside the mean."""
+BEHIND_BY = 1.03
+"""Factor on the error of the best simple model beyond which a finding says that it predicts better."""
 PRICES = (1.0, 2.0)
 """Factors on what a function must be worth."""
 HOPELESS = 1.0
@@ -176,7 +180,8 @@ class HoldOut:
         later: rows whose inputs act in turn, `(S, T)`.
         real: what was measured, `(S, T, n_x)`.
         before: samples before each start on which its states may be estimated.
-        simple: errors of the best simple model over each horizon, `(H, n_x)`.
+        others: errors of simple models over each horizon, `(M, H, n_x)`.
+        deviation: standard deviation of each state, `(n_x,)`.
         floor: error that is as good as none, `(n_x,)`.
     """
 
@@ -187,7 +192,8 @@ class HoldOut:
     later: Tensor
     real: Tensor
     before: int
-    simple: Tensor
+    others: Tensor
+    deviation: Tensor
     floor: Tensor
 
     @classmethod
@@ -219,16 +225,27 @@ class HoldOut:
         simple = [m.predict(own, starts, later) for data, own in pairs for m in LinearModel.candidates(data, before)]
         simple += [reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)]
         errors = torch.stack([errors_over(guess, real, steps) for guess in simple])
-        # Nothing is told beyond the time in which errors grow as large as the states are, as of an unstable plant.
         deviation = variance(data.x_next).sqrt()
-        tells = (errors[:-1] / deviation).log().nanmean(-1).amin(0) < 0 if len(errors) > 1 else torch.tensor([])
-        count = max(2, int(tells.long().cumprod(0).sum()))
-        errors, steps = errors[:, :count], steps[:count]
-        later, real = later[:, : steps[-1]], real[:, : steps[-1]]
-        best = errors[errors.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
         floor = torch.maximum(resolutions(fit).nan_to_num(), EXACT * spread)
-        return cls(early, kept, steps, starts, later, real, before, best, floor)
+        whole = cls(early, kept, steps, starts, later, real, before, errors, deviation, floor)
+        return whole.within(errors[:-1]) if len(errors) > 1 else whole
+
+    def within(self, errors: Tensor) -> HoldOut:
+        """Return the horizons, two or more, before the least of some errors, `(M, H, n_x)`, is as large as the states.
+
+        Beyond them nothing is told, as of an unstable plant.
+        """
+        tells = (errors / self.deviation).log().nanmean(-1).amin(0) < 0
+        count = max(2, int(tells.long().cumprod(0).sum()))
+        steps = self.steps[:count]
+        later, real = self.later[:, : steps[-1]], self.real[:, : steps[-1]]
+        return replace(self, steps=steps, later=later, real=real, others=self.others[:, :count])
+
+    @cached_property
+    def simple(self) -> Tensor:
+        """Errors of the best simple model over each horizon, `(H, n_x)`."""
+        return self.others[self.others.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
 
     def errors(self, model: SindyModel, source: Source) -> tuple[Tensor, Tensor]:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
@@ -272,7 +289,7 @@ class Candidate:
         models: the model, as it was fitted for each part that was kept.
         source: the data with all of its states.
         settings: of its fit.
-        errors: over each horizon, `(H, n_x)`, for each part that was kept.
+        errors: over each horizon, `(H, n_x)`, for each part that it was judged on.
         blocks: mean logarithm of errors in each block of all these parts, by those of a simple model, `(B,)`.
         score: what is to be least.
         what: what it is, in words.
@@ -353,16 +370,17 @@ class _Search:
         return min(filter(_as_good, self.tried), key=lambda each: (each.size, each.score), default=best)
 
     def _exact(self) -> bool:
-        return all(fold.exact(errors) for fold, errors in zip(self.folds, self.best.errors, strict=True))
+        return all(map(HoldOut.exact, self.folds, self.best.errors))
 
     def _try_all(self) -> None:
         """Try linear equations of several structures, then functions, longer windows and fewer coefficients."""
-        self._single_steps()
         structures = list(self._structures())
+        self._single_steps(structures)
         if self.builder is None:
             self._regressed(*structures[0])
         linear = [found for each in structures if (found := self._linear(*each)) is not None]
-        linear.sort(key=lambda each: each.score)
+        self._shorten()
+        linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             linear[0] = self._with_linear_inputs(linear[0])
             for each in self._near(linear)[:STRUCTURES]:
@@ -380,14 +398,28 @@ class _Search:
         if self.tried:
             self._prune()
 
+    def _shorten(self) -> None:
+        """Judge over shorter horizons where every candidate runs away, as on a plant that is not stable."""
+        judged = [[each.errors[k] for each in self.tried if k < len(each.errors)] for k in range(len(self.folds))]
+        folds = [
+            fold.within(torch.stack(errors) / RUNAWAY) if errors else fold
+            for fold, errors in zip(self.folds, judged, strict=True)
+        ]
+        if all(len(new.steps) == len(old.steps) for new, old in zip(folds, self.folds, strict=True)):
+            return
+        self.folds = folds
+        for k, old in enumerate(self.tried):
+            judged = [fold.errors(model, old.source) for model, fold in zip(old.models, folds, strict=True)]
+            errors, blocks = (list(part) for part in zip(*judged, strict=True))
+            self.tried[k] = self._judged(old.models, old.source, old.settings, errors, blocks, old.what, old.structure)
+
     def _leaders(self) -> list[Candidate]:
         """Return the best candidates whose equations have different functions."""
-        found: dict[tuple[object, ...], Candidate] = {}
+        found: dict[object, Candidate] = {}
         for each in sorted(self.tried, key=lambda each: each.score):
-            used = [
-                each.model.library.names[k] for k in (each.model.coefficients != 0).any(-1).nonzero().flatten().tolist()
-            ]
-            found.setdefault((each.model.signature.state_names, *sorted(used)), each)
+            used = (each.model.coefficients != 0).any(-1).nonzero().flatten().tolist()
+            functions = frozenset(_kind(each.model.library.features[k]) for k in used)
+            found.setdefault((each.model.signature.state_names, functions), each)
         return self._near(list(found.values()))[:LEADERS]
 
     def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -406,7 +438,7 @@ class _Search:
         """Fit copies of a model to what is not kept, and judge them."""
         if self.tried and (self.expired or (self._exact() and not pruned)):
             return None
-        fitted, errors, blocks, scores = list[SindyModel](), list[Tensor](), list[Tensor](), list[float]()
+        fitted, errors, blocks = list[SindyModel](), list[Tensor](), list[Tensor]()
         with _attempt(), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
@@ -418,17 +450,31 @@ class _Search:
                     return None  # what moves by nothing is no equation
                 for each, found in zip((errors, blocks), fold.errors(fitted[-1], source), strict=True):
                     each.append(found)
-                scores.append(fold.score(errors[-1]))
-                if fold.exact(errors[-1]) or (self.tried and scores[0] > self.best.score + 2 * HOPELESS):
+                hopeless = bool(self.tried) and fold.score(errors[0]) > self.best.score + 2 * HOPELESS
+                if fold.exact(errors[-1]) or hopeless:
                     break  # the other parts would tell the same
-            fitted += fitted[:1] * (len(self.folds) - len(fitted))
-            errors += errors[:1] * (len(self.folds) - len(errors))
-            score = sum(scores) / len(scores) + PER_TERM * int((fitted[0].coefficients != 0).sum())
-            score += PER_STATE * len(fitted[0].followed) + PER_TERM * float(source.training.u_end is not None)
-            self.tried.append(Candidate(fitted, source, settings, errors, torch.cat(blocks), score, what, structure))
-            report_progress("fit", note=f"{what}: score {score:.3f}, best {self.best.score:.3f}")
+            self.tried.append(self._judged(fitted, source, settings, errors, blocks, what, structure))
+            report_progress("fit", note=f"{what}: score {self.tried[-1].score:.3f}, best {self.best.score:.3f}")
             return self.tried[-1]
         return None
+
+    def _judged(
+        self,
+        fitted: list[SindyModel],
+        source: Source,
+        settings: Refinement,
+        errors: list[Tensor],
+        blocks: list[Tensor],
+        what: str,
+        structure: SindyModel | None,
+    ) -> Candidate:
+        """Return a candidate with its score; its first model stands for those parts on which it was not tried."""
+        model = fitted[0]
+        score = sum(map(HoldOut.score, self.folds, errors)) / len(errors)
+        score += PER_TERM * int((model.coefficients != 0).sum()) + PER_STATE * len(model.followed)
+        score += PER_TERM * float(source.training.u_end is not None)
+        models = fitted + [model] * (len(self.folds) - len(fitted))
+        return Candidate(models, source, settings, errors, torch.cat(blocks), score, what, structure)
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
         """Fit the models of a candidate again, from their coefficients on."""
@@ -441,11 +487,12 @@ class _Search:
         base = replace(self.refinement, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
         return replace(base, **changes)
 
-    def _single_steps(self) -> None:
-        """Try the fit of single steps, which finds exact equations in data without noise."""
-        if not bool(self.source.training.x_next.isnan().any()):
-            settings = replace(self.refinement, method="one_step")
-            self._fit("single steps", self._each(self.given), self.source, settings)
+    def _single_steps(self, structures: Sequence[tuple[SindyModel, Source]]) -> None:
+        """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
+        settings = replace(self.refinement, method="one_step")
+        for model, source in reversed(structures):
+            if not bool(source.training.x_next.isnan().any()):
+                self._fit("single steps", self._each(model), source, settings)
 
     def _each(self, model: SindyModel) -> list[SindyModel]:
         return [model] * len(self.folds)
@@ -603,7 +650,7 @@ class _Search:
         """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time."""
         model, settings = _warm_started(best.model), best.settings
         if settings.method == "one_step":
-            model = copy.deepcopy(self.given)
+            model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         else:
             settings = replace(settings, rounds=0, select=False)
         model.refinement, data = settings, best.source.training
@@ -613,10 +660,22 @@ class _Search:
             report = model.fit(data.select(self.folds[0].early) if stopped else data)
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
-        findings = [note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
+        findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
         if stopped or self.expired:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
+
+    def _behind(self, best: Candidate) -> list[Finding]:
+        """Say where a simple model predicted better what was kept."""
+        fold, ratios = self.folds[0], list(map(HoldOut.ratios, self.folds, best.errors))
+        if len({len(each) for each in ratios}) > 1:
+            ratios = ratios[:1]
+        behind = torch.stack(ratios).mean(0).exp().nan_to_num(0.0)
+        k, i = divmod(int(behind.argmax()), behind.shape[1])
+        if float(behind[k, i]) <= BEHIND_BY:
+            return []
+        name, seconds = best.source.signature.state_names[i], fold.steps[k] * best.source.training.dt
+        return [weak("fit.behind", state=name, seconds=seconds, factor=float(behind[k, i]))]
 
 
 def _warm_started(model: SindyModel) -> SindyModel:
@@ -630,6 +689,11 @@ def _is_linear(feature: Feature) -> bool:
     """Tell whether a function is the constant, a state or an input, or what one is ahead of another."""
     own = feature.factors
     return len(own) <= 1 and all(factor.function in ("id", "ahead") and factor.power == 1 for factor in own)
+
+
+def _kind(feature: Feature) -> object:
+    """Return what two functions have in common that differ in the numbers inside."""
+    return frozenset((factor.function, factor.variables, factor.power) for factor in feature.factors)
 
 
 def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:

@@ -130,7 +130,8 @@ class SindyModel(WorldModel):
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
-        self.initial, self.initial_delay = None if initial is None else guess, 0.0  # of the inputs in that guess [s]
+        self.initial = None if initial is None else guess
+        self.initial_delay: float | None = None  # of the inputs in that guess [s]; None: not known
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.coefficients = self.constraints.offset.clone()
         self._covariance: _Told = None
@@ -339,7 +340,7 @@ class SindyModel(WorldModel):
         guess = settle_lag_states(reconstruct(data, rates), self.followers)
         if self.initial is not None:
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
-            late = delay_inputs(guess, self.initial_delay)
+            late = delay_inputs(guess, self.initial_delay or 0.0)
             late = simulate_hidden_states(self.library, first, data, late, rates)
             started = _start_lag_states(self.library, first, late, self.followers)
             guess = replace(started, u=data.u, u_end=data.u_end)
@@ -357,7 +358,7 @@ class SindyModel(WorldModel):
         else:
             self.set_coefficients(first)
         self.delay = delay
-        findings, fields = self._refine(data, guess, constraints, 0.0 if first is None else self.initial_delay)
+        findings, fields = self._refine(data, guess, constraints, None if first is None else self.initial_delay)
         if self.refinement is not None:
             findings += unmoved_shapes(self.library, self.coefficients)
         of, seconds = (self.library, self.coefficients), time.perf_counter() - start
@@ -507,7 +508,7 @@ class SindyModel(WorldModel):
         return data
 
     def _refine(
-        self, data: Transitions, guess: Transitions, constraints: Constraints, late: float
+        self, data: Transitions, guess: Transitions, constraints: Constraints, late: float | None
     ) -> tuple[list[Finding], dict[str, Any]]:
         """Refine the coefficients, and return findings and fields of the report, by their names."""
         if self.refinement is None:

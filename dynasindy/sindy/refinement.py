@@ -127,7 +127,7 @@ class Refinement:
         constraints: Constraints,
         data: Transitions,
         guess: Transitions | None = None,
-        late: float = 0.0,
+        late: float | None = None,
     ) -> Refined:
         """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
 
@@ -137,10 +137,11 @@ class Refinement:
             constraints: what is known of the equations.
             data: transitions to refine on, NaN where a state was not measured.
             guess: the same, the states that were not measured guessed; needed where there are such states.
-            late: delay of the inputs of the first estimate [s], if it has one; it is where the search begins.
+            late: delay of the inputs of the first estimate [s], at which the fit begins; a regression is to find it
+                where this is None.
         """
         guess = data if guess is None else guess
-        first, longest, rough = (library, coefficients), self.longest_delay, late
+        first, longest, rough = (library, coefficients), self.longest_delay, late or 0.0
         if longest is not None and longest >= (seconds := len(data) * data.dt):
             raise ValueError(
                 f"longest_delay is {longest:g} s, and the data last {seconds:g} s; give a delay that they can show, or "
@@ -148,7 +149,8 @@ class Refinement:
             )
         if longest is None:
             longest, rough = self._reach(first, constraints, data, guess)
-            longest, rough = max(longest, FARTHER * late), rough or late
+            late = late if late is not None else rough or None
+            longest, rough = max(longest, FARTHER * (late or 0.0)), late or 0.0
         rates = rate_states(library, constraints)
 
         def _fit(longest: float) -> _Fit:
@@ -157,7 +159,7 @@ class Refinement:
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
         lacking = find_missing_rates(library, delay_and_trim(data, rough)) if longest else []
         if not lacking:
-            return _fit(longest).run(first, rough)
+            return _fit(longest).run(first, late)
         # A delay would stand for the rate that is missing.
         alone = _fit(0.0).run(first)
         return alone._replace(findings=(*alone.findings, weak("fit.no_delay", states=lacking)))
@@ -202,10 +204,10 @@ class _Fit:
     constraints: Constraints
     recording: DelayedRecording
 
-    def run(self, first: Model, late: float = 0.0) -> Refined:
-        """Return what was found; the search for a delay begins at `late` [s], by a regression where that is 0."""
+    def run(self, first: Model, late: float | None = None) -> Refined:
+        """Return what was found; the search for a delay begins at `late` [s], by a regression where that is None."""
         data, wanted, fit = self.recording.data, self.settings.method, self
-        delay = late or self._rough(first)
+        delay = self._rough(first) if late is None else late
         if delay and wanted in ("integral", "one_step"):
             first = self._regressed(first, delay)
             delay = self._regressed_delay(delay, first)
