@@ -1031,6 +1031,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.dropped": "the refinement dropped every function, so the fit before it stays; log longer or cleaner data",
     "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches spread evenly over "
     "them; the coefficients were fitted on all rows",
+    "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches} stretches spread evenly "
+    "over them",
     "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
     "the log lacks",
     "fit.longest_delay": _longest_delay,

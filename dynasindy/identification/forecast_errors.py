@@ -112,14 +112,14 @@ class LinearModel:
         forced = constant + data.last_inputs[later][..., self.linear].double() @ ending
         for k, weights in enumerate(driven.split(n_u)):
             forced += inputs[:, self.order - 1 - k : self.order - 1 - k + later.shape[1]] @ weights
-        # Of the outputs themselves each needs the one before: a loop of few and small products.
-        found, recent, weights = forced.numpy(), outputs.flatten(1).numpy().copy(), own.numpy()
+        # Of the outputs themselves each needs the one before: a loop of few and small products, the newest first.
+        found = torch.cat([forced.flip(1), outputs], 1).permute(1, 2, 0).flatten(0, 1).contiguous().numpy()
+        weights, width = own.mT.contiguous().numpy(), self.order * n_y
         with np.errstate(all="ignore"):
-            for k in range(later.shape[1]):
-                after = found[:, k] = found[:, k] + recent @ weights
-                recent[:, n_y:] = recent[:, :-n_y].copy()
-                recent[:, :n_y] = after
-        predicted[:, :, self.seen] = forced.nan_to_num(math.inf, math.inf, -math.inf)
+            for place in range((later.shape[1] - 1) * n_y, -1, -n_y):
+                found[place : place + n_y] += weights @ found[place + n_y : place + n_y + width]
+        moved = torch.from_numpy(found).unflatten(0, (-1, n_y))[: later.shape[1]].flip(0).permute(2, 0, 1)
+        predicted[:, :, self.seen] = moved.nan_to_num(math.inf, math.inf, -math.inf)
         predicted[lost] = math.nan
         return predicted
 
@@ -168,6 +168,8 @@ LOST = 10.0
 """Error beyond which a prediction has run away [ranges of the state]."""
 ALIKE = 1e-9
 """Error that is as good as none where numbers of samples are compared [share of `LOST`]."""
+PAIRS = 200_000
+"""Pairs of samples, about, that tell how far the states of a long recording move in a time."""
 NUDGE = 1e-6
 """Step of the differences by which start states are fitted [ranges of the states]."""
 
@@ -379,9 +381,11 @@ def characteristic(data: Transitions) -> float:
     lags = sorted({round(1.15**k) for k in range(200) if round(1.15**k) <= longest})
     waiting = [i for i in range(data.x.shape[1]) if float(data.x_next[:, i].nan_to_num().std()) > 0]
     spread = (data.x_next - data.x_next.nanmean(0)).square().nanmean(0).sqrt()
+    stride = -(-len(data) // PAIRS)
     for lag in lags:
-        same = data.segment[lag:] == data.segment[:-lag]
-        change = (data.x_next[lag:] - data.x_next[:-lag])[same].square().nanmean(0).sqrt()
+        later, sooner = slice(lag, None, stride), slice(None, -lag, stride)
+        same = data.segment[later] == data.segment[sooner]
+        change = (data.x_next[later] - data.x_next[sooner])[same].square().nanmean(0).sqrt()
         waiting = [i for i in waiting if not change[i] >= spread[i]]
         if not waiting:
             return lag * data.dt

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_s
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
-from dynasindy.sindy.shooting import choose_stretches
+from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
 from dynasindy.systems.transitions import Transitions
@@ -59,8 +60,8 @@ RUNAWAY = 3.0
 """Standard deviations of a state beyond which an error is of a model that runs away."""
 LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
-ROWS = 10_000
-"""Rows that a candidate is fitted to at most, in stretches spread evenly."""
+ROWS, FINAL_ROWS = 10_000, 100_000
+"""Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
 SHORT, FOLDS = 3000, 3
 """Samples below which several parts are kept in turn, and how many."""
 BLOCKS, CHANCE = 4, 0.5
@@ -71,8 +72,8 @@ WINDOWS = (50, 100, 200, 400, 800)
 """Samples in the windows over which they are simulated, the shortest first."""
 PER_TERM, PER_STATE = 0.01, 0.03
 """Part by which the errors have to be lower for one coefficient more, and for one state more that follows a signal."""
-FARTHEST = 200
-"""Samples ahead up to which candidates are judged at least, where there are so many."""
+FARTHEST, LIMIT = 200, 10_000
+"""Samples ahead up to which candidates are judged at least, where there are so many, and at most."""
 BEHIND = 1.0
 """Weight of being behind the best simple model where that is worst, beside the mean."""
 BEHIND_BY = 1.03
@@ -213,7 +214,7 @@ class HoldOut:
         slow = characteristic(fit)
         before = min(max(round(slow / data.dt), FEWEST), MOST, len(kept) // 4)
         starts, reach = start_rows(kept, before)
-        last = min(2 * reach // 3, max(round(SLOWEST * slow / data.dt), FARTHEST))
+        last = min(2 * reach // 3, max(round(SLOWEST * slow / data.dt), FARTHEST), LIMIT)
         if before < 3 or last < 2:
             return None
         first = min(max(1, round(SOONEST * slow / data.dt)), last)
@@ -222,8 +223,8 @@ class HoldOut:
         starts = starts[torch.linspace(0, len(starts) - 1, min(STARTS, len(starts))).long().unique()]
         later, real = samples_after(kept, starts, steps[-1])
         pairs = (fit, kept), (fit.with_linear_inputs(), kept.with_linear_inputs())
-        simple = [m.predict(own, starts, later) for data, own in pairs for m in LinearModel.candidates(data, before)]
-        simple += [reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)]
+        linear = (m.predict(own, starts, later) for data, own in pairs for m in LinearModel.candidates(data, before))
+        simple = chain(linear, [reconstruct(kept, {}).x[starts].unsqueeze(1).expand_as(real)])
         errors = torch.stack([errors_over(guess, real, steps) for guess in simple])
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
@@ -246,6 +247,12 @@ class HoldOut:
     def simple(self) -> Tensor:
         """Errors of the best simple model over each horizon, `(H, n_x)`."""
         return self.others[self.others.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
+
+    @cached_property
+    def fitted(self) -> Tensor:
+        """Rows that candidates are fitted to, bool `(N,)`: stretches of the early part."""
+        rows = self.early.nonzero().flatten()
+        return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS)], True)
 
     def errors(self, model: SindyModel, source: Source) -> tuple[Tensor, Tensor]:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
@@ -346,6 +353,11 @@ class _Search:
         )
         return next(built, None)
 
+    @cached_property
+    def slow(self) -> float:
+        """Time in which the slowest state changes [s]."""
+        return characteristic(self.source.training)
+
     def run(self) -> LogFit | None:
         """Return the best candidate, fitted to all training data; None where none could be fitted."""
         try:
@@ -443,8 +455,7 @@ class _Search:
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
-                data = source.training.select(fold.early)
-                fitted[-1].fit(data.select(choose_stretches(len(data), ROWS)))
+                fitted[-1].fit(source.training.select(fold.fitted))
                 sought = model.constraints.free.any(0)
                 if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
                     return None  # what moves by nothing is no equation
@@ -483,7 +494,7 @@ class _Search:
     def _settings(self, **changes: Any) -> Refinement:
         longest, data = self.refinement.longest_delay, self.source.training
         if longest is None:
-            longest = min(max(LATEST * data.dt, characteristic(data) / 4), len(data) * data.dt / 10)
+            longest = min(max(LATEST * data.dt, self.slow / 4), len(data) * data.dt / 10)
         base = replace(self.refinement, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
         return replace(base, **changes)
 
@@ -533,7 +544,7 @@ class _Search:
         places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
         plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
         delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
-        begun = [_linear_start(plain, source.training.select(fold.early), delay) for fold in self.folds]
+        begun = [_linear_start(plain, source.training.select(fold.fitted), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
         return self._fit(f"linear equations of {names}", begun, source, settings, model)
 
@@ -647,7 +658,10 @@ class _Search:
                 return
 
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
-        """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time."""
+        """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time.
+
+        Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
+        """
         model, settings = _warm_started(best.model), best.settings
         if settings.method == "one_step":
             model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
@@ -657,10 +671,13 @@ class _Search:
         linear = zip(model.signature.input_names, data.linear_inputs.tolist(), strict=True)
         model.linear_inputs = tuple(name for name, moves in linear if moves)
         with reporting_as("fit to all training data"):
-            report = model.fit(data.select(self.folds[0].early) if stopped else data)
+            rows = self.folds[0].fitted if stopped else choose_stretches(len(data), FINAL_ROWS)
+            report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
+        if (count := int(rows.sum())) == FINAL_ROWS < len(data):
+            findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=CHOSEN_STRETCHES))
         if stopped or self.expired:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))

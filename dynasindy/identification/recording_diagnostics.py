@@ -92,15 +92,16 @@ def _unforeseen(data: Transitions, i: int) -> float:
     if not bool(whole[i]):
         both = torch.cat([state.unsqueeze(-1), both], -1)
     both = (both - both.nanmean(0)) / (both - both.nanmean(0)).square().nanmean(0).sqrt().clamp_min(1e-300)
+    lost = torch.cat([torch.zeros(1, dtype=torch.int64), both.isnan().any(-1).long().cumsum(0)])
     for order in ORDERS:
         if order >= len(data):
             break
         rows = torch.arange(order - 1, len(data))
         rows = rows[data.segment[rows] == data.segment[rows - order + 1]]
+        gaps = lost[rows + 1] - lost[rows + 1 - order]
+        rows = rows[(gaps == 0) & ~target[rows].isnan()]
+        rows = rows[:: len(rows) // MOST_ROWS + 1]
         past = both[rows.unsqueeze(-1) - torch.arange(order)].flatten(1)
-        known = (~(past.isnan().any(-1) | target[rows].isnan())).nonzero().flatten()
-        known = known[:: len(known) // MOST_ROWS + 1]
-        rows, past = rows[known], past[known]
         columns = torch.cat([torch.ones(len(rows), 1, dtype=past.dtype), past], -1)
         pairs = torch.triu_indices(columns.shape[1], columns.shape[1])
         for trial in (columns, columns[:, pairs[0]] * columns[:, pairs[1]]):
