@@ -40,37 +40,6 @@ def _chains(values: Tensor, joined: Tensor) -> Tensor:
     return torch.nn.utils.rnn.pad_sequence(chains, batch_first=True)
 
 
-def news(rows: Tensor, seen: Tensor, joined: Tensor, rho: Tensor) -> Tensor:
-    """Return what errors and slopes, `(W, L, n_x, C)`, hold that did not follow from the sample before.
-
-    `rho` `(n_x,)` is the part of an error that is left a sample later. A sample without a measured one before it counts
-    by its own size, as one of a process that has run for long.
-    """
-    before, follows = _before(rows, seen, joined)
-    part = rho.unsqueeze(-1)
-    return torch.where(follows.unsqueeze(-1), rows - part * before, rows * (1 - part.square()).sqrt())
-
-
-def remaining(error: Tensor, seen: Tensor, joined: Tensor) -> Tensor:
-    """Estimate which part of an error, `(W, L, n_x)`, is left a sample later, `(n_x,)`, 0 or more and below 1."""
-    before, follows = _before((error * seen).unsqueeze(-1), seen, joined)
-    last, now = before.squeeze(-1) * follows, error * follows
-    count = seen.sum((0, 1)).clamp_min(2)
-    # An error that lasts as long as the recording cannot be told from one that stays for ever.
-    part = (now * last).sum((0, 1)) / last.square().sum((0, 1)).clamp_min(1e-300)
-    return torch.minimum(part.clamp_min(0.0), 1 - 1 / count)
-
-
-def _before(rows: Tensor, seen: Tensor, joined: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the rows of the sample before, and whether it and the sample were measured, bool `(W, L, n_x)`."""
-    flat, known = rows.flatten(0, 1), seen.flatten(0, 1) > 0
-    before, follows = flat.roll(1, 0), known & known.roll(1, 0)
-    begins = torch.zeros(seen.shape[:2], dtype=torch.bool)
-    begins[:, 0] = ~joined
-    follows = follows & ~begins.flatten().unsqueeze(-1)
-    return before.view_as(rows), follows.view_as(seen)
-
-
 PLAIN = -0.3
 """Correlation of neighbouring errors of single steps below which a state is noisy: -1/2 of noise of the sensors alone,
 0 of random pushes alone."""

@@ -49,7 +49,7 @@ ALIKE = 0.01
 SEVERAL = 10
 """Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "coloured", "prediction", "innovation")
+ERRORS = ("auto", "simulation", "prediction", "innovation")
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
 Model = tuple[Library, Tensor]
@@ -72,17 +72,11 @@ class Refinement:
         longest_delay: longest delay of the inputs that is looked for [s], in whole samples, then in fractions of them;
             0 takes the inputs as they are. None looks within ten samples where a regression clearly tells a delay,
             farther where it is longer; else within two control periods or 0.05 s, or, without noise, not at all.
-        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), what
-            is new in such errors, as they last from sample to sample (`coloured`), or of windows that begin anew
-            (`prediction`), for plants that are pushed at random or unstable, or of one step ahead of an observer whose
-            gain is fitted, too (`innovation`), for both; `auto` takes windows that begin anew where they leave over
-            much less than a trajectory.
+        error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), of
+            windows that begin anew (`prediction`), for plants that are pushed at random or unstable, or of one step
+            ahead of an observer whose gain is fitted, too (`innovation`), for both; `auto` takes windows that begin
+            anew where they leave over much less than a trajectory.
             The default is `auto` for the method `auto`, and `simulation` for others.
-        correlated: whether a coefficient of `trajectory` must be worth the more, the longer errors last: every model
-            of a real plant leaves over more than noise. With noise alone it changes nothing. If not, every sample
-            counts. By default it must with `prediction`, whose errors last no longer than a window; what pushes a plant
-            may last through one simulation, beside which no function would be worth anything.
-
         select: whether functions come in and go while trajectories are fitted.
         penalty: factor on what a coefficient of trajectories must be worth.
         seconds: time of computing that a fit to a log may take, about, where candidates are tried [s].
@@ -96,8 +90,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float | None = 0.0
-    error: Literal["auto", "simulation", "coloured", "prediction", "innovation"] | None = None
-    correlated: bool | None = None
+    error: Literal["auto", "simulation", "prediction", "innovation"] | None = None
     select: bool = True
     penalty: float = 1.0
     seconds: float = 60.0
@@ -272,12 +265,11 @@ class _Fit:
     def _by_trajectories(self, first: Model, rough: float) -> Refined:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
         settings = self.settings
-        descent = Descent(min(settings.window, int(self.recording.known.sum())), correlated=bool(settings.correlated))
+        descent = Descent(min(settings.window, int(self.recording.known.sum())))
         descent = replace(descent, select=settings.select, penalty=settings.penalty)
         kinds = {
             "simulation": descent,
-            "coloured": replace(descent, coloured=True),
-            "prediction": replace(descent, joined=False, correlated=settings.correlated is not False),
+            "prediction": replace(descent, joined=False, correlated=True),
             "innovation": replace(descent, joined=False, window=max(settings.window, OBSERVED)),
         }
         error = settings.error or ("auto" if settings.method == "auto" else "simulation")

@@ -16,7 +16,6 @@ from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.noise import news
 from dynasindy.sindy.sensitivity import Parameters, Propagator
 from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
@@ -45,8 +44,6 @@ class Windows:
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in an interval.
-        lasting: part of an error of each state that is left a sample later, `(n_x,)`; without, errors are taken for
-            white.
         likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
             every coefficient is as likely as any other.
         last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
@@ -64,7 +61,6 @@ class Windows:
     joined: Tensor
     dt: float
     substeps: int = 1
-    lasting: Tensor | None = None
     likely: Tensor | None = None
     last_inputs: Tensor | None = None
     history: Tensor | None = None
@@ -125,9 +121,8 @@ class Windows:
 
     def of_states(self, chosen: Tensor) -> Windows:
         """Return what was measured of some states, bool `(n_x,)`."""
-        lasting = None if self.lasting is None else self.lasting[chosen]
         measured, mask = self.measured[..., chosen], self.mask[..., chosen]
-        return replace(self, first=self.first[:, chosen], measured=measured, mask=mask, lasting=lasting)
+        return replace(self, first=self.first[:, chosen], measured=measured, mask=mask)
 
     def __len__(self) -> int:
         """Count the windows."""
@@ -160,7 +155,6 @@ class Descent:
             chosen where small errors grow along the trajectory, as in chaos.
         max_rounds: limit on Gauss-Newton steps between two changes of the equations.
         correlated: whether a coefficient must be worth the more, the longer errors last.
-        coloured: whether errors of a trajectory are taken to last, as long as they do.
         price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
         select: whether functions come in and go; if not, those of the first estimate stay.
         penalty: factor on that price.
@@ -171,7 +165,6 @@ class Descent:
     joined: bool | None = None
     max_rounds: int = 30
     correlated: bool = False
-    coloured: bool = False
     price: float = 0.0
     select: bool = True
     penalty: float = 1.0
@@ -301,14 +294,14 @@ class Flow:
         return ~finite
 
     def sigma(self) -> Tensor:
-        """Return the error of each state, `(n_x,)`, not below rounding; of lasting ones what is new.
+        """Return the error of each state, `(n_x,)`, not below rounding.
 
         It is `EXACT` where none was measured, or a state is zero throughout.
         """
         windows = self.windows
-        error = _white((windows.measured - self.predicted).unsqueeze(-1) * windows.mask.unsqueeze(-1), windows)
+        error = (windows.measured - self.predicted) * windows.mask
         size = (windows.measured * windows.mask).square().sum((0, 1))
-        squares = (error.squeeze(-1).square().sum((0, 1)), ROUNDING**2 * size)
+        squares = (error.square().sum((0, 1)), ROUNDING**2 * size)
         return (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
 
 
@@ -318,11 +311,6 @@ def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
         return torch.full((*windows.mask.shape[:2], estimate.xi.shape[1]), math.nan, dtype=estimate.nodes.dtype)
     inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
     return simulate(estimate.library, estimate.xi, estimate.nodes, *inputs, estimate.measurement_update(windows))
-
-
-def _white(rows: Tensor, windows: Windows) -> Tensor:
-    """Return errors and slopes, zero where not measured, `(W, L, n_x, C)`; of errors that last what is new."""
-    return rows if windows.lasting is None else news(rows, windows.mask, windows.joined, windows.lasting)
 
 
 def relative_step(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float) -> float:
@@ -478,8 +466,7 @@ def shooting_covariance(flow: Flow) -> Covariance | None:
 def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Tensor, Tensor]:
     """Condense the weighted errors and their slopes by the unknowns, the nodes that continue a window eliminated.
 
-    Windows are condensed part by part, so that each stays in fast memory. Errors that last are not independent from
-    window to window.
+    Windows are condensed part by part, so that each stays in fast memory.
 
     Returns:
         R of the errors of `count` parts of the recording, `(<= F + P + 1, F + P + 1)`, rows that are of none, and how
@@ -488,7 +475,7 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
     windows, observed = flow.windows, _observed(flow.windows)
     joined, n_seen = bool(windows.joined.any()), int(observed.sum())
     nodes, triangles, moves = _condense(flow) if joined else None, list[Tensor](), list[Tensor]()
-    parts = 1 if windows.lasting is not None or len(windows) < count else count
+    parts = 1 if len(windows) < count else count
     for of_part in torch.arange(len(windows)).tensor_split(parts):
         mine = slice(int(of_part[0]), int(of_part[-1]) + 1)
         part = flow.part(mine) if parts > 1 else flow
@@ -536,22 +523,17 @@ def _joined(flow: Flow, sigma: Tensor, moves: Tensor, observed: Tensor) -> Tenso
     columns = (s[..., :n_x].flatten(1, 2) @ moves).unflatten(1, s.shape[1:3])
     columns[..., -1 - s.shape[-1] + n_x : -1] += s[..., n_x:]
     columns[..., -1] = windows.measured - flow.predicted[..., observed] - columns[..., -1]
-    columns = _white(columns.mul_((windows.mask / sigma[observed]).unsqueeze(-1)), windows)
-    return columns.flatten(0, 2)
+    return columns.mul_((windows.mask / sigma[observed]).unsqueeze(-1)).flatten(0, 2)
 
 
 def _starts(flow: Flow, sigma: Tensor, moves: Tensor, norms: Tensor) -> Tensor:
     """Return the weighted rows of the starts of trajectories, `(2 S n_x, F + P + 1)`; `norms` are of the others."""
     estimate, windows, begun = flow.estimate, flow.windows, ~flow.windows.joined
-    start_error, start_weight = (windows.first - estimate.nodes)[begun], _start_weight(windows, sigma)
+    start_error, start_weight = (windows.first - estimate.nodes)[begun], 1 / sigma
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
     starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1)).flatten(0, 1)
     return torch.cat([starts, _held(estimate, begun, torch.cat([norms.unsqueeze(0), starts]))])
-
-
-def _start_weight(windows: Windows, sigma: Tensor) -> Tensor:
-    return 1 / sigma if windows.lasting is None else (1 - windows.lasting.square()).sqrt() / sigma
 
 
 def _weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
@@ -559,11 +541,11 @@ def _weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     estimate, windows = flow.estimate, flow.windows
     if not bool(windows.joined.any()):
         error, seen = _errors(flow)
-        weighed = _white((error * seen).unsqueeze(-1), replace(windows, mask=seen)).squeeze(-1) / sigma
+        weighed = error * seen / sigma
         return weighed[:, 1:], float(weighed.square().sum()) + _unlikely(flow)
     error = (windows.measured - flow.predicted) * windows.mask
-    weighed = _white(error.unsqueeze(-1), windows).squeeze(-1) / sigma
-    starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() * _start_weight(windows, sigma)
+    weighed = error / sigma
+    starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() / sigma
     gaps = _gaps(flow) / _gap_sigma(sigma, estimate)
     # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
     gap_weight = 10.0 * windows.mask.shape[1]
@@ -600,9 +582,8 @@ def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]
 
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
-    n_x, (every, seen) = flow.predicted.shape[-1], _every(flow, observed)
-    windows = replace(flow.windows.of_states(observed), mask=seen)
-    rows = _white(every.div_(sigma[observed].unsqueeze(-1)), windows).flatten(1, 2)
+    n_x = flow.predicted.shape[-1]
+    rows = _every(flow, observed)[0].div_(sigma[observed].unsqueeze(-1)).flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution

@@ -13,7 +13,7 @@ from torch import Tensor
 from dynasindy.progress import report_progress
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.noise import remaining, repetition
+from dynasindy.sindy.noise import repetition
 from dynasindy.sindy.regression import likely, reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
@@ -33,7 +33,6 @@ from dynasindy.sindy.shooting import (
     linearise_windows,
     move,
     relative_step,
-    require_bounded,
     substeps_for,
 )
 from dynasindy.systems.transitions import Transitions
@@ -276,10 +275,6 @@ FARTHEST = 1e6
 """The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
 WORSE = 1.2
 """Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
-TURNS = 4
-"""Turns at most in which the model, and how long its errors last, are estimated."""
-SETTLED = 1e-3
-"""Part of a coefficient by which it may still change in the last of these turns."""
 SHORTEST = 2
 """Sampling intervals in the shortest window."""
 LEAPS = (4, 2)
@@ -324,9 +319,9 @@ def refine_trajectory(
     part, descent = data.select(some), _priced(int(some.sum()))
     some_before = None if before is None else before[some]
     first = Estimate(library, xi, guess[some], delay, gain)
-    flow = _grown(first, (xi != 0) & free, part, descent, FINE if descent.coloured else COARSE, some_before)
+    flow = _grown(first, (xi != 0) & free, part, descent, COARSE, some_before)
     found, windows = flow.estimate, flow.windows
-    may_begin_anew = joined is None and not descent.coloured
+    may_begin_anew = joined is None
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
     if may_begin_anew and not seen:
@@ -340,18 +335,14 @@ def refine_trajectory(
             found, joined, may_begin_anew = own, False, False
     else:
         found = _search_functions(found, free, windows, descent)
-    if descent.coloured:  # errors of a first guess last whatever the plant does
-        found, windows = _fit_with_lasting_errors(found, free, windows, descent)
     if not bool(some.all()):
         support = (found.xi != 0) & free
         flow = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined), before=before)
         whole, windows = flow.estimate, flow.windows
-        if descent.coloured:
-            windows = _lasting(whole, windows)
-        elif may_begin_anew:
+        if may_begin_anew:
             windows = replace(windows, joined=_grows(flow)[1])
         found, _ = _descend(whole, support, windows, _priced(len(data)))
-    elif not descent.coloured:
+    else:
         found, windows = _finely(found, free, windows, descent)
     found = _without_delay(found, free, windows, descent)
     return Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
@@ -383,28 +374,6 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -
         return found, windows
     windows = replace(windows, substeps=wanted)
     return _descend(found, support, windows, descent)[0], windows
-
-
-def _lasting(estimate: Estimate, windows: Windows) -> Windows:
-    """Return the windows with the part of an error that is left a sample later, as trajectories tell it."""
-    flow = Flow.of(estimate, Parameters.where(torch.zeros_like(estimate.xi, dtype=torch.bool)), windows)
-    require_bounded(flow)
-    lasting = remaining(windows.measured - flow.predicted, windows.mask, windows.joined)
-    return replace(windows, lasting=lasting)
-
-
-def _fit_with_lasting_errors(
-    found: Estimate, free: Tensor, windows: Windows, descent: Descent
-) -> tuple[Estimate, Windows]:
-    """Minimise what is new in errors from sample to sample, and estimate in turn with it how long they last."""
-    for _ in range(TURNS):
-        windows = _lasting(found, windows)
-        last, found = found, _search_functions(found, free, windows, descent)
-        if bool(((found.xi != 0) == (last.xi != 0)).all()) and bool(
-            ((found.xi - last.xi).abs() <= SETTLED * found.xi.abs()).all()
-        ):
-            break
-    return found, windows
 
 
 def _grows(flow: Flow) -> tuple[float, Tensor]:
