@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import torch
-from torch import Tensor, nn
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from dynasindy.limits import check_memory
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
 
 Levels = float | Sequence[float]
 PERIODS = 200
@@ -37,7 +36,7 @@ class Common(_Careful, total=False):
     seed: int
 
 
-class Excitation(nn.Module, ABC):
+class Excitation(TensorDictModuleBase, ABC):
     """Give inputs over time: `offset + amplitude * wave(t)`, clipped to [-1, 1].
 
     As a policy it reads `step_count` and writes `action`; the input is held for one control period.
@@ -61,8 +60,8 @@ class Excitation(nn.Module, ABC):
         ValueError: `first` is not in (0, 1], or `gain` has not one row of finite numbers per input.
     """
 
-    in_keys = ("step_count",)
-    out_keys = ("action",)
+    in_keys = ["step_count"]  # noqa: RUF012 - the base class of TensorDict sets these per class
+    out_keys = ["action"]  # noqa: RUF012
 
     def __init__(
         self,
