@@ -210,7 +210,8 @@ def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     the state at both ends and the rate all along.
     """
     steps = _increments(data, rate)
-    sums, lost = (torch.cat([c.new_zeros(1), c.cumsum(0)]) for c in (steps.nan_to_num(0.0), (~steps.isfinite()).long()))
+    lost = torch.cat([torch.zeros(1, dtype=torch.int32), (~steps.isfinite()).cumsum(0, dtype=torch.int32)])
+    sums = torch.cat([steps.new_zeros(1), steps.nan_to_num(0.0).cumsum(0)])
     stride = max(1, len(data) // ROWS)
     best, window = NO_TIE, 1
     while STRETCHES * window <= len(data):
@@ -228,9 +229,12 @@ def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
 
 def _increments(data: Transitions, rate: int) -> Tensor:
     """Return the integral of a rate over each row, straight over the few samples that are missing in a row, `(N,)`."""
+    first, last = data.x[:, rate].double(), data.x_next[:, rate].double()
+    if not bool((first + last).isnan().any()):
+        return 0.5 * data.dt * (first + last)
     segments = data.begins().long().cumsum(0)
     sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
-    samples = pd.Series(torch.stack([data.x[:, rate], data.x_next[:, rate]], -1)[sampled].double().numpy())
+    samples = pd.Series(torch.stack([first, last], -1)[sampled].numpy())
     measured = samples.notna()
     gap = (~measured).groupby(measured.cumsum()).transform("sum")
     segment = pd.Series(segments.unsqueeze(-1).expand(-1, 2)[sampled].numpy()).where(measured)

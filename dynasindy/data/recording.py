@@ -198,14 +198,14 @@ class LogReader:
         parts = [self._part(path, time, states, inputs) for path in self.paths]
         findings = [each for part in parts for each in self._findings_of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
-        u = np.concatenate([part.u for part in parts])
+        u = _joined([part.u for part in parts])
         ranges, ends = actuator_ranges(str(self), u, inputs, plant is None, after)
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         for part in parts:
             part.findings.clear()
             part.t, part.x, part.u, part.segment = resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
         segment = _join_segments([part.segment for part in parts])
-        x = {name: np.concatenate([part.x[name] for part in parts]) for name in parts[0].x}
+        x = {name: _joined([part.x[name] for part in parts]) for name in parts[0].x}
         states = _with_speeds(parts[0].states, headings, x, segment, dt)
         findings += conversions(states, headings)
         usable = _usable_rows(x, parts)
@@ -215,7 +215,7 @@ class LogReader:
         if short.any() and any(c.derivative_of and not c.name for c in states.values()):
             findings.append(note("log.short_stretches", count=int(short.sum()), least=SMOOTH))
             usable &= ~short
-        data = _transitions(full, np.concatenate([part.u for part in parts]), segment, usable, dt)
+        data = _transitions(full, _joined([part.u for part in parts]), segment, usable, dt)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
         most = dict(zip(states, np.abs(np.nan_to_num(full)).max(0, initial=0.0).tolist(), strict=True))
@@ -362,7 +362,7 @@ class LogReader:
 
 def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Table:
     """Return a table whose inputs are held where rows of another stream have none: a command stands until the next."""
-    values = table.values.copy()
+    values = table.values
     for k in range(states_end, values.shape[1]):
         rows = np.flatnonzero(np.isfinite(values[:, k]))
         if not 0 < len(rows) <= (1 - STREAM) * len(values):
@@ -373,6 +373,7 @@ def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Tabl
         if np.diff(np.append(rows, len(values))).max() > LONG * len(values) / len(rows):
             continue
         known = pd.Series(np.where(np.isfinite(values[:, k]), values[:, k], np.nan))
+        values = values.copy() if values is table.values else values
         values[:, k] = np.where(np.isnan(values[:, k]), known.ffill(), values[:, k])
         findings.append(note("log.zero_order_hold", column=table.headings[k], rows=len(rows), total=len(values)))
     return replace(table, values=values)
@@ -387,16 +388,17 @@ def without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: list
         lines: Lines of the file, `(N,)`.
         findings: What was decided; what is done here is added.
     """
-    rows = np.flatnonzero(np.isfinite(x))
-    if len(rows) < SMOOTH:
+    measured = np.isfinite(x)
+    known = x if measured.all() else x[measured]
+    if len(known) < SMOOTH:
         return x
-    before, value, after = x[rows[:-2]], x[rows[1:-1]], x[rows[2:]]
+    before, value, after = known[:-2], known[1:-1], known[2:]
     off = np.abs(value - 0.5 * (before + after))
     usual, (low, high) = float(np.quantile(off, USUAL)), np.quantile(value, [1 - USUAL, USUAL])
     far = (off > max(SPIKE * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
-    spikes = rows[1:-1][far]
-    if not usual or not 0 < len(spikes) <= FAULTY * len(rows):
+    if not usual or not 0 < far.sum() <= FAULTY * len(known):
         return x
+    spikes = np.flatnonzero(measured)[1:-1][far]
     found = {"count": len(spikes), "line": int(lines[spikes[0]]), "value": float(x[spikes[0]])}
     findings.append(note("log.spikes", state=name, **found))
     left = x.copy()
@@ -456,6 +458,11 @@ def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
     return own[0]
 
 
+def _joined(parts: Sequence[Array]) -> Array:
+    """Return the rows of all files; those of a single one are not copied."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
 def _join_segments(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Return the number of the segment of each row of all files, in which none is of two files."""
     counts = np.cumsum([0, *(int(segment[-1]) + 1 for segment in segments)])
@@ -498,14 +505,18 @@ def _with_speeds(
     states: dict[str, Column], headings: Sequence[str], x: dict[str, Array], segment: NDArray[np.int64], dt: float
 ) -> dict[str, Column]:
     """Return the states, turns per minute in rad/s where they are the slope of an angle, and scale these samples."""
-    units, found, samples = units_of(headings), dict(states), np.stack([*x.values()], -1)
+    units, found, names = units_of(headings), dict(states), [*x]
+    plain = [name for name in names if (states[name].unit, states[name].scale) == ("-", 1)]
+    asked = [name for name in plain if PER_MINUTE.fullmatch(units.get(states[name].name, ""))]
+    if not asked:
+        return found
+    samples = np.stack([*x.values()], -1)
     data = _transitions(samples, samples[:, :0], segment, np.ones(len(segment), dtype=bool), dt)
-    angles = [place for place, name in enumerate(x) if states[name].unit == "rad"]
-    for place, name in enumerate(x):
-        column = states[name]
-        if PER_MINUTE.fullmatch(units.get(column.name, "")) and (column.unit, column.scale) == ("-", 1):
-            unit, scale = in_radians(units[column.name], any(is_speed_in_rpm(data, k, place) for k in angles))
-            found[name], x[name] = replace(column, unit=unit, scale=scale), x[name] * scale
+    angles = [place for place, name in enumerate(names) if states[name].unit == "rad"]
+    for name in asked:
+        rpm = any(is_speed_in_rpm(data, k, names.index(name)) for k in angles)
+        unit, scale = in_radians(units[states[name].name], rpm)
+        found[name], x[name] = replace(states[name], unit=unit, scale=scale), x[name] * scale
     return found
 
 

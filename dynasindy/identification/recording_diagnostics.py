@@ -15,7 +15,7 @@ from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.noise import sensor_noise
 from dynasindy.sindy.reconstruction import interpolate_gaps
 from dynasindy.sindy.regression import least_squares
-from dynasindy.systems.smoothing import best_length, local_cubic
+from dynasindy.systems.smoothing import best_length, local_cubic, stretches_of
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]
@@ -141,7 +141,8 @@ def sensor_resolution(column: Array, noise: float | None = None) -> float:
         column: samples, `(n,)`; lost ones are NaN.
         noise: its standard deviation, above which a step has to be; what no local cubic follows by default.
     """
-    known = column[~np.isnan(column)]
+    known = np.concatenate(stretches_of(column))
+    known = known[~np.isnan(known)]
     moves = np.abs(np.diff(known)) if len(known) else known
     moves = moves[moves > 1e-9 * np.ptp(known)] if len(moves) else moves
     if len(moves) < 10:
@@ -158,7 +159,8 @@ def coarse_resolution(column: Array) -> float:
     Args:
         column: samples, `(n,)`; lost ones are NaN.
     """
-    levels, times = np.unique(column[~np.isnan(column)], return_counts=True)
+    known = np.concatenate(stretches_of(column))
+    levels, times = np.unique(known[~np.isnan(known)], return_counts=True)
     few = 1 < len(levels) <= SEVERAL and np.median(times) >= AGAIN
     return sensor_resolution(column) or (float(np.diff(levels).min()) if few else 0.0)
 
@@ -168,7 +170,8 @@ def _noise(column: Array) -> float:
     known = interpolate_gaps(column)
     if known is None or len(known) < 8:
         return float("nan")
-    return float(np.sqrt(np.mean(np.square(known - local_cubic(known, best_length(known), 1.0, 0)))))
+    length = best_length(known)
+    return float(np.sqrt(np.mean([np.square(c - local_cubic(c, length, 1.0, 0)).mean() for c in stretches_of(known)])))
 
 
 def saturated(data: Transitions, limits: Sequence[tuple[float, float]] = ()) -> Tensor:

@@ -125,8 +125,7 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
         return data
     x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
     lengths: dict[int, int] = {}
-    for segment in data.segment.unique_consecutive().tolist():
-        rows = (data.segment == segment).nonzero().flatten()
+    for rows in torch.arange(len(data)).split(data.segment.unique_consecutive(return_counts=True)[1].tolist()):
         samples = torch.cat([data.x[rows[:1]], data.x_next[rows]])
         guessed = torch.zeros_like(samples)
         for i in range(samples.shape[1]):

@@ -14,7 +14,22 @@ AS_GOOD = 1.1
 RATED = 5
 """Samples under a local cubic, of those that it would have, from which on it gives a rate."""
 
+MANY, STRETCHES = 100_000, 10
+"""Samples that tell as much of a sensor as more would, and stretches in which they lie of a longer recording."""
+
 Array = NDArray[np.float64]
+
+
+def stretches_of(column: Array) -> list[Array]:
+    """Return what of a long column tells as much of its sensor as all samples would: stretches that are spread evenly.
+
+    Args:
+        column: samples, `(n,)`.
+    """
+    length = MANY // STRETCHES
+    if len(column) <= MANY:
+        return [column]
+    return [column[k : k + length] for k in np.linspace(0, len(column) - length, STRETCHES).astype(int)]
 
 
 def best_length(column: Array) -> int:
@@ -23,12 +38,12 @@ def best_length(column: Array) -> int:
     Args:
         column: samples, `(n,)`.
     """
-    errors = {}
+    errors, parts = {}, stretches_of(column)
     for length in LENGTHS:
         if length > len(column):
             break
         own = _cubic(length, 0)[length // 2, length // 2]  # weight of a sample in its own smoothed value
-        errors[length] = float(np.square((column - _filtered(column, length, 0)) / (1 - own)).mean())
+        errors[length] = float(np.mean([np.square((c - _filtered(c, length, 0)) / (1 - own)).mean() for c in parts]))
     if not errors:
         return LENGTHS[0]
     least = min(errors.values())
