@@ -5,13 +5,17 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+
+from dynasindy.safe_io import write_bytes
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 """Under these settings what is written here compiles."""
@@ -68,13 +72,14 @@ def _build_fast(source: Path, library: Path) -> Path:
 
 
 @cache
-def load_library(source: str, functions: tuple[str, ...], *, fast: bool) -> ctypes.CDLL:
+def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached: bool = False) -> ctypes.CDLL:
     """Compile a C text for this process; the same text is compiled once.
 
     Args:
         source: The text.
         functions: Names of what it has to show.
         fast: Arithmetic for many numbers at once, in place of operation by operation as it is written.
+        cached: Whether the library stays in the user's cache, for later processes on this computer.
 
     Raises:
         FileNotFoundError: There is no compiler.
@@ -83,16 +88,48 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool) -> ctyp
     """
     if compiler() is None:
         raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
+    file = _cache_file(source, fast) if cached else None
+    if file is not None and file.is_file():
+        with suppress(OSError):  # it may be damaged, and is then compiled anew
+            code = ctypes.CDLL(str(file))
+            if all(hasattr(code, name) for name in functions):
+                return code
     # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
     # its file no more; where it cannot be removed then, as on Windows, it is left to the system.
     with tempfile.TemporaryDirectory(prefix="dynasindy_", ignore_cleanup_errors=True) as folder:
         stem = Path(folder) / hashlib.sha256(source.encode()).hexdigest()[:16]
         text, library = stem.with_suffix(".c"), stem.with_suffix(SUFFIX)
         text.write_text(source, encoding="utf-8")
-        code = ctypes.CDLL(str(_build_fast(text, library) if fast else compile_library([text], library, FAITHFUL)))
+        made = _build_fast(text, library) if fast else compile_library([text], library, FAITHFUL)
+        code = ctypes.CDLL(str(made))
+        if file is not None:
+            with suppress(OSError):  # the disk may be full
+                write_bytes(file, made.read_bytes())
     if not all(hasattr(code, name) for name in functions):
         raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code
+
+
+def _cache_file(source: str, fast: bool) -> Path | None:
+    """Return where the library of a C text lies for later processes; None without a folder that only the user writes.
+
+    Another compiler, or another processor as of a cluster's other node, has another file.
+    """
+    found = compiler()
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dynasindy"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        state = folder.stat()
+        if found is None or (hasattr(os, "getuid") and (state.st_uid != os.getuid() or state.st_mode & 0o022)):
+            return None
+        processor, about = [platform.machine(), platform.processor()], Path("/proc/cpuinfo")
+        if about.is_file():
+            lines = about.read_text(errors="replace").partition("\n\n")[0].splitlines()
+            processor += [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
+        facts = [source, str(fast), *FAST, *FAITHFUL, found, str(Path(found).stat().st_mtime_ns), *processor]
+    except (OSError, RuntimeError):  # no home
+        return None
+    return folder / f"{hashlib.sha256(repr(facts).encode()).hexdigest()[:32]}{SUFFIX}"
 
 
 def _run(arguments: Sequence[str], source: Path, made: Path) -> Path:

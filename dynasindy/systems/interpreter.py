@@ -238,7 +238,7 @@ class _SlopesListing(NamedTuple):
 @cache
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
-    return load_library(text.replace("@width@", str(WIDTH)), ("simulate", "sensitivities"), fast=True)
+    return load_library(text.replace("@width@", str(WIDTH)), ("simulate", "sensitivities"), fast=True, cached=True)
 
 
 @lru_cache(maxsize=512)

@@ -1,12 +1,13 @@
 """The compiler is found where it is, what it refuses costs one line, and fast code leaves the process as it was."""
 
 import ctypes
+import os
 
 import pytest
 import torch
 
 from dynasindy.systems import compiler as module
-from dynasindy.systems.compiler import SUFFIX, _build_fast, compile_library, compiler
+from dynasindy.systems.compiler import SUFFIX, _build_fast, compile_library, compiler, load_library
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 
@@ -37,6 +38,31 @@ def test_fast_code_computes_and_leaves_small_numbers_small(tmp_path):
     assert code.half(3.0) == 1.5
     # With the flush of small numbers to zero that some linkers bring along, this product would be zero.
     assert float(torch.tensor(1e-310, dtype=torch.float64) * 0.5) == 5e-311
+
+
+@needs_compiler
+def test_a_cached_library_is_compiled_once_and_anew_where_it_is_damaged(tmp_path, monkeypatch):
+    source, places = "double thrice(double v) { return 3 * v; }\n", (tmp_path / "first", tmp_path / "second")
+
+    def _file(place):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(place))
+        load_library.cache_clear()
+        code = load_library(source, ("thrice",), fast=True, cached=True)
+        code.thrice.argtypes, code.thrice.restype = [ctypes.c_double], ctypes.c_double
+        assert code.thrice(1.5) == 4.5
+        (file,) = (place / "dynasindy").iterdir()
+        return file
+
+    first = _file(places[0])
+    written = first.stat().st_mtime_ns
+    assert _file(places[0]) == first and first.stat().st_mtime_ns == written
+    (places[1] / "dynasindy").mkdir(mode=0o700, parents=True)
+    (places[1] / "dynasindy" / first.name).write_bytes(b"no library")
+    assert _file(places[1]).stat().st_size == first.stat().st_size
+    first.parent.chmod(0o777)  # anybody may write there
+    monkeypatch.setenv("XDG_CACHE_HOME", str(places[0]))
+    assert module._cache_file(source, True) is None or not hasattr(os, "getuid")
+    load_library.cache_clear()
 
 
 @needs_compiler
