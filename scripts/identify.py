@@ -63,8 +63,10 @@ def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
     from hydra.utils import instantiate
 
     from dynasindy.identification.before_fit import with_missing_rates
+    from dynasindy.identification.identify import LoggedData
 
-    data, system, excitation = (instantiate(cfg[name], _convert_="all") for name in ("data", "system", "excitation"))
+    data, system = (instantiate(cfg[name], _convert_="all") for name in ("data", "system"))
+    excitation = None if isinstance(data, LoggedData) else instantiate(cfg.excitation, _convert_="all")
     source = data.load(system, excitation)
     named = system is not None and system.known
     if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:

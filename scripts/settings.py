@@ -31,7 +31,6 @@ from trust import nodes
 from typing_extensions import TypedDict
 
 from dynasindy.evaluation.ablation import Level
-from dynasindy.excitation import Excitation
 from dynasindy.identification.source import DataSource
 from dynasindy.sindy import WorldModel
 from dynasindy.sindy.functions import register_formula
@@ -60,7 +59,7 @@ PLANT: dict[str, Any] = {
 """Keys of the plant, from which other groups copy; a mistake is named here rather than where it was copied to."""
 TOP: dict[str, Any] = {
     "seed": Annotated[int, range(2**63)],
-    **{"system": System | None, "excitation": Callable[..., Excitation], "world_model": Callable[..., WorldModel]},
+    **{"system": System | None, "world_model": Callable[..., WorldModel]},
     "threads": Annotated[int, THREADS, "eight for each core"],
     **{"folder": str, "run": str | None, "resume": str | None, "results": str, "output": str, "controller": str | None},
     **{
@@ -109,6 +108,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
     """
     try:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
+        if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
+            tree.pop("excitation", None)  # nothing is excited where there is a log
         for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, _hints(tree, bool(file)))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
@@ -143,10 +144,15 @@ def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
         for name in sorted(parts.keys() - tree.keys() - {"sensors"}) if finished else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         hints = parts | hints
-    elif tree.get("sensors") is not None:
-        from dynasindy.sensing import Sensors
+    else:
+        if tree.get("sensors") is not None:
+            from dynasindy.sensing import Sensors
 
-        hints["sensors"] = Sensors
+            hints["sensors"] = Sensors
+        if "excitation" in tree:
+            from dynasindy.excitation import Excitation
+
+            hints["excitation"] = Callable[..., Excitation]
     if "scenario" in tree:
         from dynasindy.evaluation.scenarios import Scenario
 

@@ -89,7 +89,7 @@ class Simulated(DataSource):
                 "use the command train"
             )
 
-    def load(self, system: System | None, excitation: Callable[..., Excitation]) -> Source:
+    def load(self, system: System | None, excitation: Callable[..., Excitation] | None) -> Source:
         """Excite the plant for training, and by random held inputs of the same range for validation.
 
         Raises:
@@ -97,7 +97,7 @@ class Simulated(DataSource):
                 would take days, or `dt` does not divide the period of a plant that may not stay by itself.
             Diverged: it leaves its bounds soon, though it is said to stay by itself.
         """
-        if system is None:
+        if system is None or excitation is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
         ends = state_limits(system.signature, self.bounds or {})
         require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)

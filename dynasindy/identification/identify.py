@@ -61,7 +61,7 @@ class LoggedData(LogReader, DataSource):
                 f"{setting('data.validation_share')} is {self.validation_share}; allowed is between 0 and 1"
             )
 
-    def load(self, system: System | None, excitation: Callable[..., Excitation]) -> Source:
+    def load(self, system: System | None, excitation: Callable[..., Excitation] | None) -> Source:
         """Read the file, and add what it lacks; of the plant names, units and ends are used, nothing of the excitation.
 
         Rates that are known and that neither the file nor the plant has become states that the model tells.

@@ -146,7 +146,7 @@ class DataSource(ABC):
     """Where data come from: a log, or a simulated plant."""
 
     @abstractmethod
-    def load(self, system: System | None, excitation: Callable[..., Excitation]) -> Source:
+    def load(self, system: System | None, excitation: Callable[..., Excitation] | None) -> Source:
         """Return data of a plant, None of one that nobody knows, which is moved by an excitation if it is simulated."""
 
 
