@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -256,14 +256,30 @@ class Flow:
         columns = self.predicted.shape[-1] + len(self.estimate.library.shapes) + len(self.parameters)
         return self.predicted.numel() * columns
 
+    @property
+    def pieces(self) -> int:
+        """Count the parts of the recording whose slopes are condensed one after the other."""
+        n_x, seen = self.predicted.shape[-1], int(_observed(self.windows).sum())
+        tall = self.predicted.numel() ** 2 * seen // (TALL * n_x**2 * self.count)
+        return max(1, min(1 + self.count // CHUNK, tall))
+
+    @property
+    def whole(self) -> bool:
+        """Whether all slopes are held in memory."""
+        return self.count <= MOST_SLOPES or self.pieces == 1
+
     @cached_property
     def s_ends(self) -> Tensor:
         """Derivatives of the states at the end of each window, `(W, n_x, n_x + S + P)`."""
-        if self.count <= MOST_SLOPES:
+        if self.whole:
             return self.s[:, -1]
-        some = len(self.windows) // (self.count // CHUNK + 1) + 1
-        parts = (self.part(slice(k, k + some)) for k in range(0, len(self.windows), some))
+        parts = (self.part(slice(k, k + self.some)) for k in range(0, len(self.windows), self.some))
         return torch.cat([part.s[:, -1].clone() for part in parts])
+
+    @property
+    def some(self) -> int:
+        """Count the windows whose slopes are computed at once where they are not all held in memory."""
+        return max(1, len(self.windows) * MOST_SLOPES // self.count)
 
     def rejoined(self, joined: Tensor) -> Flow:
         """Return the same trajectories, of which others continue the window before, bool `(W,)`."""
@@ -280,15 +296,26 @@ class Flow:
         windows = replace(self.windows, **parts)
         estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
         part = Flow(estimate, self.parameters, windows, self.predicted[rows])
-        if self.count <= MOST_SLOPES:
+        if self.whole:
             part.__dict__["s"] = self.s[rows]
         return part
+
+    def parts(self, count: int) -> Iterator[tuple[slice, Flow]]:
+        """Yield so many parts of the windows, and their trajectories; slopes are computed of many windows at once."""
+        whole, begin = self.whole, 0
+        block = self if whole else None
+        for windows in torch.arange(len(self.windows)).tensor_split(count):
+            first, last = int(windows[0]), int(windows[-1]) + 1
+            if not whole and (block is None or last - begin > len(block.windows)):
+                begin, block = first, self.part(slice(first, max(last, first + self.some)))
+            assert block is not None
+            yield slice(first, last), block.part(slice(first - begin, last - begin))
 
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""
         finite = self.predicted.square().isfinite().all(-1).all(-1)
         if bool(finite.all()):
-            slopes = self.s if self.count <= MOST_SLOPES else self.s_ends
+            slopes = self.s if self.whole else self.s_ends
             if not bool(torch.dot(flat := slopes.flatten(), flat).isfinite()):
                 finite = slopes.square().isfinite().flatten(1).all(-1)
         return ~finite
@@ -436,9 +463,7 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     if sigma is None:
         require_bounded(flow)
         sigma = flow.sigma()
-    n_x, seen = flow.predicted.shape[-1], int(_observed(flow.windows).sum())
-    tall = flow.predicted.numel() ** 2 * seen // (TALL * n_x**2 * flow.count)
-    triangles, rest, moves = _condensed(flow, sigma, max(1, min(1 + flow.count // CHUNK, tall)))
+    triangles, rest, moves = _condensed(flow, sigma, flow.pieces)
     parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
     errors, cost = _weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
@@ -476,9 +501,7 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
     joined, n_seen = bool(windows.joined.any()), int(observed.sum())
     nodes, triangles, moves = _condense(flow) if joined else None, list[Tensor](), list[Tensor]()
     parts = 1 if len(windows) < count else count
-    for of_part in torch.arange(len(windows)).tensor_split(parts):
-        mine = slice(int(of_part[0]), int(of_part[-1]) + 1)
-        part = flow.part(mine) if parts > 1 else flow
+    for mine, part in flow.parts(parts):
         if nodes is None:
             rows, moved = _alone(part, sigma, observed)
         else:
