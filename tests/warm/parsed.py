@@ -1,13 +1,19 @@
-"""YAML that Hydra has opened before is a copy of what it read then: most of the time of a composition is parsing."""
+"""Compositions take a fraction of their time: most of it is parsing, and Hydra composes twice to run a command.
+
+YAML that it has opened before is a copy of what it read then. It composes once more only to find `hydra.mode`, of which
+of our files that of an ablation alone says anything: for the others `-m` decides.
+"""
 
 import copy
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
+from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 PARSED: dict[str, DictConfig | ListConfig] = {}
-_load = OmegaConf.load
+_load, _get_mode = OmegaConf.load, Hydra.get_mode
+WITHOUT_MODE = ("train", "identify", "evaluate", "check", "export", "rig", "report")
 
 
 def _load_once(file_: str | Path | TextIO) -> DictConfig | ListConfig:
@@ -21,4 +27,10 @@ def _load_once(file_: str | Path | TextIO) -> DictConfig | ListConfig:
     return copy.deepcopy(PARSED[text])
 
 
+def _mode(hydra: Hydra, config_name: str | None, overrides: list[str]) -> Any:
+    """Return whether a command is a sweep, None where its words say so."""
+    return None if config_name in WITHOUT_MODE else _get_mode(hydra, config_name, overrides)
+
+
 OmegaConf.load = staticmethod(_load_once)  # type: ignore[method-assign]
+Hydra.get_mode = _mode  # type: ignore[method-assign]

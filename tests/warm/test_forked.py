@@ -23,7 +23,7 @@ if __name__ == "__main__":
     how = sys.argv[1]
     if how == "raise":
         raise KeyError("the plant")
-    sys.exit({"none": None, "zero": 0, "two": 2, "words": "what is wrong"}[how])
+    sys.exit({"zero": 0, "words": "what is wrong"}[how])
 """
 
 
@@ -43,7 +43,7 @@ def both(command, **more):
     return forked.run(command, **more), subprocess.run(command, **given)
 
 
-@pytest.mark.parametrize("how", ["none", "zero", "two", "words", "raise"])
+@pytest.mark.parametrize("how", ["zero", "words", "raise"])
 def test_a_script_ends_alike(folder, how, monkeypatch):
     monkeypatch.setenv("FROM_OUTSIDE", "which the environment of the command lacks")
     environment = {"GIVEN": "a word", "PATH": os.environ["PATH"]}
