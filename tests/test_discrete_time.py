@@ -109,7 +109,7 @@ def test_a_log_of_a_map_that_no_differential_equation_is_leads_to_a_controller_o
 def test_a_controller_with_an_observer_in_discrete_time_is_the_same_out_of_its_file(tmp_path):
     log = logged(tmp_path, noise=0.02)
     model = dynasindy.identify(log, "polynomial", time="discrete")
-    controller = dynasindy.plan(model, {"a": (-0.1, 0.1)}, log=log, updates=20)
+    controller = dynasindy.plan(model, {"a": (-0.1, 0.1)}, log=log, updates=2, rollouts=8, window=10)
     noise = controller.observer.variance[:2].sqrt()
     assert noise.tolist() == pytest.approx([0.02, 0.02], rel=0.2)
     save(controller, tmp_path / "controller.json")

@@ -10,15 +10,21 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import dynasindy
+from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.tasks import Step
 
 REPOSITORY = Path(__file__).parents[1]
 
 
-def test_the_lines_of_the_readme_run(monkeypatch, capsys):
-    """As they stand, in the folder of the repository, on the log that lies there; only planning is cut short."""
+@pytest.mark.parametrize("method", ["trajectory", pytest.param("auto", marks=pytest.mark.slow)])
+def test_the_lines_of_the_readme_run(monkeypatch, capsys, method):
+    """In the folder of the repository, on its log; plans, forecasts and, in one case, the search are cut short."""
     block, *_ = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.S)
     monkeypatch.chdir(REPOSITORY)
+    monkeypatch.setattr(dynasindy, "identify", partial(dynasindy.identify, method=method), raising=False)
     monkeypatch.setattr(dynasindy, "plan", partial(dynasindy.plan, updates=1, rollouts=4), raising=False)
+    brief = Scenario("step", Step([[0.2]]), seconds=2.0)
+    monkeypatch.setattr(dynasindy, "forecast", partial(dynasindy.forecast, scenario=brief), raising=False)
     names = {}
     exec(block, names)
     assert np.abs(names["u"]).max() <= 1

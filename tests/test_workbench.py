@@ -46,7 +46,7 @@ def log(path):
 
 @pytest.fixture(scope="module")
 def model(log):
-    return dynasindy.identify(log, WORDS, known={"theta": "Omega"}, longest_delay=0.0)
+    return dynasindy.identify(log, WORDS, {"theta": "Omega"}, "trajectory", longest_delay=0.0)
 
 
 def test_a_log_is_read_with_its_units_and_gaps(log):
@@ -71,10 +71,10 @@ def test_what_the_equations_hold_is_found(write_log, tmp_path):
     def content(model):
         return [each for each in model.findings if each.code.startswith("model.")]
 
-    found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], longest_delay=0.0)
+    found = dynasindy.identify(log, ["u", "v", "tanh(20 v)"], method="one_step")
     assert found.coefficients[found.library.index("tanh(20 v)"), 0].item() == pytest.approx(-2, rel=0.05)
     assert content(found) == [note("model.dry_friction", state="v")]
-    smooth = dynasindy.identify(log, ["u", "v", "v^3"], longest_delay=0.0)
+    smooth = dynasindy.identify(log, ["u", "v", "v^3"], method="one_step")
     assert note("model.dry_friction", state="v") not in content(smooth)
 
 
@@ -157,7 +157,7 @@ def test_a_control_period_fits_the_log(log, model):
 
 
 SHORT = {"updates": 1, "rollouts": 4, "window": 5}
-STILL = Scenario("step", Step([[0.2]]), seconds=30.0)
+STILL, BRIEF = (Scenario("step", Step([[0.2]]), seconds=seconds) for seconds in (30.0, 2.0))
 
 
 @pytest.fixture(scope="module")
@@ -170,14 +170,14 @@ def exact():
 @pytest.fixture(scope="module")
 def late(exact):
     """Return a model, identified without noise, whose inputs act two control periods late."""
-    model = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, longest_delay=0.0)
+    model = dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
     model.delay = 0.08
     return model
 
 
 def test_the_control_period_is_the_nearest_multiple_of_the_logs(exact):
     """0.04 s and 0.06 s are as near to 0.05 s; of two the shorter is taken."""
-    model = dynasindy.identify(exact, WORDS, longest_delay=0.0)
+    model = dynasindy.identify(exact, WORDS, method="one_step")
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     assert controller.dt == pytest.approx(0.04)
 
@@ -241,7 +241,7 @@ def test_the_prediction_has_the_controllers_integral_action(model):
 
 def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     alone = Source.of(Recording(exact.whole, exact.signature), 0)
-    model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, longest_delay=0.0)
+    model = dynasindy.identify(alone, WORDS, {"theta": "Omega"}, "one_step")
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, alone, **SHORT)
     found = forecast(controller, model, alone)
     assert found.in_sample and not found.promised
@@ -266,10 +266,10 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
     def full(tensordict):
         return tensordict.set("action", torch.ones_like(tensordict["state"][..., :1]).float())
 
-    limited = forecast(Controller(full, controller.setup), bent, exact, STILL)
+    limited = forecast(Controller(full, controller.setup), bent, exact, BRIEF)
     assert limited.evaluation.inputs.unique().tolist() == pytest.approx([wanted[1]]) and limited.doubts == ()
     free = replace(controller.setup, task=controller.setup.task.with_input_limits([[-1.0], [1.0]]))
-    (said,) = forecast(Controller(full, free), bent, exact, STILL).doubts
+    (said,) = forecast(Controller(full, free), bent, exact, BRIEF).doubts
     assert (said.code, said.severity) == ("forecast.beyond_inputs", "wrong")
     ends = [said.values[name] for name in ("low", "high", "least", "most")]
     assert said.values["input"] == "u" and ends == pytest.approx([1, 1, *wanted])
@@ -287,7 +287,7 @@ def test_a_rate_that_is_known_needs_no_column(path, log, model):
     alone = dynasindy.read(path)
     assert alone.signature.state_names == ("theta",)
     words = [word.replace("Omega", "theta_rate") for word in WORDS]
-    found = dynasindy.identify(alone, words, known={"theta": "theta_rate"}, longest_delay=0.0)
+    found = dynasindy.identify(alone, words, {"theta": "theta_rate"}, "trajectory", longest_delay=0.0)
     assert found.signature.state_units == ("rad", "rad/s")
     assert torch.equal(found.coefficients, model.coefficients)
 
@@ -298,7 +298,7 @@ def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, wri
     path = write_log(tmp_path / "log.csv", ["angle [rad]", "motor [V]"], data.x[:, :1], 6 + 6 * data.u)
     log = dynasindy.read(path, inputs={"motor": {"name": "motor", "unit": "V", "low": 0, "high": 12, "rest": 6}})
     words = ["1", "motor", "angle", "angle_rate", "sin(angle)"]
-    model = dynasindy.identify(log, words, known={"angle": "angle_rate"}, longest_delay=0.0)
+    model = dynasindy.identify(log, words, {"angle": "angle_rate"}, "trajectory", longest_delay=0.0)
     assert float(model.coefficients[model.library.names.index("motor"), 1]) == pytest.approx(12.0, rel=0.02)
     controller = dynasindy.plan(model, {"angle": (-0.5, 0.5)}, log, **SHORT)
     assert model.signature.input_ends == controller.signature.input_ends == ((0.0, 12.0),)
@@ -354,9 +354,9 @@ def lossy(source, share, seed=0):
 @pytest.mark.parametrize(("only", "share"), [(False, 0.02), (True, 0.1)], ids=["all states", "an angle alone"])
 def test_lost_samples_change_no_equation(exact, only, share):
     """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, where samples are missing."""
-    log = lossy(angle_alone(exact) if only else exact, share)
+    log, method = lossy(angle_alone(exact) if only else exact, share), "trajectory" if only else "auto"
     assert bool(log.training.x.isnan().any())
-    model = dynasindy.identify(log, known=None if only else {"theta": "Omega"})
+    model = dynasindy.identify(log, known=None if only else {"theta": "Omega"}, method=method)
     theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
     with torch.no_grad():
         found = model(exact.training.x, exact.training.u)
@@ -369,7 +369,7 @@ def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exac
     alone, told = angle_alone(exact), weak("fit.rates_missing", states=["theta"], known={"theta": "theta_rate"})
     for words in ({"known": {}}, {"library": ["1", "theta", "u", "sin(theta)"]}):
         with pytest.warns(UserWarning, match=f"^{re.escape(str(told))}$") as warned:
-            model = dynasindy.identify(alone, **words)
+            model = dynasindy.identify(alone, **words, method="one_step")
         assert [warning.filename for warning in warned] == [__file__]  # where the user called it
         assert "theta_rate" not in model.signature.state_names and model.findings[0] == told
 

@@ -88,7 +88,7 @@ def test_the_library_does_what_the_command_does(log, tmp_path):
     """And does it twice alike; what is saved is what is loaded."""
     read = dynasindy.read(log)
     words = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
-    model = dynasindy.identify(read, words, known={"theta": "Omega"}, longest_delay=0.0)
+    model = dynasindy.identify(read, words, {"theta": "Omega"}, "trajectory", longest_delay=0.0)
     found = dict(zip(model.library.names, model.coefficients[:, 1].tolist(), strict=True))
     assert {name: value for name, value in found.items() if value} == pytest.approx(
         {"u": 12.0, "Omega": -0.5, "sin(theta)": -9.81}, rel=0.02

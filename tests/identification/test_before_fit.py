@@ -1,7 +1,7 @@
 """What is found before a fit: wrong units first, then few rows, angles without sines, and long lists of functions."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -19,9 +19,14 @@ from dynasindy.systems import Pendulum, Tras
 EXCITATION = partial(Chirp, duration=5.0)
 
 
+@cache
+def simulated():
+    return Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
+
+
 def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
     """Write what a pendulum does under a chirp, its columns in other units, and return it as a source."""
-    data = Simulated().load(Pendulum(), EXCITATION).training
+    data = simulated().training
     columns = (data.x[:, 0] * factors[0], data.x[:, 1] * factors[1], data.u[:, 0] * factors[2])
     lines = [",".join(map(str, (k * data.dt, *(float(c[k]) for c in columns)))) for k in range(rows)]
     path.write_text("\n".join([heading, *lines]))
@@ -35,7 +40,7 @@ def told(source, library="auto"):
 
 
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
-    data = Simulated().load(Pendulum(), EXCITATION).training
+    data = simulated().training
     lines = ["time,theta,Omega,u"]
     lines += [f"{k * data.dt},{data.x[k, 0] * 57.29578},{data.x[k, 1]},{data.u[k, 0]}" for k in range(len(data))]
     (tmp_path / "log.csv").write_text("\n".join(lines))
@@ -44,8 +49,7 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     told = before_fit(model, source).findings[0]
     assert (told.code, told.severity) == ("log.rate_units", "weak") and told.values["rate"] == "Omega"
     assert told.values["factor"] == pytest.approx(57.3, rel=1e-3)
-    exact = Simulated().load(Pendulum(), EXCITATION)
-    assert not before_fit(SindyModel(exact.signature, "auto"), exact).findings
+    assert not before_fit(SindyModel(simulated().signature, "auto"), simulated()).findings
 
 
 @pytest.mark.parametrize("library", ["auto", "auto_rig"])
@@ -122,7 +126,8 @@ def test_few_rows_are_told_with_what_was_left_out(tmp_path):
 
 
 def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_path):
-    data, signature = Simulated().load(Tras(), partial(Chirp, duration=3.0)).training, Tras().signature
+    made, signature = Simulated(substeps=2, validation_seconds=1.0), Tras().signature
+    data = made.load(Tras(), partial(Chirp, duration=3.0)).training
     units = (f"{n} [{u}]" for n, u in zip(signature.state_names, signature.state_units, strict=True))
     rows = [",".join(map(str, (k * data.dt, *data.x[k].tolist(), *data.u[k].tolist()))) for k in range(len(data))]
     (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *units, *signature.input_names]), *rows]))

@@ -1,6 +1,8 @@
 """A log whose states move by a few steps of their sensors tells nothing of how they move."""
 
 import math
+from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -21,6 +23,7 @@ STEP = 2 * math.pi / 4096
 SIGNATURE = Signature(("angle", "way"), ("rad", "m"), ("u",), (1.0, 1.0))
 
 
+@cache
 def pendulum(amplitude, seconds=20.0, dt=0.02):
     """Return a log of a pendulum under a sine of the input, its angle read by an encoder of 4096 steps a turn.
 
@@ -37,12 +40,11 @@ def pendulum(amplitude, seconds=20.0, dt=0.02):
     return Transitions.from_trajectory(torch.stack([torch.tensor(angles).double(), way], -1), u, dt)
 
 
-@pytest.mark.parametrize("amplitude", [0.001, 0.002])
-def test_a_state_that_moves_by_a_few_steps_is_quiet(amplitude):
-    moved = low_signal_states(pendulum(amplitude))
+def test_a_state_that_moves_by_a_few_steps_is_quiet():
+    moved = low_signal_states(pendulum(0.001))
     assert list(moved) == [0]
     # A sine of 0.25 Hz is a third more than at rest, as the pendulum has 0.5 Hz: twice 12 u / 9.81 / (1 - 1 / 4).
-    assert moved[0] == pytest.approx(2 * 12 * amplitude / 9.81 / 0.75 / STEP, abs=1.5)
+    assert moved[0] == pytest.approx(2 * 12 * 0.001 / 9.81 / 0.75 / STEP, abs=1.5)
     assert moved[0] < FEW
 
 
@@ -106,8 +108,8 @@ def test_no_input_is_to_go_beyond_its_actuator():
     (move,) = low_signal_findings(pendulum(0.001), motor)[0].values["inputs"]
     assert (move["high"], move["unit"]) == (pytest.approx(0.012, rel=1e-3), "V")
     assert move["limited"] and move["times"] == pytest.approx(2, rel=1e-3)
-    still = pendulum(0.001)
-    still.u.zero_()
+    log = pendulum(0.001)
+    still = replace(log, u=torch.zeros_like(log.u))
     (told,) = low_signal_findings(still, SIGNATURE)
     assert told.values["inputs"][0]["times"] is None and "does not move" in str(told)
 

@@ -19,6 +19,7 @@ from dynasindy.excitation import Aprbs
 from dynasindy.systems import Pendulum, Tras
 
 REPOSITORY = Path(__file__).parents[2]
+QUICK = "world_model.refinement.method=one_step"
 
 
 def _run(folder: Path, *words: str) -> subprocess.CompletedProcess:
@@ -142,7 +143,7 @@ def test_ends_of_actuators_that_are_guessed_are_asked_about_until_they_are_given
         level.append(level[-1] + 0.01 * (5 * valve - 7 * level[-1] - 2 * fan))
     heads, x = ["level [m]", "u_valve [%]", "u_fan"], torch.tensor(level, dtype=torch.float64).unsqueeze(-1)
     log = write_log(tmp_path / "log.csv", heads, x, u * torch.tensor([100.0, 1.0]))
-    first = _run(tmp_path / "first", "data=csv", f"data.path={log}", "longest_delay=0")
+    first = _run(tmp_path / "first", "data=csv", f"data.path={log}", QUICK)
     plan, asks = first.stdout.partition("next:\n")[2].splitlines()
     assert shlex.split(plan)[1] == "scripts/train.py"
     _, script, *words = shlex.split(asks, comments=True)
@@ -165,7 +166,7 @@ def test_a_table_with_the_headings_of_a_run_is_a_log(tmp_path):
     lines = [",".join(f"{number:.9g}" for number in (*row, 0.4)) for row in rows]
     heading = ",".join([*(f"{name} [{unit}]" for name, unit in units.items()), "reference_alpha_a [rad]"])
     (tmp_path / "excitation.csv").write_text("\n".join([heading, *lines]))
-    done = _run(tmp_path / "run", "system=tras", "data=csv", f"data.path={tmp_path / 'excitation.csv'}")
+    done = _run(tmp_path / "run", "system=tras", "data=csv", f"data.path={tmp_path / 'excitation.csv'}", QUICK)
     assert done.returncode == 0, done.stderr
     model = json.loads((tmp_path / "run/model.json").read_text())
     assert tuple(model["signature"]["state_names"]) == signature.state_names
