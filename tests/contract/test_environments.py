@@ -32,9 +32,7 @@ def pendulum(reference=None, **settings):
     return ControlEnv(system, task, **settings)
 
 
-@pytest.mark.parametrize("batch_size", [(), (4,)])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("system", [Tras, Xi])
+@pytest.mark.parametrize(("system", "dtype", "batch_size"), [(Tras, torch.float32, ()), (Xi, torch.float64, (4,))])
 def test_torchrl_accepts_the_specs_of_two_rotors(system, dtype, batch_size):
     check_env_specs(rotor(system(), dtype=dtype, batch_size=batch_size))
 
