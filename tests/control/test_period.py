@@ -9,7 +9,7 @@ import torch
 
 import dynasindy
 from dynasindy.control import save
-from dynasindy.control.period import _typical, as_planned, other_period, suited_period
+from dynasindy.control.period import as_planned, other_period, suited_period
 from dynasindy.data.recording import Recording
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario, step_references
@@ -66,13 +66,10 @@ def suited(hertz, damping, dt):
     ("hertz", "dt", "seconds"),
     [
         (9.4, 0.005, 0.02),  # 0.107 s are 21.5 ms five times, which are four samples
-        (9.4, 0.008, 0.016),
         (9.4, 0.02, 0.02),  # 40 ms by the log alone
         (4.0, 0.01, 0.05),  # 0.25 s are five times 50 ms
-        (5.0, 0.01, 0.04),
         (50.0, 0.01, 0.01),  # a fifth is less than a sample
         (0.5, 0.001, 0.01),  # slow: ten samples
-        (9.4, 0.2, 0.2),
         (9.4, None, 0.021),
     ],
 )
@@ -110,18 +107,7 @@ def test_a_plan_takes_the_period_that_suits_unless_another_one_is_given():
     assert dynasindy.plan(model, {"p": (-0.5, 0.5)}, log, dt=0.05, **short).dt == 0.05
 
 
-def test_a_log_tells_where_it_mostly_was():
-    """A state that passes through zero was mostly there; of another one it is the median."""
-    model = known(1.0, 0.1)
-    data = logged(0.01, model.signature).training
-    x = torch.stack([torch.linspace(2, 4, len(data)), torch.linspace(-1, 3, len(data))], -1)
-    middle = float(x[:, 0].nanmedian())
-    assert _typical(replace(data, x=x), model).tolist() == [[pytest.approx(middle), 0.0]] * 2
-
-
-@pytest.mark.parametrize(
-    ("step", "period"), [(0.001, 0.01), (0.01, 0.05), (0.02, 0.04), (0.03, 0.06), (0.04, 0.04), (0.2, 0.2)]
-)
+@pytest.mark.parametrize(("step", "period"), [(0.001, 0.01), (0.03, 0.06), (0.2, 0.2)])
 def test_a_control_period_is_never_shorter_than_a_sample(step, period):
     assert closest_period(logged(step, known(1.0, 0.1).signature)) == pytest.approx(period)
 
@@ -209,7 +195,7 @@ SETTLED = math.log(20) / REGULATED
 """Part of T after which 5 % of a step are left."""
 
 
-@pytest.mark.parametrize(("slow", "dt"), [(4000, 1.0), (2000, 1.0), (4000, 5.0), (40, 0.02)])
+@pytest.mark.parametrize(("slow", "dt"), [(4000, 5.0), (40, 0.02)])
 def test_a_slow_plant_settles_in_the_80_periods_that_a_plan_looks_ahead(slow, dt):
     found, wanted = tank_period(slow, dt), SETTLED * slow / 80
     assert wanted * 0.99 <= found.seconds < 1.03 * wanted + dt and found.seconds > max(dt, 0.05)
@@ -251,7 +237,6 @@ def growing(rate):
         (60.0, 0.01, 0.01),  # one sample
         (5.0, 0.01, 0.03),  # a quarter of 139 ms
         (3.0, 0.01, 0.05),  # a quarter of 231 ms is more than 50 ms
-        (-60.0, 0.001, 0.002),  # the same equations: rate^2
     ],
 )
 def test_the_period_of_an_unstable_plant_is_a_quarter_of_the_time_in_which_it_doubles(rate, dt, seconds):

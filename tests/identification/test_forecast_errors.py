@@ -10,7 +10,6 @@ from scipy.linalg import expm
 
 from dynasindy.identification.forecast_errors import (
     LinearModel,
-    _length,
     characteristic,
     estimate,
     forecast_errors,
@@ -180,21 +179,17 @@ def test_too_short_validation_data_are_not_judged():
     assert forecast_errors(oscillator(), data, data.select(torch.arange(300) < 8), [5.0]) is None
 
 
-@pytest.mark.parametrize("pushed", [True, False])
-def test_starts_are_estimated_on_as_many_samples_as_predict_best(pushed):
-    """What walks at random is where it was last, what stands still is at the mean of all noisy samples.
+def test_starts_are_estimated_on_as_many_samples_as_predict_best():
+    """What walks at random is where it was last.
 
     The mean of n samples of a walk is about the root of n / 3 steps from where it goes next: 13 samples miss it by two
     steps, 200 by eight.
     """
-    x = np.random.default_rng(0).normal(size=(3001, 1))
-    x = torch.from_numpy(x.cumsum(0) if pushed else x)
+    x = torch.from_numpy(np.random.default_rng(0).normal(size=(3001, 1)).cumsum(0))
     data = Transitions.from_trajectory(x, torch.zeros(3000, 1).double(), DT)
     model = SindyModel(Signature(("x",), ("m",), ("u",), (10.0,)), ["1"])
     model.set_coefficients(torch.zeros(1, 1))
-    assert _length(model, data, 200, [1]) == (12 if pushed else 200)
-    if pushed:
-        assert float(forecast_errors(model, data, data, [DT, 400 * DT]).model[0]) < 3
+    assert float(forecast_errors(model, data, data, [DT, 400 * DT]).model[0]) < 3
 
 
 def second_order(n: int = 300) -> Transitions:
@@ -208,12 +203,6 @@ def second_order(n: int = 300) -> Transitions:
     return Transitions.from_trajectory(x, torch.from_numpy(u)[:, None], 0.1)
 
 
-def test_it_is_the_recurrence_of_the_plant():
-    model = LinearModel._of_order(second_order(), 2)
-    assert model is not None and model.seen.tolist() == [True, False]
-    assert model.weights.flatten().tolist() == pytest.approx([1.2, -0.5, 0.7, -0.2, 0.1], abs=1e-9)
-
-
 def test_it_predicts_as_far_as_it_is_asked():
     data = second_order()
     model, starts = LinearModel.fit(data, 10, 4), torch.tensor([20, 50])
@@ -223,24 +212,10 @@ def test_it_predicts_as_far_as_it_is_asked():
     assert bool(predicted[..., 1].isnan().all())
 
 
-@pytest.mark.parametrize("most", [1, 2, 3, 16])
+@pytest.mark.parametrize("most", [1, 3])
 def test_no_order_is_beyond_the_largest(most):
     found = LinearModel.fit(second_order(), 10, most)
     assert found.order <= most and (most == 1 or found.order > 1)  # one past sample does not do
-
-
-def test_orders_are_compared_over_all_stretches_that_are_long_enough():
-    """Two stretches of 12 and 20 rows; a model that predicts zero misses all of what is there."""
-    both = second_order(40)
-    data = both.select(torch.tensor([True] * 12 + [False] * 8 + [True] * 20))
-    misses = []
-    for start in range(len(data)):
-        rows = range(start, start + 5)
-        if start and rows[-1] < len(data) and data.segment[start - 1] == data.segment[rows[-1]]:
-            misses += [float(data.x_next[k, 0]) ** 2 for k in rows]
-    zero = LinearModel(2, torch.tensor([True, False]), torch.zeros(5, 1, dtype=torch.float64), torch.tensor([False]))
-    expected = sum(misses) / len(misses) / float(data.x_next[:, 0].var())
-    assert len(misses) == 5 * (7 + 15) and zero._error(data, 5) == pytest.approx(expected)
 
 
 def lossy(share: float = 0.1) -> Transitions:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.delay import delay_inputs, estimate_delay, refine_delay, rows_after_delay, search_range
+from dynasindy.sindy.delay import delay_inputs, refine_delay
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.regression import integral_form
 from dynasindy.systems.base import Signature
@@ -60,45 +60,11 @@ def test_inputs_come_later_by_whole_samples_and_fractions_of_them():
         delay_inputs(data, -0.1)
 
 
-def test_rows_whose_inputs_are_older_than_their_segment_are_not_known():
-    one = Transitions.from_trajectory(torch.arange(6.0)[:, None], torch.zeros(5, 1), 0.1)
-    data = Transitions.cat([one, one.last(2), one.last(3)])
-    assert rows_after_delay(data, 0.2).tolist() == [*[False] * 2, *[True] * 3, *[False] * 2, *[False] * 2, True]
-    assert rows_after_delay(data, 0.21).tolist() == [*[False] * 3, *[True] * 2, *[False] * 2, *[False] * 3]
-    # Three tenths in floating point are three samples, not four.
-    assert rows_after_delay(data, 0.1 + 0.2)[:5].tolist() == [False] * 3 + [True] * 2
-    assert bool(rows_after_delay(data, 0.0).all())
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.4 * DT, 2 * DT, 2.7 * DT])
 def test_under_the_true_delay_the_recording_is_that_of_the_plant(delay):
     data = recording(delay)
     assert coefficients(delay_inputs(data, delay)) == pytest.approx([A, B], rel=0.01)
     assert abs(coefficients(delay_inputs(data, delay + 0.3 * DT))[1] / B - 1) > 0.03
-
-
-def test_whole_samples_are_found_by_regression():
-    data, free = recording(3 * DT, before=0.0), torch.ones(2, 1, dtype=torch.bool)
-
-    def rows(delay: float):
-        return integral_form(LIBRARY, delay_inputs(data, delay).select(rows_after_delay(data, 6 * DT)))
-
-    assert estimate_delay(free, rows, DT, 6 * DT) == pytest.approx(3 * DT)
-    assert estimate_delay(free, rows, DT, 2 * DT) == pytest.approx(2 * DT)
-    # A state whose equation is given has no word in it.
-    assert estimate_delay(torch.zeros_like(free), rows, DT, 6 * DT) == 0.0
-
-
-@pytest.mark.parametrize("true", [0.013, 0.05, 0.0678])
-def test_the_lowest_point_of_a_parabola_is_found_exactly(true):
-    asked = []
-
-    def cost(delay: float) -> float:
-        asked.append(delay)
-        return 1e5 * (delay - true) ** 2
-
-    assert refine_delay(0.06, DT, 0.1, 1.0, cost) == pytest.approx(true, abs=1e-12)
-    assert len(asked) == len(set(asked)) and min(asked) >= 0 and max(asked) <= 0.1 * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(("true", "found"), [(0.013, 0.02), (0.053, 0.06), (0.067, 0.06), (0.0699, 0.06)])
@@ -175,15 +141,3 @@ def test_a_delay_that_nobody_states_is_found_however_long_it_is(samples):
     found.fit(excited(samples * DT))
     assert found.delay == pytest.approx(samples * DT, abs=0.05 * DT)
     assert found.coefficients[:, 0].tolist() == pytest.approx([A, B], rel=0.01)
-
-
-@pytest.mark.parametrize(("left", "found"), [(0.2, (10, 3)), (0.3, (4, 0)), (1.0, (4, 0))])
-def test_noise_leaves_a_delay_to_be_looked_for_within_few_samples(left, found):
-    """What a regression leaves over, at each delay, is given here; of the squares a quarter has to be left, or less."""
-
-    def rows(late: int, farthest: int) -> tuple[torch.Tensor, torch.Tensor]:
-        rates = torch.zeros(50 - farthest, 1).double()
-        rates[0] = math.sqrt(left) if late == 3 else 1.0
-        return torch.ones_like(rates) * (rates == 0), rates  # the function is zero where the rate is not
-
-    assert search_range(torch.ones(1, 1, dtype=torch.bool), rows, 4) == found

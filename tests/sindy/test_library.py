@@ -173,17 +173,6 @@ def test_functions_that_take_no_difference_say_which_do(text):
         parse(text)
 
 
-def test_slack_is_what_is_left_beyond_a_play():
-    feature = parse("slack(a, b; ~0.5)")
-    assert feature.factors[0] == of("slack", "a", "b", frequency=0.5, fitted=True).factors[0]
-    assert feature.latex() == r"\operatorname{slack}_{0.5}(a, b)"
-    a, b = torch.tensor([2.0, 0.3, -2.0, 0.5]), torch.tensor([1.0, 0.0, 0.0, 1.5])
-    factor = feature.factors[0]
-    assert factor.compute()(a, b).tolist() == [0.5, 0.0, -1.5, -0.5]
-    # A wider play leaves less over on either side.
-    assert factor.slope(a, b).tolist() == [-1.0, 0.0, 1.0, 1.0]
-
-
 def test_latex_of_a_power_is_no_double_superscript():
     written = [f.latex() for f in (of("bell", "a", power=2), of("per_cos2", "a", frequency=3.0, power=2))]
     assert written == [r"\left(e^{-(a)^2}\right)^{2}", r"\left(\frac{1}{1 + 3 \cos^2 a}\right)^{2}"]
@@ -208,21 +197,10 @@ def test_a_known_rate_is_one_function_and_nothing_else():
     assert constraints.offset.tolist() == [[0, 0], [0, 0], [1, 0], [0, 0], [0, 0]]
 
 
-def test_functions_that_may_not_occur_are_masked_in_that_equation_only():
-    constraints = build(allowed={"b": ["u", "sin(a)"]})
-    assert constraints.free.mT.tolist() == [[True] * 5, [False, False, False, True, True]]
-
-
 def test_the_library_s_own_mask_holds_until_another_is_given():
     library = Library(SIGNATURE, FEATURES, {"a": [variable("b")], "b": [CONSTANT]})
     free = build(library, allowed={"a": ["a"]}).free.mT
     assert free.tolist() == [[False, True, False, False, False], [True, False, False, False, False]]
-
-
-def test_a_given_coefficient_is_no_longer_estimated():
-    constraints = build(allowed={"b": ["b", "u"]}, fixed={"b": {"u": 2, "sin(a)": -9.81}})
-    assert constraints.free[:, 1].tolist() == [False, False, True, False, False]
-    assert constraints.offset[:, 1].tolist() == [0.0, 0.0, 0.0, 2.0, -9.81]
 
 
 @pytest.mark.parametrize(

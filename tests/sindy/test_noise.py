@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.noise import _stands_on_steps, looks_noisy, repetition, sensor_noise
+from dynasindy.sindy.noise import looks_noisy, repetition, sensor_noise
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature
@@ -110,23 +110,6 @@ def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part
     assert looks_noisy(library, xi, data) == told == (float(share) > 0.6)
 
 
-@pytest.mark.parametrize(
-    ("moves", "told"),
-    [
-        ([1.0, 0.0, 0.0, -1.0, 0.0] * 40, True),
-        ([1.0, 0.0, 0.0, -1.0, 0.0] * 4, False),  # eight moves are too few
-        ([1.0, -1.0] * 100, False),  # it never stands still
-        ([1.0, 0.0, 0.0, -1.3, 0.0, 0.0, 0.3, 0.0] * 40, False),  # not in whole steps
-        ([1.0, 0.0, 0.0, -1.3, 0.0, 0.0, 1.15, 0.0] * 40, False),
-        ([1.0, 0.0, 0.0, -4.0, 0.0, 0.0, 3.0, 0.0, 0.0] * 40, False),  # it mostly passes several at once
-    ],
-)
-def test_a_reading_stands_on_steps_where_most_of_its_many_moves_are_one_of_them(moves, told):
-    x = torch.tensor([0.0, *moves], dtype=torch.float64).cumsum(0).unsqueeze(-1)
-    data = Transitions.from_trajectory(x, torch.zeros(len(x) - 1, 1, dtype=torch.float64), 0.1)
-    assert _stands_on_steps(data).tolist() == [told]
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_slow_heater_that_is_read_in_coarse_steps_is_within_its_standard_errors(seed):
     """T' = 0.1 u(t - 7 s) - T / 600 s, sampled every 2 s and read in steps of 0.5 K, which it takes long to pass."""
@@ -168,13 +151,6 @@ def test_noise_that_remembers_repeats_itself_as_often_as_theory_says(a):
     assert repetition(error, torch.ones_like(error), joined) == pytest.approx((1 + a) / (1 - a), rel=0.15)
 
 
-def test_windows_on_their_own_are_not_read_across_their_borders():
-    # In every window another constant: its four samples say the same, and its neighbours something else.
-    error = torch.randn(500, 1, 1, generator=torch.Generator().manual_seed(1)).double().expand(500, 4, 1)
-    alone = repetition(error, torch.ones_like(error), torch.zeros(500, dtype=torch.bool))
-    assert alone == pytest.approx(4)
-
-
 def test_samples_that_were_not_measured_witness_nothing():
     error = _autoregressive(40_000, 0.5).reshape(1, 40_000, 1)
     mask = torch.ones_like(error)
@@ -182,8 +158,3 @@ def test_samples_that_were_not_measured_witness_nothing():
     # Every other sample is left, and their correlations are 0.25^k.
     assert repetition(error, mask, torch.tensor([False])) == pytest.approx(1.25 / 0.75, rel=0.15)
     assert repetition(error, torch.zeros_like(error), torch.tensor([False])) == 1
-
-
-def test_alternating_errors_count_in_full():
-    error = torch.tensor([1.0, -1.0]).double().repeat(50).reshape(1, 100, 1)
-    assert repetition(error, torch.ones_like(error), torch.tensor([False])) == 1

@@ -1,7 +1,6 @@
 """The one-step fit of a linear plant is the least-squares fit of its exact discrete form, noise and all."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from scipy.optimize import least_squares
 
 from dynasindy.sindy import one_step_fit
 from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.one_step_fit import _steps_in, one_step_covariance, one_step_errors, refine_one_step
+from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -115,14 +114,3 @@ def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
     told = torch.stack(stated).square().mean(0).sqrt()
     np.testing.assert_allclose(told, closed, rtol=0.25)
     np.testing.assert_allclose(told, torch.stack(fits).std(0), rtol=0.35)
-
-
-def test_intervals_are_divided_into_steps_of_five_milliseconds_at_most_but_long_ones_by_the_fastest_rate():
-    def steps(dt: float, rate: float) -> int:
-        return _steps_in(replace(recording(), dt=dt), LIBRARY, column(-rate, 1.0, 0.0, 0.0))
-
-    assert [steps(dt, 1.0) for dt in (0.001, 0.005, 0.0051, 0.01, 0.05)] == [1, 1, 2, 2, 10]
-    assert steps(60.0, 0.001) == 10, "a column that is sampled every minute and takes a quarter of an hour"
-    assert steps(1.0, 1.5) == 30, "1.5 radians in steps of a twentieth"
-    assert steps(60.0, 1.0) == 200, "60 radians, and no more steps than that"
-    assert steps(0.1, 1000.0) == 20, "no shorter than five milliseconds"

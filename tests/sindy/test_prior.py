@@ -8,7 +8,7 @@ import torch
 
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import mechanical
-from dynasindy.sindy.regression import SHARE, Regression, RunningSums, _eliminate, likely, shares
+from dynasindy.sindy.regression import SHARE, Regression, RunningSums, likely, shares
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -68,22 +68,6 @@ def columns(noise: float, seed: int = 0, dry: float = 0.0):
     s, c = np.sin(a), np.cos(a)
     theta = np.stack([a, s, a * c, s * c, a**3, np.sin(2 * a), u, a**2 * s, s * c**2], -1)
     return theta, (-9 * s + 2 * u + dry * np.tanh(30 * a) + noise * rng.normal(size=2000))[:, None]
-
-
-def test_elimination_with_a_prior_solves_for_the_most_likely_coefficients():
-    theta, target = (part / np.linalg.norm(part, axis=0) for part in columns(0.5))
-    chosen, share = [0, 6], 0.05
-    left = target[:, 0] - theta[:, chosen] @ np.linalg.lstsq(theta[:, chosen], target[:, 0], rcond=None)[0]
-    variance = float(left @ left) / 2000
-    normal = theta[:, chosen].T @ theta[:, chosen] / variance + np.eye(2) / share**2
-    expected = np.linalg.solve(normal, theta[:, chosen].T @ target[:, 0] / variance)
-    support = torch.zeros(9, 1, dtype=torch.bool)
-    support[chosen] = True
-    found = _eliminate(
-        torch.from_numpy(theta), torch.from_numpy(target), support, 2000, 1e-9, share=torch.full((9,), share).double()
-    )
-    assert found[chosen, 0].tolist() == pytest.approx(expected.tolist(), rel=1e-6)
-    assert abs(expected[1]) < 0.999 * np.linalg.lstsq(theta[:, chosen], target[:, 0], rcond=None)[0][1]
 
 
 @pytest.mark.parametrize(("share", "few", "large"), [(SHARE, True, False), (math.inf, False, True)])

@@ -14,18 +14,14 @@ from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, variable
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.reconstruction import (
-    BRIEF,
-    DelayedRecording,
     find_missing_rates,
-    has_gaps,
-    interpolate_gaps,
     rate_states,
     reconstruct,
     simulate_hidden_states,
     with_rate_ranges,
 )
 from dynasindy.systems import Signature
-from dynasindy.systems.smoothing import LENGTHS, best_length, local_cubic
+from dynasindy.systems.smoothing import local_cubic
 from dynasindy.systems.transitions import Transitions
 
 DT = 0.05
@@ -53,18 +49,6 @@ def lost(n: int) -> np.ndarray:
 def test_a_local_cubic_is_exact_for_cubics_up_to_the_ends(n, length, derivative):
     t = DT * np.arange(n)
     np.testing.assert_allclose(local_cubic(cubic(t), length, DT, derivative), cubic(t, derivative), atol=1e-9)
-
-
-def test_fewer_samples_than_a_cubic_needs_are_taken_as_they_are():
-    line = np.array([1.0, 3.0, 5.0, 7.0])
-    assert local_cubic(line, 5, 0.5, 1).tolist() == [4.0] * 4
-    assert local_cubic(line, 5, 0.5, 0).tolist() == line.tolist()
-    assert local_cubic(line[:1], 5, 0.5, 1).tolist() == [0.0] and local_cubic(line[:1], 5, 0.5, 0).tolist() == [1.0]
-
-
-def test_lost_samples_lie_on_the_line_between_their_neighbours():
-    assert interpolate_gaps(np.array([NAN, 1.0, NAN, NAN, 4.0, 8.0, NAN])).tolist() == [1, 1, 2, 3, 4, 8, 8]
-    assert interpolate_gaps(lost(3)) is None
 
 
 def test_a_rate_is_the_derivative_of_the_angle_that_was_measured():
@@ -117,13 +101,6 @@ def test_segments_are_guessed_apart():
     guess = reconstruct(Transitions.cat(parts), {1: 0})
     np.testing.assert_allclose(guess.x[:19, 1], cubic(t[:-1], 1), atol=1e-7)
     np.testing.assert_allclose(guess.x[19:, 1], -7.0, atol=1e-7)
-
-
-def test_what_was_measured_throughout_stays_as_it_is():
-    data = recording(*np.random.default_rng(0).normal(size=(3, 12)))
-    assert torch.equal(reconstruct(data, {1: 0}).x, data.x) and not bool(has_gaps(data))
-    data.x_next[-1, 0] = NAN
-    assert bool(has_gaps(data)) and not bool(reconstruct(data, {1: 0}).x_next.isnan().any())
 
 
 def test_rates_are_read_off_the_equations_that_are_known():
@@ -256,12 +233,6 @@ def test_a_first_order_plant_misses_nothing_though_its_root_is_no_polynomial(lat
     assert find_missing_rates(polynomial(ONE), recorded(lag, 1, [0], late=late)) == []
 
 
-def test_a_state_that_was_not_measured_is_not_judged():
-    data = recorded(swing, 2, [0])
-    data.x[:, 0] = torch.nan
-    assert find_missing_rates(polynomial(ONE), data) == []
-
-
 def test_a_delay_is_not_made_up_where_a_rate_is_missing():
     """The inputs act at once; a delay of the first-order model would be the best that stands for its rate."""
     model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=0.1))
@@ -291,10 +262,6 @@ def test_without_a_time_a_delay_beyond_two_control_periods_is_found_where_a_regr
     assert model.delay == pytest.approx(0.06)
 
 
-def test_a_recording_of_a_few_samples_is_not_judged():
-    assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0]).select(torch.arange(N - 1) < 7)) == []
-
-
 def lossy(data: Transitions, kept: np.ndarray, column: int = 0) -> Transitions:
     """Lose the samples of a state that are not kept, bool `(N + 1,)`."""
     x = torch.cat([data.x, data.x_next[-1:]])
@@ -307,32 +274,3 @@ def test_lost_samples_hide_neither_a_missing_rate_nor_one_that_is_there(kept):
     assert find_missing_rates(polynomial(ONE), lossy(recorded(swing, 2, [0]), kept)) == ["y"]
     assert find_missing_rates(polynomial(TWO), lossy(recorded(swing, 2, [0, 1]), kept)) == []
     assert find_missing_rates(polynomial(ONE), lossy(recorded(lag, 1, [0]), kept)) == []
-
-
-def test_the_length_weighs_the_noise_against_the_bend():
-    t, noise = DT * np.arange(400), np.random.default_rng(0).normal(size=400)
-    slow, fast = np.sin(0.3 * t), np.sin(9 * t)
-    assert best_length(slow + 0.1 * noise) == LENGTHS[-1]
-    assert best_length(fast + 1e-3 * noise) <= 9 < best_length(fast + 0.3 * noise) <= 35
-    # As long as it pays: the error at samples that are left out is hardly above the least.
-    errors = {}
-    noisy = fast + 0.1 * noise
-    for length in (7, 9, 13, 17, 25):
-        half, places = length // 2, np.arange(-(length // 2), length // 2 + 1)
-        rest = places[places != 0]
-        left_out = [noisy[k] - np.polyfit(rest, noisy[k + rest], 3)[-1] for k in range(half, len(noisy) - half)]
-        errors[length] = np.square(left_out).mean()
-    least = min(errors.values())
-    assert best_length(noisy) == max(n for n, e in errors.items() if e <= 1.1 * least)
-    assert best_length(noise[:6]) == 5 and best_length(noise[:3]) == 5
-
-
-def test_a_long_recording_is_cut_to_stretches_whose_first_inputs_are_not_known_and_a_short_one_stays():
-    """A counter as state and input, a tenth of a second between samples, whose inputs may act 0.5 s later."""
-    for n in (100, 3 * BRIEF):
-        count = torch.arange(n + 1, dtype=torch.float64)[:, None]
-        data = Transitions.from_trajectory(count, count[:-1], 0.1)
-        whole = DelayedRecording.of(data, data, {}, 0.5)
-        brief = whole.brief(0.5)
-        assert (brief is whole) == (n == 100)
-    assert len(brief.data) == BRIEF and len(brief.data.segment.unique()) == 10 and int((~brief.known).sum()) == 10 * 5

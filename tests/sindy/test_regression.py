@@ -12,8 +12,6 @@ from dynasindy.sindy.regression import (
     Regression,
     RunningSums,
     _eliminate,
-    _least_missed,
-    integral_form,
     least_squares,
     reconsider,
     simpson_form,
@@ -137,13 +135,6 @@ def squared(x, u):
     return x**2
 
 
-def test_the_trapezoidal_rule_within_an_interval_is_as_written_down():
-    x, u = torch.tensor([[1.0], [2.0], [4.0]]), torch.tensor([[10.0], [-10.0]])
-    theta, dx = integral_form(lambda x, u: torch.cat([x * x, u], -1), Transitions.from_trajectory(x, u, 0.5))
-    assert theta.tolist() == [[2.5, 10.0], [10.0, -10.0]] and dx.tolist() == [[2.0], [4.0]]
-    assert theta.dtype == dx.dtype == torch.float64
-
-
 @pytest.mark.parametrize("wrong", [{"method": "lasso"}, {"normalize": "max"}, {"threshold": -0.1}])
 def test_settings_that_are_not_allowed_are_refused(wrong):
     with pytest.raises(ValueError, match="allowed"):
@@ -162,13 +153,6 @@ def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
         target = torch.tensor([[1.0], [g**0.5], [rest**0.5]], dtype=torch.float64)
         found = _eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), count, 1e-9)
         assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(1.0)
-
-
-def test_below_the_tolerance_more_terms_gain_nothing():
-    theta = torch.eye(3, dtype=torch.float64)[:, :2]
-    target = torch.tensor([[1.0], [1e-7], [0.0]], dtype=torch.float64)
-    for tolerance, kept in ((1e-9, 2), (1e-5, 1)):
-        assert int((_eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), 100, tolerance) != 0).sum()) == kept
 
 
 def unit_problem(count):
@@ -194,19 +178,6 @@ def test_each_rule_has_its_limit(settings, limit):
         sums.add((theta, dx))
         found = regression.solve(sums, torch.ones(2, 1, dtype=torch.bool), torch.zeros(2, 1).double())
         assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(5.0)
-
-
-def test_the_number_of_refits_is_limited(monkeypatch):
-    # Each refit makes the next coefficient small: 1, 1/2, 1/4 ... of a chain of ever less independent columns.
-    theta = torch.eye(4, dtype=torch.float64)
-    theta[0, 1:] = 1.0
-    target = theta @ torch.tensor([[0.1], [1.0], [1.0], [1.0]], dtype=torch.float64)
-    everything = torch.ones(4, 1, dtype=torch.bool)
-    supports = []
-    for count in (0, 1, 20):
-        monkeypatch.setattr("dynasindy.sindy.regression.REFITS", count)
-        supports.append((stlsq(theta, target, everything, 0.5) != 0).sum().item())
-    assert supports[0] == 4 and supports[1] == supports[2] == 3
 
 
 def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
@@ -255,15 +226,6 @@ def test_a_column_stays_if_it_costs_as_much_as_the_limit():
         assert values.tolist() == pytest.approx([{0: 5.0, 1: value, 2: -4.0}[k] for k in kept])
 
 
-def test_a_dependent_column_goes_for_nothing_unless_it_must_stay():
-    triangle = diagonal(5.0, 3.0)
-    triangle[1, 1] = 1e-14
-    assert _least_missed(triangle, 2) == (1, 0.0)
-    assert _least_missed(triangle, 2, torch.tensor([True, False]))[0] == 0
-    assert _least_missed(triangle, 0) == (-1, float("inf"))
-    assert _least_missed(triangle, 2, torch.zeros(2, dtype=torch.bool)) == (-1, float("inf"))
-
-
 def test_a_function_comes_in_if_it_is_worth_twice_the_limit_the_best_of_each_equation():
     active = Parameters(torch.tensor([0]), torch.tensor([0]))
     others = Parameters(torch.tensor([1, 2, 1, 2]), torch.tensor([0, 0, 1, 1]))
@@ -293,15 +255,3 @@ def exchange(states: list[int], n_fixed: int = 0) -> list[int] | None:
 def test_three_functions_are_exchanged_for_one_whichever_equations_they_are_of():
     for states in ([0, 0, 0], [0, 0, 1], [0, 1, 1]):
         assert exchange(states) == exchange(states, n_fixed=2) == [3]
-
-
-def test_an_exchange_one_for_one_is_within_an_equation():
-    """The target is the sum of what is outside and of the second function; the first one nearly is what is outside."""
-    columns = torch.eye(4, dtype=torch.float64)
-    columns[:, 2] = columns[:, 0] + 0.01 * columns[:, 3]
-    target = 10 * (columns[:, 2:3] + columns[:, 1:2])
-    others = Parameters(torch.tensor([2]), torch.tensor([0]))
-    for states, found in (([0, 1], [1, 2]), ([1, 0], None)):
-        active = Parameters(torch.tensor([0, 1]), torch.tensor(states))
-        better = reconsider(_triangle(columns[:, :3], target) / 0.04, 0, active, others, 5.0)
-        assert (better if better is None else better.tolist()) == found

@@ -7,11 +7,11 @@ from scipy.linalg import expm
 
 from dynasindy.sindy import functions, sensitivity
 from dynasindy.sindy.codegen import simulate
-from dynasindy.sindy.functions import Function, register_function
-from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
-from dynasindy.sindy.named_libraries import build_library, paper_table
+from dynasindy.sindy.functions import register_function
+from dynasindy.sindy.library import Library, of, parse, variable
+from dynasindy.sindy.named_libraries import paper_table
 from dynasindy.sindy.sensitivity import Parameters, Propagator, TorchSlopes
-from dynasindy.systems import Tras, Xi
+from dynasindy.systems import Xi
 from dynasindy.systems.base import Signature
 from dynasindy.systems.interpreter import MeasurementUpdate
 
@@ -199,40 +199,6 @@ def test_slopes_of_products_and_powers_by_states_and_by_the_numbers_inside():
     # Only what is not zero is computed.
     assert slopes.by_state == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (3, 0), (4, 1)]
     assert slopes.by_shape == [(0, 0), (1, 1), (2, 0)]
-
-
-def test_negative_powers_and_functions_of_two_variables(monkeypatch):
-    monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))
-    register_function("angle_of", torch.atan2)
-    functions._REGISTRY["arc"] = Function("arc", lambda z, p: torch.atan(z / p), "arc({0})", "", parametric=True)
-    library = Library(TWO, [variable("b", -2) * variable("a"), of("angle_of", "a", "b"), of("arc", "a")])
-    x, u = points()
-    a, b = x.numpy().T
-    _, by_state, _ = full(TorchSlopes(library), library, x, u)
-    np.testing.assert_allclose(by_state[:, 0].numpy().T, [b**-2, -2 * a * b**-3], rtol=1e-10)
-    np.testing.assert_allclose(by_state[:, 1].numpy().T, [b / (a**2 + b**2), -a / (a**2 + b**2)], rtol=1e-10)
-    np.testing.assert_allclose(by_state[:, 2].numpy().T, [1 / (a**2 + 1), 0 * a], rtol=1e-10)
-
-
-def test_functions_of_the_inputs_alone_have_no_slopes():
-    library = Library(TWO, [CONSTANT, variable("u", 2), of("tanh", "u", frequency=2.0)])
-    slopes = TorchSlopes(library)
-    theta, by_state, by_shape = slopes(*points(4))
-    assert slopes.by_state == slopes.by_shape == [] and by_state.shape == by_shape.shape == (4, 0)
-    assert torch.equal(theta[:, 0], torch.ones(4).double())
-
-
-@pytest.mark.parametrize("name", ["paper_table", "paper_equation", "rotor", "rotor_reaction", "polynomial", "fourier"])
-def test_slopes_of_libraries_are_those_of_autograd(name):
-    library = build_library(name, Tras().signature)
-    x, u = points(4, 6, 2)
-    theta, by_state, _ = full(slopes := TorchSlopes(library), library, x, u)
-    expected = torch.func.vmap(torch.func.jacrev(library), (0, 0))(x, u)
-    assert torch.allclose(theta, library(x, u), rtol=1e-12)
-    assert torch.allclose(by_state, expected, rtol=1e-10, atol=1e-12)
-    reads = [(k, i) for k, f in enumerate(library.features) for i, n in enumerate(Tras().signature.state_names)
-             if n in f.variables]  # fmt: skip
-    assert slopes.by_state == reads
 
 
 def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):

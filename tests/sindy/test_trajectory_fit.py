@@ -13,7 +13,7 @@ from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy import trajectory_fit as trajectory
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
-from dynasindy.sindy.shooting import Descent, choose_stretches
+from dynasindy.sindy.shooting import Descent
 from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -94,11 +94,6 @@ def test_functions_that_resemble_an_error_that_lasts_are_left_out_where_errors_a
     assert kept[True] == 0 < kept[False]
 
 
-def test_without_noise_the_plant_is_found():
-    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.0, 2.0, 0.0, 0.0), TWO, recording(0, 0.0), 10)
-    assert found[:2, 0].tolist() == pytest.approx([A, B], rel=1e-6)
-
-
 @pytest.mark.parametrize("outlier", [1e8, -1e30])
 def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
     data = recording(0)
@@ -107,15 +102,6 @@ def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
     free = torch.ones(4, 1, dtype=torch.bool)
     with pytest.raises(ValueError, match="runs away"):
         coefficients_of(refine_trajectory, LIBRARY, start, free, data, 20)
-
-
-def test_a_window_longer_than_memory_is_that_of_the_data():
-    data, start = recording(0), column(A, B, 0.0, 0.0)
-    found = [
-        refine(window).run(LIBRARY, start, Constraints(TWO, torch.zeros_like(start)), data)[1]
-        for window in (200, 10**15)
-    ]
-    assert torch.equal(*found)
 
 
 def test_a_state_that_never_moves_is_no_reason_to_fail():
@@ -295,12 +281,3 @@ def test_a_fit_keeps_the_quotient_of_a_plant_that_has_one(p):
     else:
         used = model.coefficients[:, 1].nonzero().flatten().tolist()
         assert {model.library.names[k] for k in used} == {"w", "u", "sin(a)"}
-
-
-@pytest.mark.parametrize(("n", "wanted", "rows"), [(50, 50, 50), (49, 50, 49), (51, 50, 50), (1000, 50, 50)])
-def test_rows_of_a_long_recording_lie_in_ten_even_stretches(n, wanted, rows):
-    chosen = choose_stretches(n, wanted)
-    assert int(chosen.sum()) == rows and bool(chosen[0] and chosen[-1])
-    if n == 1000:
-        begins = (chosen.int().diff(prepend=torch.zeros(1, dtype=torch.int32)) == 1).nonzero().flatten()
-        assert len(begins) == 10 and int(begins.diff().max() - begins.diff().min()) <= 1
