@@ -108,13 +108,6 @@ def test_values_and_gradients_equal_torchrl(n_critics):
         plain.zero_grad()
 
 
-def test_calling_the_module_returns_what_torchrl_returns():
-    loss, td = ours(policy_noise=0.0), batch()
-    out, expected = loss(td.clone()), theirs(loss)(td.clone())
-    for key in ("loss_qvalue", "loss_actor", "pred_value", "target_value"):
-        torch.testing.assert_close(out[key], expected[key])
-
-
 def test_actor_loss_leaves_the_critics_without_gradients():
     loss = ours()
     loss.actor_loss(batch())[0].backward()
@@ -128,13 +121,6 @@ def test_only_termination_stops_the_bootstrap(terminated, truncated, bootstraps)
     difference = loss.target_value(td["next"]) - td["next", "reward"].squeeze(-1)
     assert bool((difference != 0).all()) is bootstraps
     assert bool((difference == 0).all()) is not bootstraps
-
-
-def test_moving_to_float64_moves_what_is_evaluated():
-    loss = ours().to(torch.float64)
-    td = batch().apply(lambda x: x.double() if x.is_floating_point() else x)
-    assert loss.value_loss(td)[0].dtype == torch.float64
-    assert loss.critic_layers[0].weight is loss.qvalue_network_params["module", "linears", "0", "weight"]
 
 
 def test_soft_update_equals_torchrl():

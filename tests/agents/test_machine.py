@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from dynasindy.agents import machine as module
 from dynasindy.agents.loss import GradientSteps
-from dynasindy.agents.machine import _MachineSteps, _readable
+from dynasindy.agents.machine import _MachineSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
 from dynasindy.systems import compiler as compiling
@@ -38,7 +38,7 @@ def weights(agent):
 
 
 @needs_compiler
-@pytest.mark.parametrize("rows", [1, 31, 32, 33, 100])
+@pytest.mark.parametrize("rows", [1, 33])
 @pytest.mark.parametrize(
     ("n_obs", "n_u", "hidden", "critics"),
     [(3, 2, (6, 5), 2), (1, 1, (1,), 2), (20, 3, (17, 40, 33), 3), (31, 2, (16, 32), 2), (40, 9, (64,), 4)],
@@ -59,14 +59,6 @@ def test_losses_gradients_and_steps_are_those_of_automatic_differentiation(rows,
             for moment in ("exp_avg", "exp_avg_sq"):
                 size = wanted[moment].abs().max().item()
                 torch.testing.assert_close(found[moment], wanted[moment], rtol=1e-4, atol=1e-5 * size)
-
-
-@needs_compiler
-def test_agents_that_differ_by_machine_code_alone_draw_the_same_noise():
-    ours, torchs = pair()
-    for agent in (ours, torchs):
-        agent.update(transitions(10))
-    assert torch.equal(ours.loss.generator.get_state(), torchs.loss.generator.get_state())
 
 
 @needs_compiler
@@ -165,12 +157,6 @@ def test_no_weight_moves_by_a_loss_that_is_refused(kind):
     assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
 
 
-@needs_compiler
-def test_an_empty_batch_is_refused():
-    with pytest.raises(ValueError, match="transition"):
-        pair()[0].update(transitions(0))
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -195,13 +181,6 @@ def test_a_target_that_is_no_number_is_not_taken_for_the_larger_one(net):
         agent.loss.target_critic_layers[1].weight[net] = math.nan
     with pytest.raises(Diverged, match="update"):
         agent.update(transitions(10))
-
-
-def test_networks_that_it_does_not_know_are_left_to_torch():
-    assert _readable(pair()[0].loss)
-    double = pair()[0]
-    double.loss.double()
-    assert not _readable(double.loss)
 
 
 def test_without_a_compiler_torch_learns_without_a_word(monkeypatch):

@@ -41,15 +41,6 @@ def test_actions_are_clipped():
     assert noise(zeros())["action"].abs().max() == 1
 
 
-def test_draws_depend_on_the_seed_and_not_on_the_global_generator():
-    draws = []
-    for seed, other in ((1, 5), (1, 6), (2, 5)):
-        torch.manual_seed(other)
-        draws.append(DecayingGaussian(seed=seed)(zeros(8))["action"])
-    assert torch.equal(draws[0], draws[1])
-    assert not torch.equal(draws[0], draws[2])
-
-
 def test_state_is_restored():
     noise, other = DecayingGaussian(seed=1), DecayingGaussian(seed=2)
     noise(zeros(4))
@@ -71,19 +62,3 @@ def test_a_draw_is_the_action_plus_sigma_times_its_generators_numbers():
     given = noise(TensorDict({"action": action.clone()}, [5]))["action"]
     torch.testing.assert_close(given, (action + 0.3 * drawn).clamp(-1, 1))
     assert noise.sigma == pytest.approx(0.27)
-
-
-def test_by_default_the_noise_is_the_papers():
-    noise = DecayingGaussian()
-    assert (noise.sigma, noise.decay, noise.minimum, noise.generator.initial_seed()) == (0.15, 1e-3, 0.0, 0)
-
-
-@pytest.mark.parametrize("edge", [{"sigma": 0.0}, {"decay": 0.0}, {"minimum": 0.0}, {"decay": 0.999}])
-def test_the_edges_of_the_ranges_are_allowed(edge):
-    assert DecayingGaussian(**edge).sigma >= 0
-
-
-@pytest.mark.parametrize("quiet", [ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
-def test_all_quiet_kinds_of_exploration_are_quiet(quiet):
-    with set_exploration_type(quiet):
-        assert not DecayingGaussian(sigma=1.0)(zeros(8))["action"].any()

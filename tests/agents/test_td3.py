@@ -32,12 +32,6 @@ def small(**settings):
     return TD3(4, 2, **{"hidden": (16, 12), "seed": 3} | settings)
 
 
-def test_critics_start_different_from_each_other_and_equal_to_their_targets():
-    loss = small().loss
-    assert not torch.equal(loss.critic_layers[0].weight[0], loss.critic_layers[0].weight[1])
-    assert torch.equal(loss.critic_layers[0].weight, loss.target_critic_layers[0].weight)
-
-
 def test_same_seed_gives_the_same_agent_whatever_the_global_generator():
     finals = []
     for seed, other in ((3, 1), (3, 2), (4, 1)):
@@ -48,12 +42,6 @@ def test_same_seed_gives_the_same_agent_whatever_the_global_generator():
         finals.append(tensors(agent))
     assert torch.equal(finals[0], finals[1])
     assert not torch.equal(finals[0], finals[2])
-
-
-def test_constructing_leaves_the_global_generator_as_it_was():
-    before = torch.get_rng_state()
-    small()
-    assert torch.equal(before, torch.get_rng_state())
 
 
 def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
@@ -87,31 +75,6 @@ def test_a_copy_learns_for_itself_and_as_the_agent_would(machine_code):
     assert torch.equal(tensors(agent), tensors(copied))
     for a, b in zip(agent.deployed.parameters(), copied.deployed.parameters(), strict=True):
         assert torch.equal(a, b)
-
-
-def test_without_average_the_actor_is_deployed():
-    agent = small()
-    assert agent.deployed is agent.policy
-
-
-def test_imagined_steps_do_not_count_as_exploration_steps():
-    agent = small(exploration_noise=0.2, noise_decay=0.5)
-    td = TensorDict({"observation": torch.zeros(3, 4)}, [3])
-    agent.explore_imagined(td.clone())
-    assert agent.noise.sigma == 0.2
-    agent.explore(td.clone())
-    assert agent.noise.sigma == pytest.approx(0.1)
-
-
-def test_defaults_are_the_rows_of_the_papers_table():
-    s = Hyperparameters()
-    assert (s.hidden, s.actor_lr, s.critic_lr, s.gamma) == ((400, 300), 1e-4, 1e-4, 0.995)
-    assert (s.exploration_noise, s.noise_decay, s.tau, s.target_update_interval) == (0.15, 1e-3, 0.005, 10)
-
-
-def test_unknown_setting_is_refused_by_name():
-    with pytest.raises(TypeError, match="gama"):
-        small(gama=0.9)
 
 
 @pytest.mark.parametrize("reward", [math.nan, math.inf])
@@ -241,38 +204,6 @@ def test_updates_are_those_of_the_algorithm_written_with_torch_alone(machine_cod
     for layer, linear in zip(agent.loss.target_actor_layers, plain.target_actor[::2], strict=False):
         torch.testing.assert_close(layer.weight, linear.weight, rtol=1e-4, atol=1e-6)
     assert agent.updates == 8
-
-
-def test_the_latest_actor_loss_is_reported_and_is_zero_before_the_first():
-    agent = small(policy_delay=2)
-    losses = [agent.update(batch)["actor_loss"].item() for batch in batches(4)]
-    assert losses[0] == 0.0 != losses[1] == losses[2] != losses[3]
-
-
-def test_seeds_of_weights_smoothing_and_exploration_are_apart():
-    agent = small(seed=3, exploration_noise=0.1)
-    assert agent.loss.generator.initial_seed() == 4 and agent.noise.generator.initial_seed() == 5
-    with torch.random.fork_rng():
-        torch.manual_seed(3)
-        first = nn.Linear(4, 16)
-    assert torch.equal(agent.policy.get_parameter("module.linears.0.weight"), first.weight)
-    assert TD3(4, 2, hidden=(8,)).loss.generator.initial_seed() == 1  # seed 0 by default
-
-
-def test_settings_reach_their_parts():
-    agent = small(noise_min=0.04, noise_decay=0.9, exploration_noise=0.3, critics=4, tau=0.2)
-    td = TensorDict({"observation": torch.zeros(2, 4)}, [2])
-    agent.explore(td.clone())
-    agent.explore(td.clone())
-    assert agent.noise.sigma == 0.04
-    assert agent.loss.critic_layers[0].bias.shape == (4, 16) and agent.target_updater.tau == 0.2
-    assert (agent.loss.policy_noise, agent.loss.noise_clip, agent.loss.discount) == (0.2, 0.5, 0.995)
-
-
-def test_defaults_that_the_paper_does_not_set_are_td3s():
-    s = Hyperparameters()
-    assert (s.policy_delay, s.policy_noise, s.noise_clip, s.critics) == (2, 0.2, 0.5, 2)  # Fujimoto 2018
-    assert (s.noise_min, s.policy_average) == (0, 0)
 
 
 @pytest.mark.parametrize(

@@ -91,14 +91,6 @@ def test_it_is_shown_how_fast_the_reference_moves():
     assert np.abs(blind - inputs).max() > 1e-3
 
 
-def test_a_reference_without_a_rate_stands_still():
-    env, policy = setting(observe_rate=True)
-    controller = Controller(policy, ControlSetup(env.task, env.dt))
-    silent = [controller.act([0.1 * k, 0.0], [0.3]) for k in range(3)]
-    controller.reset()
-    np.testing.assert_array_equal(silent, [controller.act([0.1 * k, 0.0], [0.3], [0.0]) for k in range(3)])
-
-
 class Driven(System):
     """A place that two inputs move, x' = u1 + 10 u2."""
 
@@ -109,15 +101,19 @@ class Driven(System):
         return u[..., :1] + 10 * u[..., 1:]
 
 
-def test_a_lost_sample_is_bridged_with_all_inputs_that_were_given():
-    """From 0.3 m, 0.1 s under inputs of 0.5 and -0.25 lead to 0.3 + 0.1 (0.5 - 2.5) m."""
+def constant():
+    """Return a controller of that place whose action is constant."""
     plant = Driven()
     task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
     observer = Observer(plant, Sensors({"x": {}}), ControlSetup(task, 0.1))
     observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
-    controller = Controller(
-        lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), ControlSetup(task, 0.1), observer
-    )
+    setup = ControlSetup(task, 0.1)
+    return Controller(lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), setup, observer)
+
+
+def test_a_lost_sample_is_bridged_with_all_inputs_that_were_given():
+    """From 0.3 m, 0.1 s under inputs of 0.5 and -0.25 lead to 0.3 + 0.1 (0.5 - 2.5) m."""
+    controller = constant()
     controller.act([0.3], [0.0])
     controller.act([math.nan], [0.0])
     np.testing.assert_allclose(controller.estimate, [0.1], rtol=0, atol=1e-6)
@@ -125,13 +121,7 @@ def test_a_lost_sample_is_bridged_with_all_inputs_that_were_given():
 
 def test_measurements_beyond_all_limits_count_as_lost():
     """From 1.5e308 m to -1.5e308 m is further than the largest double, 1.8e308; the action is constant."""
-    plant = Driven()
-    task = Tracking(plant.signature, Step([[0.0]]), ("x",), (), TrackingReward((1.0,)))
-    observer = Observer(plant, Sensors({"x": {}}), ControlSetup(task, 0.1))
-    observer.load_state_dict({"process_noise": [0.01], "nis": 1.0})
-    controller = Controller(
-        lambda shown: shown.set("action", torch.tensor([0.5, -0.25])), ControlSetup(task, 0.1), observer
-    )
+    controller = constant()
     controller.act([1.5e308], [0.0])
     np.testing.assert_allclose(controller.estimate, [0.0], rtol=0, atol=1e-12)
     controller.act([0.3], [0.0])
@@ -166,17 +156,6 @@ def test_a_reset_forgets_everything():
     assert not np.allclose(first, again)
     controller.reset()
     np.testing.assert_array_equal(first, [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)])
-
-
-def test_a_lost_sample_is_bridged_by_the_model():
-    env, policy = setting()
-    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env, disturbance=False))
-    model, x = pendulum_model(), torch.tensor([0.4, 0.0], dtype=torch.float64)
-    for _ in range(10):
-        u = controller.act({"theta": float(x[0])}, [0.3])
-        x = env.with_system(model).advance(x, torch.from_numpy(u))[0][-1]
-    controller.act({}, [0.3])
-    np.testing.assert_allclose(controller.estimate, x, atol=2e-2)
 
 
 def test_a_number_for_a_state_without_a_sensor_is_not_read():
@@ -266,15 +245,6 @@ def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, int
     with pytest.raises(ValueError, match="follows"):
         controller.act([1e300, 1e300], [-1e300])
     np.testing.assert_array_equal(later(), expected)
-
-
-def test_it_says_what_it_holds_reads_and_sets():
-    env, policy = setting()
-    plain = repr(Controller(policy, ControlSetup(env.task, 0.02)))
-    assert all(word in plain for word in ("theta [rad]", "Omega [rad/s]", "u in [-1, 1]", "0.02 s"))
-    gains = {"rate": 0.1}
-    watched = Controller(policy, ControlSetup(env.task, 0.02), watching(env), gains)
-    assert "observer" in repr(watched) and "integral" in repr(watched)
 
 
 def test_a_reference_far_beyond_the_targets_of_the_plan_is_warned_of_once():

@@ -198,11 +198,6 @@ def test_a_damaged_file_costs_one_line(tmp_path, change, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("substeps", [1, 1000])
-def test_the_fewest_and_the_most_steps_of_a_period_are_read(tmp_path, substeps):
-    assert load(damaged(tmp_path, lambda record: record["task"].update(substeps=substeps))).setup.substeps == substeps
-
-
 def test_as_many_weights_are_read_as_are_allowed_and_not_one_more(tmp_path, monkeypatch):
     file = damaged(tmp_path, lambda record: None)
     weights = (4 + 1) * 8 + (8 + 1) * 5 + (5 + 1) * 1  # four numbers observed, layers of 8 and 5, one input
@@ -231,18 +226,6 @@ def test_an_observer_on_another_kind_of_model_is_refused(tmp_path):
     controller.observer.model = Oracle(SIGNATURE, system=controller.observer.model)
     with pytest.raises(ValueError, match="works"):
         save(controller, tmp_path / "c.json")
-
-
-def test_boxes_of_outputs_of_one_unit_stay_as_they_are(tmp_path):
-    signature = Signature(("a", "b"), ("m", "m"), ("u",), (3.0, 0.5))
-    # One value each, so that the errors count in the ranges of the states.
-    task = Tracking(signature, Step([[0.0, 0.0]]), ("a", "b"), (), low=[0.0, 0.0], high=[0.0, 0.0])
-    policy = actor(task.n_o, 1, (3,)).requires_grad_(False)
-    save(Controller(policy, ControlSetup(task, 0.1)), tmp_path / "controller.json")
-    found = load(tmp_path).setup.task
-    assert found.boxes().tolist() == [3.0, 0.5]
-    seen = found.observation(torch.zeros(2), torch.tensor([[0.3, 0, 0, 0, 0], [0.3, 0, 0, 0, 0]]), torch.zeros(1))
-    assert seen[2:].tolist() == pytest.approx([0.3 / (0.5 * 3.0), 0.3 / (0.5 * 0.5)])
 
 
 def test_steps_and_stops_are_kept_without_an_observer_and_with_one_open_end(tmp_path):

@@ -36,23 +36,6 @@ def test_integral_removes_the_steady_error():
     assert final_error(env, IntegralAction(proportional, env, gain=1.0, band=1.0)) < 0.1 * without
 
 
-def test_errors_beyond_the_band_are_not_integrated():
-    env, proportional = setting()
-    action = IntegralAction(proportional, env, band=0.1)
-    action(env.reset())
-    assert action.integral is not None
-    assert float(action.integral.abs().max()) == 0.0
-
-
-def test_half_of_an_error_that_changes_at_the_given_rate_is_integrated():
-    env, proportional = setting()
-    action = IntegralAction(proportional, env, gain=2.0, band=1.0, rate=0.4)
-    for rate, integrated in ((0.0, 0.02), (0.4, 0.01)):  # gain 2/s * 0.05 s * error 0.2 rad, and half of it
-        start = env.start_from(torch.tensor([0.0, rate]))
-        action(start)
-        torch.testing.assert_close(action.integral, torch.tensor([integrated]))
-
-
 def test_an_output_without_a_rate_is_integrated_as_if_it_stood_still():
     plant = Pendulum()
     outputs, reward = ("Omega", "theta"), TrackingReward((4.0,))

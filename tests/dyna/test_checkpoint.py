@@ -49,21 +49,6 @@ def test_a_checkpoint_is_data_and_runs_no_code(tmp_path, monkeypatch):
     assert not (tmp_path / "canary").exists()
 
 
-def test_a_file_that_cannot_be_written_costs_no_earlier_one(tmp_path, monkeypatch):
-    checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(1, {"number": 1})
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        checkpoints.save(2, {"number": 2})
-    monkeypatch.undo()
-    assert [file.name for file in tmp_path.iterdir()] == ["000001.pt"]
-    assert checkpoints.newest() == {"number": 1}
-
-
 def test_what_is_removed_is_what_was_made(tmp_path):
     checkpoints = Checkpoints(tmp_path / "checkpoints")
     checkpoints.save(1, {})
@@ -82,16 +67,6 @@ def test_checkpoints_come_every_so_many_episodes_and_before_the_first(tmp_path, 
     for move in (place.past_excitation, place.past_planning, *(lambda n=n: place.past_episode(n) for n in (1, 2, 3))):
         saver.reached(move())
     assert written == saved
-
-
-def test_the_line_of_a_stopped_run_says_how_it_goes_on(tmp_path):
-    saver = Saver(Checkpoints(tmp_path / "checkpoints"), 1, lambda: {"place": Place(True, True, 3).state_dict()})
-    assert "nothing is kept" in saver.summary(tmp_path)
-    saver.reached(Place(True, True, 3))
-    assert "episode" in saver.summary(tmp_path)
-    saver.again = "python scripts/train.py"
-    assert f"go on with python scripts/train.py resume={tmp_path}" in saver.summary(tmp_path)
-    assert f"resume={tmp_path}" in saver.summary(tmp_path) and "\n" not in saver.summary(tmp_path)
 
 
 def test_a_disk_that_cannot_be_read_is_no_reason_to_begin_anew(tmp_path, monkeypatch):

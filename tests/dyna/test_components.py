@@ -37,10 +37,6 @@ def test_settings_that_no_loop_can_run_with_are_refused(wrong, said):
     assert "\n" not in str(error.value)
 
 
-def test_every_fourth_second_is_held_out_by_default():
-    assert LoopSettings(7) == LoopSettings(7, 1.0, 4) and LoopSettings(1, held_out=2).held_out == 2
-
-
 class Goal:
     learns = False
 
@@ -213,15 +209,6 @@ def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_ou
     assert len(parts.replay.real) == 50 + len(first) + len(second)
     seen = parts.replay.real_in_order()["measurement"][50 : 50 + len(first)]
     torch.testing.assert_close(seen, first["state"])
-
-
-def test_states_that_are_seen_at_once_stay_as_they_are():
-    made = pendulum(0)
-    parts, place = made.build(), Place()
-    heard = Heard(parts, place)
-    train(parts, made.train, heard, place)
-    assert parts.sensing is None and parts.world_model.delay == 0.0
-    assert "true_state" not in set(heard.rollouts[-1].keys()) and "sensing" not in parts.state_dict()
 
 
 def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():

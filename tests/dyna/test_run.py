@@ -12,7 +12,7 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.run import Evaluating, Provenance, Saving, run, run_report
+from dynasindy.dyna.run import Evaluating, Provenance, run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -110,12 +110,6 @@ def test_a_run_stopped_again_and_again_ends_as_the_one_that_was_not(tmp_path, na
     assert not (tmp_path / "parts" / "checkpoints").exists()
 
 
-def test_other_seeds_differ_so_that_equality_says_something(tmp_path):
-    go(tmp_path / "one", "replay", episodes=1)
-    go(tmp_path / "other", "none", episodes=1)
-    assert kept(tmp_path / "one") != kept(tmp_path / "other")
-
-
 def test_a_finished_run_is_not_repeated(tmp_path):
     metrics = go(tmp_path, "none", episodes=1)
     # A checkpoint holds whole bytes, here more than ten thousand; to write them took a part of a second or some.
@@ -141,12 +135,6 @@ def test_nothing_can_be_ended_of_which_nothing_is_kept(tmp_path):
     with pytest.raises(ValueError, match="nothing to finish"):
         go(tmp_path, "none", finish=True)
     assert not any(tmp_path.iterdir())
-
-
-def test_without_checkpoints_a_stopped_run_begins_anew(tmp_path):
-    with pytest.raises(Stopped, match="nothing is kept"):
-        go(tmp_path, "none", last=CALLS, saving=Saving(0))
-    assert go(tmp_path, "none", saving=Saving(0))["episodes"] == 3
 
 
 def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_path):
@@ -181,11 +169,6 @@ def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
     Plug.last = None
     run(recipe(NoPlanning), evaluating, tmp_path, Provenance("a: 1\n", {"commit": "def"}), progress=False)
     assert json.loads((tmp_path / "origin.json").read_text())["resumed_at_commit"] == "def"
-
-
-def test_an_evaluation_happens_at_least_sometimes():
-    with pytest.raises(ValueError, match=r"evaluation\.every"):
-        Evaluating(Scenario("step"), every=0)
 
 
 @pytest.mark.parametrize("name", ["replay", "gradient"])

@@ -154,23 +154,11 @@ def test_names_and_ranges_are_those_given_or_those_of_the_spaces(settings, names
         system(torch.zeros(3), torch.zeros(1))
 
 
-def test_a_range_without_ends_is_one():
-    assert Foreign(BY_HAND).signature.x_scale == (2.0, 1.0)
-
-
 def test_the_period_is_that_of_the_environment_unless_given():
     assert pendulum().dt == gymnasium.make("Pendulum-v1").unwrapped.dt == 0.05
     assert pendulum(dt=0.1).dt == 0.1
     with pytest.raises(ValueError, match="MountainCarContinuous-v0"):
         environment("MountainCarContinuous-v0", {"x1": 0.47})
-
-
-def test_options_are_those_of_make():
-    def speeds(**options):
-        env = pendulum(options=options)
-        return env.rollout(2, resting)["next", "state"][:, 2]
-
-    assert torch.equal(speeds(), speeds(g=10.0)) and not torch.equal(speeds(), speeds(g=5.0))
 
 
 def test_a_row_that_is_over_ends_a_training_episode():
@@ -344,14 +332,6 @@ def test_an_angle_goes_on_over_whole_turns_in_both_directions():
         for angle in true[1:]:
             x = observed.state(shown(angle), x)
             assert x[0, 0].item() == pytest.approx(angle, abs=1e-5)
-
-
-def test_entries_in_their_order_pass_through_and_an_angle_has_no_ends():
-    x = shown(0.5, 0.6)
-    assert _Observed(NAMES, NAMES).state(x, x) is x
-    ends = torch.tensor([[-1.0, -8.0, -1.0, -5.0], [1.0, 7.0, 1.0, 5.0]])
-    wanted = torch.tensor([[-8.0, -math.inf, -1.0], [7.0, math.inf, 1.0]])
-    assert torch.equal(_Observed(NAMES, ["w", "a", "c"], {"a": ["s", "c"]}).ends(ends), wanted)
 
 
 @pytest.mark.parametrize(

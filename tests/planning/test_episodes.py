@@ -5,46 +5,13 @@ import math
 import pytest
 import torch
 
-from dynasindy.agents import TD3
 from dynasindy.planning import GradientPlanning
-from dynasindy.planning.gradient_planning import _Episodes, references
-from dynasindy.planning.randomization import GainMargin
+from dynasindy.planning.gradient_planning import _Episodes
 
 
 @torch.no_grad()
 def flown(env, agent, steps=20):
     return env.rollout(steps, agent.policy)
-
-
-def planner_of(env):
-    agent = TD3(env.task.n_o, 1, hidden=(8, 8), seed=0)
-    return GradientPlanning(env, agent, rollouts=16, window=10, updates=2, seed=3)
-
-
-def test_an_episode_keeps_its_strength_until_it_begins_anew(inverted):
-    env, rests = inverted()
-    planner = planner_of(env)
-    episodes = _Episodes(planner)
-    assert episodes.rows.strength is None
-    episodes.vary(GainMargin.of(planner.env, rests, 0.1))
-    before = episodes.rows.strength
-    lost = torch.arange(16) < 5
-    episodes.end = torch.full((16, 1), torch.inf)
-    episodes.carry_on(episodes.rows.x, episodes.rows.held, ~lost)
-    after = episodes.rows.strength
-    assert torch.equal(after.factor[5:], before.factor[5:]) and torch.equal(after.rest[5:], before.rest[5:])
-    assert bool((after.factor[:5] != before.factor[:5]).all())
-    # The new ones rest where their own targets do.
-    rest = GainMargin.of(planner.env, rests, 0.1).ends(episodes.rows.params).rest
-    assert torch.equal(after.rest, rest)
-
-
-def test_references_begin_as_the_task_does(inverted):
-    env, _ = inverted()
-    rows = references(env, 32, torch.Generator().manual_seed(0))
-    assert rows.x.shape == (32, 2) and not rows.held.any() and not rows.t.any()
-    targets = env.task.reference(rows.params, rows.t)
-    assert targets.abs().max() <= 0.4 + 1e-6 and targets.std() > 0.1
 
 
 def test_episodes_begin_staggered_and_anew_where_they_end_or_diverge(planned):
@@ -95,10 +62,3 @@ def test_divergence_is_a_hundred_times_the_largest_real_value_and_nothing_where_
     replay.extend_real(real)
     reach = _Episodes(GradientPlanning(env, agent, replay, **small)).rows.reach
     assert reach.tolist() == pytest.approx([100.0, 200.0, math.inf, 400.0, 5000.0, 50.0])
-
-
-def test_without_real_states_divergence_is_a_hundred_ranges_however_near_zero_episodes_begin(setting, small):
-    env, agent, _ = setting()
-    env.task.start = torch.tensor([[1e-3, 2.0, 0.0, 0.0, 0.0, 0.0]]).expand(2, -1)
-    reach = _Episodes(GradientPlanning(env, agent, **small)).rows.reach
-    assert reach.tolist() == [100.0, 200.0, *[math.inf] * 4]

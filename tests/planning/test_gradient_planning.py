@@ -50,22 +50,6 @@ def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, s
     assert sorted(learnt.tolist()) == sorted(weights(agent.policy).tolist())
 
 
-def test_a_deployed_average_becomes_the_planned_actor(setting, small):
-    env, agent, replay = setting(policy_average=0.01)
-    GradientPlanning(env, agent, replay, updates=4, **small).plan()
-    torch.testing.assert_close(weights(agent.deployed), weights(agent.policy))
-
-
-def test_without_a_width_the_plan_is_for_the_reward_of_the_task(setting, small):
-    policies = []
-    for shape, width in (("quadratic", 0.07), ("linear", None)):
-        env, agent, replay = setting()
-        env.task.reward_function = replace(env.task.reward_function, error_shape=shape, width=0.07, bonus=0.0)
-        GradientPlanning(env, agent, replay, updates=4, width=width, **small).plan()
-        policies.append(weights(agent.policy))
-    assert torch.equal(*policies)
-
-
 def test_equal_seeds_plan_equally(setting, small):
     policies = []
     for _ in range(2):
@@ -91,17 +75,6 @@ def test_the_best_policy_on_held_out_references_is_kept_and_a_phase_without_prog
     assert torch.equal(weights(agent.policy), seen[1])
 
 
-def test_episodes_begin_at_real_states_when_asked(setting, small):
-    env, agent, replay = setting()
-    real = env.rollout(20, agent.policy)
-    real["state"] = torch.full_like(real["state"], 0.123)
-    replay.extend_real(real)
-    planner = GradientPlanning(env, agent, replay, updates=1, real_starts=1.0, jumps=0.0, **small)
-    episodes = _Episodes(planner)
-    episodes.carry_on(torch.zeros(16, 6), torch.zeros(16, 2), alive=torch.zeros(16, dtype=torch.bool))
-    torch.testing.assert_close(episodes.rows.x, torch.full((16, 6), 0.123))
-
-
 class Runaway(Xi):
     """A model that is right where the plant was excited, and explodes when the main rotor runs backwards."""
 
@@ -120,14 +93,6 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
     assert not whole.alive[-1].all()  # the untrained policy does run it backwards
     planner.plan()
     assert total(env, agent) > 0.5 * before
-
-
-def test_every_variation_can_be_planned_with(setting, small):
-    env, agent, replay = setting()
-    randomization = Randomization(parameters=0.1, input_delay=True)
-    planner = GradientPlanning(env, agent, replay, updates=3, randomization=randomization, **small)
-    planner.plan()
-    assert bool(weights(agent.policy).isfinite().all())
 
 
 @pytest.mark.parametrize(
@@ -198,38 +163,6 @@ def test_a_step_that_was_skipped_is_no_update(setting, small):
     assert bool(weights(agent.policy).isfinite().all())
 
 
-def test_the_learning_rate_warms_up_over_ten_updates_and_falls_along_half_a_cosine_to_a_hundredth():
-    cosine = [0.01 + 0.99 * (1 + math.cos(math.pi * k / 40)) / 2 for k in range(40)]
-    warm = [min((k + 1) / 10, 1.0) for k in range(40)]
-    assert [_schedule(k, 40) for k in range(40)] == pytest.approx([a * b for a, b in zip(cosine, warm)])
-    assert _schedule(0, 1000) == pytest.approx(0.1) and _schedule(1000, 1000) == pytest.approx(0.01)
-
-
-def test_each_phase_begins_with_its_own_learning_rate_and_steps_along_the_schedule(planned):
-    planner, rates = planned(updates=3, more_updates=2, lr=0.5), []
-    planner._update = lambda episodes, optimizer: rates.append(optimizer.param_groups[0]["lr"]) or True
-    planner.test = lambda: 0.0
-    for _ in range(3):
-        planner.plan()
-    of = [_schedule(k, 3) * 0.5 for k in range(3)] + 2 * [_schedule(k, 2) * 0.15 for k in range(2)]
-    assert rates == pytest.approx(of)
-
-
-def test_tests_come_every_so_many_updates_and_at_the_end_of_a_phase(planned):
-    planner, updates = planned(updates=11, check_every=4, patience=100), []
-    planner._update = lambda episodes, optimizer: updates.append("update") or True
-    planner.test = lambda: updates.append("test") or 0.0
-    assert planner.plan() == Planned(11 * 16 * 20, 11)
-    assert [k - n for n, k in enumerate(i for i, what in enumerate(updates) if what == "test")] == [4, 8, 11]
-
-
-def test_patience_counts_failures_in_a_row(planned):
-    planner, scores = planned(updates=100, check_every=1, patience=2), iter([1.0, 0.0, 2.0, 2.0, 3.0, 1.0, 3.0, 9.0])
-    planner._update = lambda episodes, optimizer: True
-    planner.test = lambda: next(scores)
-    assert planner.plan().updates == 7  # an equal score is a failure, a better one forgives
-
-
 def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
     never = Randomization(input_delay=0.0)
@@ -254,9 +187,7 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
     assert torch.equal(seen[2], seen[0]) and not torch.equal(seen[4], seen[0])  # back once, and on from there
 
 
-@pytest.mark.parametrize(
-    ("best", "then", "back"), [(0.15, 0.149, False), (-1e-6, -3e-6, False), (-1e-6, -0.03, True), (0.15, -0.01, True)]
-)
+@pytest.mark.parametrize(("best", "then", "back"), [(-1e-6, -3e-6, False), (0.15, -0.01, True)])
 def test_a_plant_is_lost_by_what_its_score_falls_and_not_by_its_sign(setting, best, then, back, small):
     env, agent, replay = setting()
     settings = small | {"updates": 4, "check_every": 2, "patience": 1, "randomization": Randomization(input_delay=0.0)}
@@ -278,16 +209,6 @@ def test_the_held_out_score_is_the_mean_reward_over_whole_episodes_from_rest(set
     start["observation"] = env.task.observation(torch.zeros(64, 6), params, torch.zeros(64, 1))
     imagined = planner.env.rollout(12, agent.policy, auto_reset=False, tensordict=start)
     assert planner.test() == pytest.approx(imagined["next", "reward"].mean().item(), rel=1e-4)
-
-
-def test_by_default_inputs_are_up_to_30_percent_weaker_or_stronger_and_late_in_one_episode_of_two(planned):
-    planner = planned(updates=1)
-    planner.plan()
-    rows = planner.held_out
-    assert rows.strength.factor.unique().tolist() == pytest.approx([0.7, 1.0, 1.3])
-    # Each strength is tested in time and a control period late.
-    tested = torch.cat([rows.strength.factor[:, :1], rows.late], -1)
-    assert len(tested.unique(dim=0)) == 6 and rows.late.unique().tolist() == [0.0, 1.0]
 
 
 def test_a_way_from_afar_is_planned_with_the_inputs_of_the_model(setting, small, monkeypatch):
@@ -319,44 +240,6 @@ def test_ways_from_afar_are_asked_for_in_time_and_regulators_hold_late_inputs(se
     assert torch.equal(asked[0][1], asked[-1][1]) and asked[0][2] == asked[-1][2]
 
 
-def test_a_row_that_diverged_scores_like_the_worst_before_it(planned):
-    planner = planned(width=None)
-    with torch.no_grad():
-        free = imagine(planner.env, planner.env.system, planner.network, planner.held_out, 60)
-    planner.held_out.reach = torch.full((6,), torch.inf)
-    planner.held_out.reach[5] = free.states[..., 5].abs().flatten().median().item()
-    alive = (free.states.abs() <= planner.held_out.reach).all(-1).int().cummin(0).values.bool()[1:]
-    params = planner.held_out.params.expand(60, -1, -1, -1)
-    stopped = torch.zeros(60, 64, dtype=torch.bool)
-    reward = planner.env.task.reward(free.states[:-1], free.states[1:], params, free.times[1:], stopped)
-    assert 0 < alive.float().mean() < 1
-    expected = (reward[alive].sum() + (~alive).sum() * reward[alive].min()) / reward.numel()
-    assert planner.test() == pytest.approx(expected.item(), rel=1e-4)
-    planner.held_out.reach = torch.full((6,), -1.0)
-    assert planner.test() == -math.inf
-
-
-def test_updates_are_clipped_and_those_without_a_finite_gradient_skipped(planned, monkeypatch):
-    planner, norms, stepped = planned(max_grad_norm=0.125), [], []
-
-    class Optimizer:
-        def zero_grad(self):
-            planner.network.zero_grad()
-
-        def step(self):
-            norms.append(torch.cat([p.grad.flatten() for p in planner.network.parameters()]).norm().item())
-
-    for slope in (1e3, math.nan):
-
-        def backward(*_, slope=slope):
-            for parameter in planner.network.parameters():
-                parameter.grad = torch.full_like(parameter, slope)
-
-        monkeypatch.setattr("dynasindy.planning.gradient_planning.backward", backward)
-        stepped.append(planner._update(_Episodes(planner), Optimizer()))
-    assert norms == [pytest.approx(0.125, rel=1e-3)] and stepped == [True, False]
-
-
 def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(setting, planned):
     planner = planned(width=0.04)
     of_task = setting()[0].task.reward_function
@@ -364,29 +247,6 @@ def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(
     assert planner.env.task.reward_function == expected and of_task.bonus > 0
     assert planned(width=None).env.task.reward_function == of_task
     assert (planner.env.substeps, planned(substeps=3).env.substeps) == (1, 3)
-
-
-def test_a_row_that_diverges_in_the_last_period_is_counted_and_begun_anew(planned, monkeypatch):
-    planner = planned()
-    episodes, carried = _Episodes(planner), []
-    episodes.carry_on = lambda x, held, alive: carried.append(alive.tolist())
-
-    def lost_at_the_end(*of):
-        window = imagine(*of)
-        window.alive[-1, 3] = False
-        return window
-
-    monkeypatch.setattr(gradient_planning, "imagine", lost_at_the_end)
-    planner._update(episodes, torch.optim.Adam(planner.network.parameters()))
-    assert episodes.diverged == 1 and carried == [[k != 3 for k in range(16)]]
-
-
-def test_the_memory_of_a_window_is_that_of_its_derivatives_and_states(planned, monkeypatch):
-    sizes = []
-    monkeypatch.setattr(gradient_planning, "check_memory", lambda size, what: sizes.append(size))
-    planned()
-    # 16 rows, 20 periods, eight bytes: a matrix of 6 x 6, one of 6 x 2, and four vectors of 6.
-    assert sizes == [16 * 20 * 8 * (36 + 12 + 24)]
 
 
 def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting, small):

@@ -1,6 +1,5 @@
 """What a policy begins with: it keeps to the law that it imitates, and takes one only where that earns more."""
 
-import dataclasses
 import math
 
 import torch
@@ -46,17 +45,6 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
     assert held(lambda network: lambda policy: next(scores)) == (6.5, False)
     scores = iter([0.0, 2.0, 3.0, 5.0, 7.0, 6.0, 5.0, -1.0])  # imitation fails
     assert held(lambda network: lambda policy: next(scores)) == (0.0, True)
-
-
-def test_without_a_rest_the_policy_stays_as_it_is(inverted):
-    env, rests = inverted()
-    none = torch.zeros(len(rests), dtype=torch.bool)
-    rests = dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in ("targets", "x", "u", "a", "b")})
-    network = nn.Linear(3, 1)
-    before = network.weight.clone()
-    begun = hold(network, env, rests, lambda policy: -1.5, torch.Generator())
-    assert (begun.score, begun.afar) == (-1.5, False)
-    assert torch.equal(network.weight, before)
 
 
 def test_a_law_arrives_where_the_plant_rests_at_every_target_in_the_end(inverted):

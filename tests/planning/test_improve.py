@@ -10,7 +10,7 @@ from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning
 from dynasindy.planning import imitation as module
-from dynasindy.planning.imitation import _better, _Floor, _OnTop, imagined_rewards, improve, starts
+from dynasindy.planning.imitation import _better, imagined_rewards, improve, starts
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import LearnedReward
 from dynasindy.systems import Signature, System
@@ -60,18 +60,6 @@ GONE = sum(float(two_hills(None, None, torch.tensor([min(HERE + 0.1 * k, THERE)]
 """13 periods at full speed, then the far hill: 27 periods of two points and what lies on the way."""
 
 
-def test_the_oracle_is_worth_the_trip():
-    assert STAYED == 20.0 and 55.0 < GONE < 60.0
-
-
-def test_a_signal_is_added_as_long_as_it_acts_and_no_input_leaves_its_ends():
-    policy = _OnTop(lambda o: 0.5 * o, torch.tensor([[[0.0], [1.0]], [[-2.0], [0.0]]]), 3, lambda u: u.clamp(-1.0, 1.0))
-    seen = torch.tensor([[0.4], [-0.4]])
-    # Straight lines over three periods: 0, 0.5, 1 and -2, -1, 0; the policy itself says 0.2 and -0.2.
-    for wanted in ([0.2, -1.0], [0.7, -1.0], [1.0, -0.2], [0.2, -0.2]):
-        assert policy(seen).flatten().tolist() == pytest.approx(wanted)
-
-
 def test_the_best_way_is_that_over_the_border():
     env, rows = setting()
     rng, network = torch.Generator().manual_seed(0), lazy()
@@ -113,23 +101,6 @@ def test_a_policy_is_left_as_its_best(monkeypatch):
     assert not all(torch.equal(a, b) for a, b in zip(weights[2], weights[1]))
 
 
-def test_half_of_the_ways_begin_where_episodes_do_and_the_others_on_their_way():
-    env, rows = setting()
-    rows.reach = torch.tensor([50.0])
-    begun = starts(lambda o: torch.full_like(o, 0.5), env, rows, torch.Generator().manual_seed(0), 20)
-    assert begun.x[::2].unique().tolist() == pytest.approx([HERE]) and not begun.t[::2].any()
-    torch.testing.assert_close(begun.x, HERE + 0.5 * begun.t)
-    assert begun.t.unique().numel() > 10 and begun.t.max() <= 2.0 + 1e-6
-    assert torch.equal(begun.reach, rows.reach)
-
-
-def test_ways_are_those_of_inputs_in_time_whatever_episodes_are_tested_with():
-    env, rows = setting()
-    rows.late = torch.ones(1, 1)
-    begun = starts(lazy(), env, rows, torch.Generator().manual_seed(0), PERIODS)
-    assert begun.late is None and len(_better(lazy(), env, begun, torch.Generator().manual_seed(0), 2).times) == 3
-
-
 def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     env, rows = setting()
     rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
@@ -162,30 +133,6 @@ def test_ways_over_the_border_stay_in_later_lessons_and_others_do_not(monkeypatc
     # Those who begin on the far hill gain nothing; those who are kept leave the near one.
     torch.testing.assert_close(kept[0], torch.full_like(kept[0], HERE))
     assert (kept[-1] > 0.8).all() and wanted.abs().max() <= 1.0
-
-
-def test_what_is_imagined_is_counted(monkeypatch):
-    monkeypatch.setattr(module, "UPDATES", 1)
-    monkeypatch.setattr(module, "STARTS", 8)
-    seen = []
-
-    def counting(env, system, network, rows, periods):
-        seen.append(len(rows.x) * periods)
-        return imagine(env, system, network, rows, periods)
-
-    monkeypatch.setattr(module, "imagine", counting)
-    env, rows = setting()
-    done = improve(lazy(), env, rows, lambda: 0.0, torch.Generator().manual_seed(0), PERIODS, 2)
-    assert done.imagined == sum(seen)
-
-
-def test_a_crash_is_worth_the_same_in_every_draw():
-    floor = _Floor()
-    lived, crashed = torch.tensor([[True, True]]), torch.tensor([[True, False]])
-    assert floor.under(torch.tensor([[-3.0, 1.0]]), lived).tolist() == [[-3.0, 1.0]]
-    # The others of its own draw are all better than the worst so far.
-    assert floor.under(torch.tensor([[2.0, 9.0]]), crashed).tolist() == [[2.0, -3.0]]
-    assert _Floor().under(torch.tensor([[2.0]]), torch.tensor([[False]])).isneginf().all()
 
 
 def test_planning_searches_where_there_are_no_references(monkeypatch):

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from scipy.signal import cont2discrete
 
-from dynasindy.planning.regulator import _discretize
 from dynasindy.systems import Signature, System, Tras, Xi
 from dynasindy.systems.equilibria import Equilibria, find_equilibria, modes
 
@@ -27,14 +25,6 @@ def test_eigenvalues_of_xi_at_pitch_zero_are_those_known():
     np.testing.assert_allclose(eigenvalues, known, atol=0.005)
 
 
-@pytest.mark.parametrize("dt", [0.01, 0.05, 1.0])
-def test_zero_order_hold_is_that_of_scipy(dt):
-    a, b = linear_xi()
-    wanted = np.hstack(cont2discrete((a.numpy(), b.numpy(), np.eye(6), np.zeros((6, 2))), dt)[:2])
-    given = np.hstack([m.numpy() for m in _discretize(a, b, dt)])
-    np.testing.assert_allclose(given, wanted, rtol=1e-9, atol=1e-9)
-
-
 def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its_loss():
     """x' = -2 x + 3 u rests at x with u = 2 x / 3."""
 
@@ -47,13 +37,6 @@ def test_a_plant_whose_only_state_is_held_rests_where_its_input_makes_up_for_its
 
     found = equilibria_of(Box(), torch.tensor([[0.3]]))
     assert float(found.x) == pytest.approx(0.3) and float(found.u) == pytest.approx(0.2)
-
-
-def test_an_integrator_with_two_inputs_is_held_exactly():
-    """x' = -x + u_1 + 2 u_2 over dt: x exp(-dt) + (1 - exp(-dt)) (u_1 + 2 u_2). There are more inputs than states."""
-    a, b = _discretize(torch.tensor([[-1.0]]).double(), torch.tensor([[1.0, 2.0]]).double(), 0.5)
-    np.testing.assert_allclose(a.numpy(), [[np.exp(-0.5)]], rtol=1e-12)
-    np.testing.assert_allclose(b.numpy(), [[1 - np.exp(-0.5), 2 * (1 - np.exp(-0.5))]], rtol=1e-12)
 
 
 def test_equilibria_of_xi_are_those_known():
@@ -75,21 +58,6 @@ def test_a_system_stays_at_its_equilibrium(system):
 def test_a_reference_that_is_no_number_has_no_equilibrium():
     found = equilibria_of(Tras(), torch.tensor([[0.0, float("nan")], [0.1, 0.0]]))
     assert found.targets.tolist() == [[pytest.approx(0.1), 0.0]] and len(found.unheld) == 1
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_a_difference_equation_is_sampled_by_its_own_steps(steps):
-    rng = np.random.default_rng(2)
-    f, g = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
-    a, b = torch.from_numpy((f - np.eye(3)) / 0.2), torch.from_numpy(g / 0.2)
-    found_f, found_g = _discretize(a, b, 0.2 * steps, 0.2)
-    x, u = rng.standard_normal(3), rng.standard_normal(2)
-    wanted = x
-    for _ in range(steps):
-        wanted = f @ wanted + g @ u
-    np.testing.assert_allclose(found_f.numpy() @ x + found_g.numpy() @ u, wanted, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"0\.3"):
-        _discretize(a, b, 0.3, 0.2)
 
 
 def test_modes_of_a_difference_equation_are_logarithms_of_what_it_multiplies_by():

@@ -1,6 +1,5 @@
 """The regulator of the linearisation against its Riccati equation, and what a policy makes of it."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -44,29 +43,6 @@ def test_the_law_stays_within_the_limits_of_inputs(inverted):
     assert law.at(far, torch.zeros(2, 1)).flatten().tolist() == [-0.25, 0.5]
 
 
-def test_a_plant_that_no_input_moves_has_no_regulator(inverted):
-    dead, rests = inverted(pull=0.0)
-    assert len(rests) == 0 or Regulator.of(dead, rests, Weights()) is None
-
-
-def test_without_a_rest_there_is_no_regulator(inverted):
-    env, rests = inverted(pull=0.01)  # far too weak to hold any target off the top
-    assert not len(none_of(rests)) and Regulator.of(env, none_of(rests), Weights()) is None
-
-
-def test_the_cost_of_a_state_is_that_of_the_riccati_equation(inverted):
-    env, rests = inverted()
-    law = Regulator.of(env, rests, Weights(outputs=50.0, states=0.2, inputs=2.0))
-    middle = rests.targets[rests.middle()].float()
-    x = law.rest(middle)[0] + torch.tensor([0.01, -0.02])
-    block = np.zeros((3, 3))
-    block[0, 1], block[1, 0], block[1, 2] = 1.0, 4.0 * math.cos(float(middle)), 6.0
-    sampled = expm(block * 0.05)
-    p = solve_discrete_are(sampled[:2, :2], sampled[:2, 2:], np.diag([50.0 / 0.8**2, 0.2 / 9.0]), np.array([[2.0]]))
-    away = np.array([0.01, -0.02])
-    assert float(law.value(x, middle)) == pytest.approx(float(away @ p @ away), rel=1e-3)
-
-
 def test_home_is_within_a_share_of_the_ranges(inverted):
     env, rests = inverted()  # ranges of 1 rad and 3 rad/s
     law = Regulator.of(env, rests, Weights())
@@ -108,8 +84,3 @@ def test_a_law_is_that_of_whole_steps_of_a_difference_equation():
     p = solve_discrete_are(a, b, np.diag(q), r * np.eye(2))
     np.testing.assert_allclose(found.cost, p, rtol=1e-8)
     np.testing.assert_allclose(found.gain, np.linalg.solve(r * np.eye(2) + b.T @ p @ b, b.T @ p @ a), rtol=1e-8)
-
-
-def none_of(rests):
-    none = torch.zeros(len(rests), dtype=torch.bool)
-    return dataclasses.replace(rests, **{name: getattr(rests, name)[none] for name in ("targets", "x", "u", "a", "b")})

@@ -11,7 +11,6 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
-from dynasindy.systems.pendulum import Pendulum
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
@@ -97,59 +96,6 @@ def test_a_reward_without_a_derivative_is_refused(settle):
         backward(env, env.system, network, rows, window)
 
 
-def test_rollout_equals_the_environment():
-    env, network, rows, _ = setting()
-    window = imagine(env, env.system, network, rows, STEPS)
-    x = rows.x
-    for k in range(STEPS):
-        x = env.advance(x, window.actions[k])[0][:, -1]
-        torch.testing.assert_close(window.states[k + 1], x)
-
-
-def test_late_inputs_go_on_acting_for_their_share_of_the_next_period():
-    env, network, rows, rng = setting()
-    rows.held, rows.late = torch.randn(8, 2, generator=rng), torch.tensor([[1.0], [0.25]]).repeat(4, 1)
-    window = imagine(env, env.system, network, rows, STEPS)
-    torch.testing.assert_close(window.applied[0, ::2], rows.held[::2])
-    torch.testing.assert_close(window.applied[1:, ::2], window.actions[:-1, ::2])
-    # A quarter of a period late: what was held a quarter of the period has a quarter of the weight.
-    torch.testing.assert_close(
-        window.applied[1:, 1::2], 0.75 * window.actions[1:, 1::2] + 0.25 * window.actions[:-1, 1::2]
-    )
-
-
-def test_layers_that_are_kept_give_the_gradient_of_inputs_of_other_strength():
-    env, _, rows, _ = setting()
-    network = MLP(env.task.n_o, 2, (16, 8), squash=True)
-    factor, rest = torch.tensor([[0.8, 1.2]]).expand(8, 2), torch.full((8, 2), 0.3)
-    unrolled(env, network, rows, factor=factor, rest=rest)
-    wanted = [p.grad.clone() for p in network.parameters()]
-    network.zero_grad()
-    rows.kept, rows.strength = True, InputStrength(factor, rest)
-    window = imagine(env, env.system, network, rows, STEPS)
-    assert window.layers is not None
-    torch.testing.assert_close(window.applied, rest + factor * (window.actions - rest))
-    backward(env, env.system, network, rows, window)
-    for parameter, gradient in zip(network.parameters(), wanted, strict=True):
-        torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
-
-
-def test_sensitivities_equal_central_differences():
-    plant = Pendulum()
-    task = Tracking(plant.signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((4.0,)))
-    env = ControlEnv(plant, task, substeps=1, dtype=torch.float64)
-    x, u = torch.tensor([[0.3, -0.2]], dtype=torch.float64), torch.tensor([[0.4]], dtype=torch.float64)
-    a, b = sensitivities(env, plant, x, u)
-    step = 1e-6
-    for j in range(2):
-        bump = torch.zeros(1, 2, dtype=torch.float64)
-        bump[0, j] = step
-        slope = (rk4(plant, x + bump, u, env.dt) - rk4(plant, x - bump, u, env.dt)) / (2 * step)
-        torch.testing.assert_close(a[..., j], slope, rtol=1e-6, atol=1e-8)
-    slope = (rk4(plant, x, u + step, env.dt) - rk4(plant, x, u - step, env.dt)) / (2 * step)
-    torch.testing.assert_close(b[..., 0], slope, rtol=1e-6, atol=1e-8)
-
-
 def test_gradient_at_a_stop_leads_away_from_it():
     env, *_ = setting()
     x = torch.zeros(8, 6)
@@ -164,37 +110,6 @@ class Explosion(Xi):
     def forward(self, x, u):
         dx = super().forward(x, u)
         return torch.cat([dx[..., :5], dx[..., 5:] + 1e-3 * (x[..., 5:] - 900).clamp_min(0) ** 3], -1)
-
-
-def test_rows_that_diverge_neither_count_nor_cost_the_others_their_gradient():
-    env, network, rows, _ = setting()
-    sick = Explosion()
-    rows.x[:3, 5], rows.x[3:, 5] = 1500.0, -500.0
-    reach = torch.tensor([6.0, 6.0, 50.0, 50.0, 1e5, 1e5])
-    for first, last in ((0, 8), (3, 8)):
-        some = Rows(*(getattr(rows, name)[first:last] for name in ("x", "held", "params", "t")), reach=reach)
-        network.zero_grad()
-        window = imagine(env, sick, network, some, STEPS)
-        backward(env, sick, network, some, window)
-        gradient = torch.cat([p.grad.flatten() for p in network.parameters()])
-        if first == 0:
-            whole = gradient
-            assert not window.alive[-1, :3].any() and window.alive[:, 3:].all()
-            assert window.states.isfinite().all() and window.actions.isfinite().all()
-    assert whole.isfinite().all()
-    torch.testing.assert_close(whole, 5 / 8 * gradient)  # a mean over all rows, of which three are zero
-
-
-def test_a_row_out_of_reach_is_out_from_there_on():
-    env, network, rows, _ = setting()
-    rows.reach = torch.full((6,), torch.inf)
-    free = imagine(env, env.system, network, rows, STEPS)
-    assert free.alive.all()
-    rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
-    bound = imagine(env, env.system, network, rows, STEPS)
-    out = (free.states[..., 0].abs() > rows.reach[0]).int().cummax(0).values.bool()
-    assert out.any() and torch.equal(bound.alive, ~out)
-    torch.testing.assert_close(bound.states[bound.alive], free.states[bound.alive])
 
 
 def moving():
@@ -244,22 +159,6 @@ def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
     torch.testing.assert_close(reward, total.detach(), rtol=1e-4, atol=1e-6)
     found = torch.cat([p.grad.flatten() for p in network.parameters()])
     torch.testing.assert_close(found, wanted, rtol=2e-3, atol=1e-4 * float(wanted.abs().max()))
-
-
-def test_the_gradient_equals_central_differences_of_the_imagined_reward():
-    env, network, rows, _ = moving()
-    window = imagine(env, env.system, network, rows, STEPS)
-    backward(env, env.system, network, rows, window)
-    bias = network[2].bias
-    for j in range(2):
-        totals = []
-        for step in (1e-2, -1e-2):
-            with torch.no_grad():
-                bias[j] += step
-                totals.append(looped(env, network, rows, torch.zeros(8))[2].item())
-                bias[j] -= step
-        # The cost is the negative reward.
-        assert bias.grad[j].item() == pytest.approx(-(totals[0] - totals[1]) / 2e-2, rel=2e-2, abs=1e-5)
 
 
 def test_what_diverged_holds_the_first_state_and_no_input_from_there_on():

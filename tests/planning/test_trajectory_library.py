@@ -129,15 +129,6 @@ def test_a_plant_that_nothing_lifts_has_no_ways(monkeypatch):
     assert TrajectoryLibrary.of(env, rests, torch.Generator().manual_seed(0))[0] is None
 
 
-def test_a_start_that_the_regulator_catches_needs_no_way():
-    env, rests = setting(start=0.0)
-    regulator = Regulator.of(env, rests, WEIGHTS)
-    x, reference = torch.tensor([[0.02, 0.0]]), torch.zeros(1, 1)
-    params = env.task.sample(torch.Size((1,)), torch.Generator())
-    ways, imagined = _find_caught_trajectories(env, regulator, x, params, reference, torch.Generator())
-    assert list(ways) == [0] and len(ways[0].inputs) == 0 and imagined == 0
-
-
 def test_imagined_episodes_begin_around_the_ways(swing):
     _, law = swing
     x = law.near(torch.zeros(4000, 1), torch.Generator().manual_seed(0))

@@ -20,7 +20,7 @@ from dynasindy.rig import FastClock, Fault, FlightSequence, Guard, InProcessRig,
 from dynasindy.rig.env import WARM
 from dynasindy.sensing import Observer, Sensing, Sensors, Wired
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Pendulum, Xi, rk4
+from dynasindy.systems import Pendulum, rk4
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 PLANT, SAFE = Pendulum(), np.array([0.25])
@@ -69,13 +69,6 @@ def swing(tensordict):
     """Act by what is observed, and not always the same."""
     u = 0.6 * torch.sin(tensordict["step_count"] + tensordict["observation"].sum(-1, keepdim=True))
     return tensordict.set("action", u.float())
-
-
-def test_specs_are_those_of_the_simulated_plant():
-    _, env = rigged()
-    check_env_specs(env)
-    simulated = ControlEnv(PLANT, task(), 0.05, 1, dtype=torch.float64)
-    assert [name for name in SPECS if getattr(env, name) != getattr(simulated, name)] == []
 
 
 def test_specs_behind_sensors_are_those_of_the_simulated_plant_behind_them():
@@ -190,21 +183,6 @@ def test_an_episode_ends_where_that_of_another_task_begins():
     assert rig.u.tolist() == [0.25]
     with pytest.raises(RuntimeError, match="reset"):
         env.step(swing(env.step_mdp(last)))
-
-
-def test_closing_rests():
-    rig, env = rigged()
-    env.rollout(3, swing)
-    env.close()
-    assert rig.u.tolist() == [0.25]
-
-
-def test_one_rig_is_one_row_of_its_own_plant():
-    _, env = rigged()
-    with pytest.raises(ValueError, match="batch"):
-        env.start_from(torch.zeros(2, 2))
-    with pytest.raises(ValueError, match="alpha_a"):
-        RigEnv(Xi(), task(), env.flights)
 
 
 def test_an_evaluation_of_one_reference_flies_the_rig():

@@ -289,22 +289,6 @@ def test_a_controller_in_other_units_is_refused_before_anything_moves(session, m
     assert not session.flights
 
 
-def test_only_the_controller_that_was_planned_on_the_model_is_forecast(session, monkeypatch):
-    told = []
-    session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
-    signature = session.wiring.signature
-    task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    mine, given = (Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)) for _ in range(2))
-    asked = []
-    monkeypatch.setattr("dynasindy.rig.session._forecast_flight", lambda *given: asked.append(given) or "ahead")
-    session.model, session.learnt = SindyModel(signature, "polynomial"), mine
-    session.run_flight(given, [[0.1]], 0.1)
-    assert not asked and not any("ahead" in line for line in told)
-    session.run_flight(mine, [[0.1]], 0.1)
-    assert asked == [(mine, session.model, [[0.1]], 0.1)] and "  ahead" in told
-    assert list(session.shown) == ["flight_1", "flight_2"]
-
-
 @pytest.mark.parametrize(
     ("error", "why"),
     [

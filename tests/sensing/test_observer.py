@@ -8,7 +8,7 @@ import torch
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv
-from dynasindy.sensing import Observer, Sensing, Sensors
+from dynasindy.sensing import Observer, Sensors
 from dynasindy.sensing.observer import CANDIDATES, Belief
 from dynasindy.systems import Signature, System, Tras, integrate
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -113,17 +113,6 @@ def test_the_covariance_settles_where_the_riccati_equation_says():
     torch.testing.assert_close(belief.covariance, after, rtol=1e-6, atol=1e-12)
 
 
-def test_a_batch_is_filtered_row_by_row():
-    ours, logs = observer(), [logged(30, seed, lost=0.3) for seed in (1, 2)]
-    alone = torch.stack([ours.follow(y, u)[0] for y, u, _ in logs])
-    belief = ours.begin(torch.stack([y[0] for y, _, _ in logs]))
-    past = torch.stack([torch.cat([torch.zeros(ours.memory, 1), u]) for _, u, _ in logs])
-    for k in range(30):
-        belief = ours.advance(belief, past[:, k + 1 : k + 1 + ours.memory])
-        belief, _, _ = ours.correct(belief, torch.stack([y[k + 1] for y, _, _ in logs]))
-        torch.testing.assert_close(belief.mean, alone[:, k + 1], rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize(("delay", "late"), [(0.0, 0), (0.05, 0), (0.07, 0), (0.0, 2), (0.07, 2), (0.1, 1)])
 def test_without_noise_it_is_where_the_plant_will_be_when_the_next_input_arrives(delay, late):
     """The plant gets its inputs `delay` seconds late, the observer its measurements `late` periods later."""
@@ -190,15 +179,6 @@ def test_machine_code_believes_what_torch_code_believes(learnt):
         inputs = torch.rand(3, ours.memory, 2, generator=rng)
         beliefs.append([*vars(ours.advance(belief, inputs)).values(), ours.ahead(belief.mean, inputs)])
     torch.testing.assert_close(*beliefs, rtol=1e-9, atol=1e-12)
-
-
-def test_its_width_is_the_memory_that_a_rollout_takes_up_for_it():
-    plant = Tras()
-    env = ControlEnv(plant, Tracking(plant.signature, Step([[0.0, 0.0]])), DT, dtype=torch.float64)
-    ours = Observer(plant, Sensors({name: {} for name in plant.signature.state_names}, delay=10), env)
-    row = Sensing(env, ours, torch.Generator()).around(env).rollout(1)
-    kept = sum(values.nbytes for shown in (row, row["next"]) for values in shown["observer"].values())
-    assert ours.width == pytest.approx(kept / 4, rel=0.05)  # a float32 has four bytes
 
 
 @pytest.mark.parametrize("q", [1e-2, 5e-2])
@@ -346,11 +326,6 @@ def test_what_was_learnt_is_restored_and_what_is_none_is_refused():
     for wrong in ([1.0], [1.0, 0.0, 1.0], [1.0, -1.0, 1.0], [1.0, math.nan, 1.0]):
         with pytest.raises(ValueError, match=r"process noise > 0 .* 3"):
             again.load_state_dict({"process_noise": wrong, "nis": 1.0})
-
-
-def test_a_delay_beyond_all_memory_is_refused():
-    with pytest.raises(ValueError, match=r"0\.6 s, .* 0\.5 s"):
-        observer(delay=0.6).ahead(torch.zeros(3), torch.zeros(22, 1))
 
 
 def test_a_rough_model_is_leant_on_until_there_is_a_better_one():

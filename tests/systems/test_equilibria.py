@@ -12,7 +12,6 @@ from dynasindy.systems.equilibria import (
     fastest_oscillation,
     find_equilibria,
     growth,
-    slopes,
 )
 
 
@@ -105,14 +104,6 @@ def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_o
     torch.testing.assert_close(3 * (rests.u[:, 0] + 0.5 * rests.u[:, 1]), torch.tensor([0.08, 0.72]).double())
 
 
-def test_slopes_are_the_derivatives_of_the_field():
-    x = torch.tensor([[0.3, 1.5, 0.0]], dtype=torch.float64)
-    a, b = slopes(Cart(), x, torch.zeros(1, 2, dtype=torch.float64))
-    wanted = torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.5, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
-    torch.testing.assert_close(a[0], wanted, atol=1e-6, rtol=0)
-    torch.testing.assert_close(b[0, 1], torch.tensor([3.0, 1.5], dtype=torch.float64), atol=1e-6, rtol=0)
-
-
 def test_growth_is_that_of_the_largest_deviation_in_ranges():
     assert growth(torch.tensor([[0.5]]).double(), torch.ones(1), 4.0) == pytest.approx(math.exp(2.0))
     double = torch.tensor([[0.0, 1.0], [0.0, 0.0]], dtype=torch.float64)  # a position of range 1, a rate of range 10
@@ -168,10 +159,6 @@ def test_what_hardly_swings_has_no_oscillation(damping):
     assert of(Linear([*spring(9.4, damping)], [[0.0], [1.0]])) == math.inf
 
 
-def test_a_lag_and_a_tank_have_no_oscillation():
-    assert of(Linear([[-3.0, 1.0], [0.0, -50.0]], [[0.0], [50.0]])) == math.inf
-
-
 def test_the_fastest_of_two_oscillations_counts_only_where_an_input_moves_it_or_an_output_shows_it():
     slow, fast = spring(1.0, 0.1), spring(20.0, 0.1)
     root = math.sqrt(1 - 0.01)
@@ -196,14 +183,6 @@ def test_a_pendulum_swings_where_it_hangs_and_falls_where_it_stands():
     swing = 2 * math.pi / math.sqrt(9.81 - 0.25**2)
     assert fastest_oscillation(Pendulum(), hanging, one, [0]) == pytest.approx(swing, rel=1e-5)
     assert fastest_oscillation(Pendulum(), standing, one, [0]) == math.inf
-
-
-def test_a_model_that_is_infinite_there_has_none():
-    class Root(Linear):
-        def forward(self, x, u):
-            return super().forward(x, u) + (x - 1e-3).sqrt()
-
-    assert of(Root([*spring(9.4, 0.1)], [[0.0], [1.0]])) == math.inf
 
 
 def test_a_difference_equation_whose_sign_changes_swings_every_two_steps():

@@ -20,19 +20,6 @@ def test_random_steps_fill_their_box():
     assert targets.max(0).values.tolist() == pytest.approx([0.5, 0.2], abs=0.01)
 
 
-def test_the_papers_sine():
-    sine = Wave([0.35, 0.25], [0.015, 0.015])
-    quarter = 1 / 0.015 / 4
-    assert at(sine, quarter)[0].tolist() == pytest.approx([0.35, 0.25], abs=1e-6)
-    assert at(sine, 10.0)[0, 0].item() == pytest.approx(0.35 * math.sin(2 * math.pi * 0.015 * 10), abs=1e-6)
-
-
-def test_a_mixture_holds_its_weights():
-    mixture = Mixture([Step([[1.0]]), Step([[2.0]])], [0.25, 0.75])
-    drawn = at(mixture, 0.0, 4000)
-    assert (drawn == 2.0).float().mean().item() == pytest.approx(0.75, abs=0.03)
-
-
 @pytest.mark.parametrize("square", [0.0, 1.0])
 def test_value_and_rate_are_the_formulas_in_plain_numbers(square):
     rng = torch.Generator().manual_seed(2)
@@ -80,12 +67,6 @@ def test_random_waves_draw_amplitude_frequency_and_phase_of_every_row_and_output
     torch.testing.assert_close(shares.mean(0), torch.full((6,), 0.5), atol=0.02, rtol=0)
     torch.testing.assert_close(shares.std(0), torch.full((6,), 12**-0.5), atol=0.01, rtol=0)
     assert (torch.corrcoef(shares.T) - torch.eye(6)).abs().max() < 0.06
-
-
-def test_random_steps_are_drawn_apart_and_a_point_is_a_box():
-    drawn = RandomStep([0.0, 0.0], [1.0, 1.0]).sample(torch.Size((3000,)), torch.Generator().manual_seed(0))[..., 0]
-    assert abs(torch.corrcoef(drawn.T)[0, 1]) < 0.06
-    assert (RandomStep([0.3], [0.3]).sample(torch.Size((2,)), torch.Generator())[..., 0] == 0.3).all()
 
 
 def test_a_mixture_takes_whole_rows_of_its_components_equally_often_unless_told():

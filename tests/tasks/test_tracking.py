@@ -81,15 +81,6 @@ def test_an_output_without_a_rate_is_not_damped_and_the_others_are():
     assert Tracking(SIGNATURE, Step([[0.0] * 2]), rates=[None, None]).rate_names == []
 
 
-def test_the_defaults_are_the_papers_task():
-    task = Tracking(SIGNATURE, RandomStep([-0.4, -0.25], [0.4, 0.25]))
-    assert (task.max_steps, task.observe_rate, task.error_scale) == (400, False, 0.5)
-    assert (task.outputs, task.rates, task.n_o, task.n_r) == ([0, 1], [2, 3], 8, 2)
-    assert task.reward_function == TrackingReward() and task.params_shape == (2, 5)
-    start = task.initial_state(torch.Size((3, 2)), torch.Generator())
-    assert start.shape == (3, 2, 6) and not start.any()
-
-
 @pytest.mark.parametrize("settings", [{"error_scale": 0.0}, {"error_scale": float("nan")}])
 def test_a_scale_that_is_not_positive_is_refused(settings):
     with pytest.raises(ValueError, match="error_scale"):
