@@ -120,27 +120,6 @@ def test_every_module_says_what_it_holds():
     assert paths and not bare
 
 
-class Bare:
-    def __init__(self, x): ...
-
-    def method(self, x): ...
-
-
-class Good:
-    """A."""
-
-    def __init__(self, x: int) -> None: ...
-
-    def method(self) -> int:
-        """Return one."""
-
-
-def test_each_rule_notices_when_it_is_broken():
-    Marked = type("Marked", (), {"__doc__": "A.\n\nArgs:\n    x: X.", "__dataclass_fields__": {}})
-    assert undocumented(Bare) == ["Bare", "Bare.method"] and untyped(Bare) == ["Bare.method", "Bare.__init__"]
-    assert misplaced(Marked) and not any(rule(Good) for rule in RULES)
-
-
 EXAMPLES = [path for path in sorted((REPOSITORY / "dynasindy").rglob("*.py")) if ">>> " in path.read_text()]
 
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dynasindy.text import did_you_mean, duration_unit, format_duration, wrap
+from dynasindy.text import did_you_mean, format_duration, wrap
 
 TABLE = [
     "| setting | seeds | return | commit |",
@@ -94,22 +94,6 @@ def test_equations_end_between_terms_and_sentences_between_words():
 )
 def test_a_length_of_time_is_told_in_the_unit_that_suits_it(seconds, words):
     assert format_duration(seconds) == words
-
-
-@pytest.mark.parametrize(("seconds", "unit"), [(599.0, "s"), (600.0, "min"), (799.9999999, "s"), (2005.0, "min")])
-def test_words_and_axes_of_a_run_have_the_same_unit(seconds, unit):
-    """800 s are 13.33 min, so they are told in seconds, whatever the rounding of a sum of control periods."""
-    assert (
-        duration_unit(seconds).name
-        == format_duration(seconds).split()[1]
-        == format_duration(1.0, seconds).split()[1]
-        == unit
-    )
-
-
-def test_lengths_beside_each_other_have_the_unit_of_the_longest():
-    assert format_duration(900, longest=36000) == "0.25 h"
-    assert (duration_unit(36000).name, duration_unit(36000).seconds) == ("h", 3600.0)
 
 
 @pytest.mark.parametrize(

@@ -130,21 +130,6 @@ def test_a_model_of_another_plant_is_refused(loops):
     ClosedLoop(loop.controller, replace(loop.plant, model=SindyModel(wide, list(model.library.names))))
 
 
-def test_a_spring_swings_as_a_cosine(carts):
-    plant = Plant(carts(spring=4.0), 0.1, 0.01)
-    x = plant.period(torch.tensor([[1.0, 0.0]], dtype=torch.float64), torch.zeros(1, 1, 1))
-    assert x[0].tolist() == pytest.approx([math.cos(0.2), -2 * math.sin(0.2)], abs=1e-8)
-
-
-@pytest.mark.parametrize(("delay", "pending", "v"), [(0.0, 0, 0.3), (0.1, 1, 0.2), (0.13, 2, 0.03 * 1 + 0.07 * 2)])
-def test_inputs_act_late(carts, delay, pending, v):
-    plant = Plant(carts(delay=delay), 0.1, 0.01)
-    assert plant.pending == pending
-    inputs = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)[-1 - pending :].reshape(1, -1, 1)
-    x = plant.period(torch.zeros(1, 2, dtype=torch.float64), inputs)
-    assert x[0, 1].item() == pytest.approx(v)
-
-
 def test_stops_hold(carts):
     plant = Plant(carts(), 0.1, 0.05, Stops((0,), (1,), (-1.0,), (0.5,)))
     x = plant.period(torch.tensor([[0.45, 2.0]], dtype=torch.float64), torch.zeros(1, 1, 1))

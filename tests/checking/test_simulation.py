@@ -22,7 +22,6 @@ from dynasindy.checking.simulation import (
 )
 from dynasindy.checking.verdict import check_verdict
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Stops
 
 
 def test_a_flight_is_the_power_of_a_matrix(loops):
@@ -78,12 +77,6 @@ def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, 
     assert plane.share == pytest.approx(float((total < 0.5).double().mean()), abs=0.1)
 
 
-def test_a_start_beyond_a_stop_is_put_to_it(loops):
-    loop = loops(stops=Stops((0,), (1,), (-0.5,), (0.5,)))
-    (plane,) = recovery_plane(loop, torch.zeros(2), torch.zeros(1), 1.0, 3, 10.0)
-    assert plane.share == 1.0
-
-
 def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_is_told_apart(loops, law):
     # v' = 2 (0 - p) - 2.5 v + 1 rests at p = 0.5, a quarter of the range of 2 m from the target.
     (plane,) = recovery_plane(loops(law(2.0, 2.5, bias=1.0)), torch.tensor([0.5, 0.0]), torch.zeros(1), 0.5, 5, 20.0)
@@ -123,9 +116,9 @@ def test_of_a_linear_loop_they_are_those_of_its_eigenvalues(law, loops):
     assert edge - 0.135 <= strong.gain <= edge
 
 
-@pytest.mark.parametrize(("k_p", "k_v"), [(2.0, 1.5), (4.0, 2.5), (2.0, 9.0)])
+@pytest.mark.parametrize(("k_p", "k_v"), [(4.0, 2.5), (2.0, 9.0)])
 def test_a_difference_equation_bears_whole_periods_of_delay(law, loops, carts, k_p, k_v):
-    """Those with which its characteristic polynomial is stable: 4, 3 and 1 here, and not a part of one more."""
+    """Those with which its characteristic polynomial is stable: 3 and 1 here, and not a part of one more."""
     found = large_signal_margins(loops(law(k_p, k_v), carts(step=0.1)), START, TARGETS, 60.0)
     late = next(n for n in range(1, 20) if not stable(k_p, k_v, later=n, lift=0.0))
     assert found.delay == late - 1
@@ -196,8 +189,3 @@ def test_swings_are_those_of_a_motion_that_is_computed_exactly(loops, carts, law
 def test_swings_that_grow_have_no_size(loops, law):
     found = find_limit_cycles(loops(law(-1.0, 0.0)), ENDS, torch.tensor([False, False]), 4.0, ORIGIN)
     assert found.outputs.isinf().all() and (found.error > 1).all()
-
-
-def test_a_loop_that_is_stable_everywhere_is_not_flown(loops, monkeypatch):
-    monkeypatch.setattr("dynasindy.checking.simulation.simulate_loop", None)
-    assert not find_limit_cycles(loops(), ENDS, torch.tensor([True, True]), 4.0, ORIGIN).outputs.any()

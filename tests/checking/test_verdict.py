@@ -24,7 +24,7 @@ from dynasindy.checking.verdict import (
     unstable_targets,
 )
 from dynasindy.findings import note
-from dynasindy.sentences import REMEDIES, SENTENCES, _beside, check_lines
+from dynasindy.sentences import REMEDIES, SENTENCES, check_lines
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
 
@@ -104,13 +104,6 @@ def test_the_least_margin_over_targets_decides(good, changed, name, value):
     assert {other for other in found if "margin" in other or "reduction" in other} - good_ones(found) == {name}
     values = found[name].values
     assert (values["input"], values["target"]) == ("force", [0.4]) and values["value"] == pytest.approx(value)
-
-
-def test_thresholds_are_those_that_are_given(good):
-    strict = Thresholds(error=1e-9, recovered=1.1, noise=0.0, slew=0.0, saturated=-1.0)
-    found = by_name(good, strict)
-    assert not {"steady_error", "recovery", "noise", "slew", "saturation"} & good_ones(found)
-    assert found["noise"].values["limit"] == 0
 
 
 def test_the_threshold_of_the_steady_error_has_the_unit_of_its_value(good):
@@ -207,20 +200,6 @@ def test_of_margins_that_disagree_the_lesser_count(good, gain, delay, counts):
 @pytest.fixture(scope="module")
 def unobserved(loops):
     return check(loops(), Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2))
-
-
-@pytest.mark.parametrize(
-    ("value", "limit", "text"),
-    [
-        (29.98, 30.0, "29.98"),
-        (30.02, 30.0, "30.02"),
-        (29.4, 30.0, "29.4"),
-        (2.5712, 2.57, "2.571"),
-        (math.inf, 2.0, "inf"),
-    ],
-)
-def test_a_figure_has_as_many_digits_as_its_verdict_takes(value, limit, text):
-    assert _beside(value, limit) == text
 
 
 def test_an_error_that_is_just_too_large_is_shown_to_be(unobserved):

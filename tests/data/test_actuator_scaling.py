@@ -111,13 +111,6 @@ def test_a_log_alone_tells_the_range_that_an_input_used(tmp_path, low, high, res
     assert torch.equal(again.transitions.u, found.transitions.u)
 
 
-def test_a_rest_outside_of_the_ends_is_refused(tmp_path):
-    path = written(tmp_path / "log.csv", levels(1100.0, 1900.0))
-    servo = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 2500}}
-    with pytest.raises(ValueError, match="reach"):
-        LogReader(path, {"level": "level"}, servo).recording()
-
-
 @pytest.mark.parametrize(("low", "high", "ends"), [(0.05, 0.6, (0, 1)), (-0.9, 0.0, (-1, 0))])
 def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path, low, high, ends):
     path = written(tmp_path / "log.csv", levels(low, high), "valve")
@@ -186,18 +179,6 @@ def test_ends_that_are_none_are_refused(tmp_path, ends):
         log.recording()
 
 
-def test_a_proposed_setting_reads_the_same_numbers(tmp_path):
-    """Millivolts that were scaled stay scaled."""
-    path = written(tmp_path / "log.csv", levels(-12_000.0, 12_000.0), "valve [mV]")
-    scaled = {"valve": {"name": "valve", "unit": "V", "scale": 0.001}}
-    first = LoggedData(path, inputs=scaled).recording(None)
-    given = first.ends
-    assert given["valve"] == {"name": "valve", "unit": "V", "scale": 0.001, "low": -12, "high": 12}
-    second = LoggedData(path, inputs=given).recording(None)
-    assert np.array_equal(first.transitions.u.numpy(), second.transitions.u.numpy())
-    assert float(second.transitions.u.abs().max()) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (5, 100.5), (0, 99.9)])
 def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
     path = written(tmp_path / "log.csv", levels(0.0, 100.0))
@@ -211,12 +192,6 @@ def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
 def test_an_input_may_leave_its_ends_by_rounding(tmp_path):
     path = written(tmp_path / "log.csv", levels(0.0, 100.04))
     assert LogReader(path, {"level": "level"}, VALVE).recording().signature.input_limits == ((0.0, 1.0),)
-
-
-def test_ends_of_a_state_are_refused(tmp_path):
-    path = written(tmp_path / "log.csv", levels(0.0, 100.0))
-    with pytest.raises(ValueError, match="alone"):
-        LogReader(path, {"level": {"name": "level", "low": 0, "high": 2}}, VALVE).recording()
 
 
 PLANT = BlackBox({"level": "m"}, {"valve": {"low": 4, "high": 20, "unit": "mA"}}).signature
@@ -258,12 +233,6 @@ def test_a_log_that_contradicts_its_plant_is_refused(tmp_path, heading, given, m
     path = written(tmp_path / "log.csv", levels(6.0, 12.0), heading)
     with pytest.raises(ValueError, match=message):
         LoggedData(path, inputs={"valve": {"name": "valve", **given}}).recording(PLANT)
-
-
-def test_ends_that_are_those_of_the_plant_may_be_said_again(tmp_path):
-    path = written(tmp_path / "log.csv", levels(6.0, 12.0), "valve [mA]")
-    again = {"valve": {"name": "valve", "low": 4, "high": 20}}
-    assert LoggedData(path, inputs=again).recording(PLANT).signature == LoggedData(path).recording(PLANT).signature
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-12, 12), (0, 100)])

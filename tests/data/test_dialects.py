@@ -94,12 +94,6 @@ def test_numbers_have_the_signs_of_many_countries_and_programs(tmp_path, text):
     assert found.transitions.x.numpy() == pytest.approx(np.stack([ANGLE, RATE], -1)[:-1], abs=1e-6)
 
 
-def test_a_decimal_comma_beside_points_in_other_columns_parts_no_thousands(tmp_path):
-    columns = [[f"{v:.3f}".replace(".", ",") for v in column] for column in (ANGLE, RATE, COMMAND)]
-    require_near = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, *columns, separator=";"))
-    assert require_near.transitions.x[:, 0].numpy() == pytest.approx(ANGLE[:-1], abs=1e-3)
-
-
 @pytest.mark.parametrize(
     "form",
     [
@@ -161,12 +155,6 @@ def test_headings_are_the_line_in_which_all_differ(tmp_path, above, below):
     require_truth(recording(tmp_path / "l.csv", text))
 
 
-def test_a_unit_below_dates_is_none_of_time(tmp_path):
-    stamps = [str(time) for time in TIMES]
-    text = table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, below=("TS,rad,rad/s,-",))
-    require_truth(recording(tmp_path / "l.csv", text))
-
-
 def test_names_with_other_signs_become_names_that_equations_hold(tmp_path):
     headings = ["Run 1: Time (s)", "Run 1: angle (rad)", "d(angle)/dt", "u"]
     found = recording(tmp_path / "l.csv", table(headings, T, ANGLE, RATE, COMMAND), time="Run 1: Time")
@@ -186,12 +174,6 @@ def test_a_second_clock_and_a_counter_that_lost_rows_are_no_states(tmp_path):
     require_truth(found)
     (left,) = [each for each in found.findings if each.code == "log.counters"]
     assert set(left.values["columns"]) == {"stamp_pc", "seq"}
-
-
-def test_an_unnamed_index_of_times_is_the_time(tmp_path):
-    require_truth(recording(tmp_path / "l.csv", table(["", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND)))
-    stamps = [str(time) for time in TIMES]
-    require_truth(recording(tmp_path / "l.csv", table(["", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
 
 
 def test_a_column_that_stands_there_twice_is_read_once(tmp_path):
@@ -269,12 +251,6 @@ def test_a_title_that_is_longer_than_the_sample_is_skipped(tmp_path):
     title = "\n".join(f"# setting {k} = {k / 10}" for k in range(600))
     text = table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, above=title)
     require_truth(recording(tmp_path / "l.csv", text))
-
-
-def test_bars_part_columns(tmp_path):
-    require_truth(
-        recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND, separator="|"))
-    )
 
 
 @pytest.mark.parametrize(

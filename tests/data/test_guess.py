@@ -49,27 +49,6 @@ def test_the_first_error_has_all_settings_and_these_read_the_log(tmp_path, headi
     assert set(np.unique(found.transitions.u)) == {-1.0, 0.0, 1.0} and found.transitions.dt == pytest.approx(0.01)
 
 
-def test_what_headings_tell_is_no_guess(tmp_path):
-    path = written(tmp_path / "log.csv", "t,a,b,c")
-    guess = guess_columns(summarise_columns(path), "t", [])
-    assert roles(guess) == {"time": "t", "inputs": ["c"], "states": ["a", "b"]}
-    named = guess_columns(summarise_columns(path), "t", ["a"])
-    assert roles(named) == {"time": "t", "inputs": ["a"], "states": ["b", "c"]}
-
-
-def test_without_a_column_that_is_held_the_last_one_is_the_input(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(["time,a,b", *(f"{k},{math.sin(k)},{math.cos(k)}" for k in range(20))]))
-    guess = guess_columns(summarise_columns(path), "time", [])
-    assert roles(guess) == {"time": "time", "inputs": ["b"], "states": ["a"]} and not guess["held"]
-
-
-def test_where_nothing_grows_the_heading_of_time_is_left_to_the_user(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("a,b\n1,2\n0,3\n1,1\n")
-    assert guess_columns(summarise_columns(path), None, [])["time"] is None
-
-
 def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_path):
     """It is held longer than any other."""
     path = tmp_path / "log.csv"
@@ -197,34 +176,10 @@ def write(folder: Path, text: str) -> Path:
     return folder / "log.csv"
 
 
-def test_a_heading_that_stands_twice_is_refused_whatever_its_units(tmp_path):
-    with pytest.raises(ValueError, match="'b' more than once"):
-        summarise_columns(write(tmp_path, "a,b [m],b [s]\n1,2,3\n"))
-
-
 def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):
     assert summarise_columns(write(tmp_path, ",a,b\n0,1,2\n")).numeric == ("a", "b")
     with pytest.raises(ValueError, match="heading"):
         summarise_columns(write(tmp_path, "a,,b\n0,1,2\n"))
-
-
-def test_a_column_of_one_number_never_changes_and_a_column_of_words_is_told_by_its_first_one(tmp_path):
-    """What is empty or nan is no word, and one other number, however late, is a change."""
-    rows = [f"{k},5,1.0,{k == 7:d},,{'OFF' if k else 'ON'},{'nan' if k < 3 else 'late'}" for k in range(8)]
-    look = summarise_columns(write(tmp_path, "\n".join(["t,still [V],same,last,none,word,text", *rows])))
-    assert look.still == {"still [V]": 5.0, "same": 1.0} and look.numeric == ("t", "still [V]", "same", "last")
-    assert look.worded == {"word": "ON", "text": "late"} and look.dated == ()
-
-
-def test_a_column_that_grows_by_one_in_each_row_counts(tmp_path):
-    """A cell that is missing does not stop a counter; a jump of two, half a step and one row alone are none."""
-    rows = [
-        ",".join(map(str, (0.5 * k, 7 + k, "" if k == 4 else float(k), k + (k > 6), 2 * k, "" if k else 3, 9 - k, 4)))
-        for k in range(9)
-    ]
-    look = summarise_columns(write(tmp_path, "\n".join(["half,row,gap [-],jump,even,once,down,still", *rows])))
-    assert look.counting == ("row", "gap [-]") and set(look.still) == {"once", "still"}
-    assert summarise_columns(write(tmp_path, "a,b\n1,5\n2,6\n3,7\n")).counting == ()  # three rows may do so by chance
 
 
 def closed_loop(rows=1500):

@@ -87,13 +87,6 @@ def test_a_rate_that_fits_is_not_told_however_noisy(noise, scale):
     assert mismatched(swing(1.0, scale, noise), SIGNATURE) == []
 
 
-def test_a_rate_of_something_else_is_not_told():
-    data = swing()
-    other = torch.randn(len(data), 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64).cumsum(0)
-    mixed = Transitions.from_trajectory(torch.stack([data.x[:, 0], 9 * other[:, 1]], -1), data.u[1:], 0.01)
-    assert mismatched(mixed, SIGNATURE) == []
-
-
 @pytest.mark.parametrize(
     ("names", "units", "known", "told"),
     [
@@ -233,14 +226,6 @@ def test_a_state_that_moves_by_something_else_contradicts_its_rate():
     (told,) = contradicted(mixed, {"angle": "rate"})
     assert (told.code, told.values["state"]) == ("log.rate_contradicted", "angle")
     assert abs(told.values["correlation"]) < 0.5
-
-
-def test_what_was_not_measured_or_does_not_move_contradicts_nothing():
-    data = swing()
-    x = data.x.clone()
-    x[:, 1] = math.nan
-    assert contradicted(replace(data, x=x, x_next=x), {"angle": "rate"}) == []
-    assert contradicted(replace(data, x=0 * data.x, x_next=0 * data.x), {"angle": "rate"}) == []
 
 
 def test_rates_that_are_known_and_no_states_yet_are_added_in_their_unit():

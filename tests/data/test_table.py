@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.headings import split_unit
 from dynasindy.data.table import read_columns, seconds_of_date, select_columns
 
 
@@ -19,28 +18,6 @@ def test_cells_headings_and_lines_are_those_of_the_file(tmp_path):
     table = select_columns(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n"), ["c", "a"])
     assert table.headings == ("c", "a [m]") and table.lines.tolist() == [2, 4, 5]
     assert np.array_equal(table.values, [[3, 1], [math.nan, 4], [math.nan, 7]], equal_nan=True)
-
-
-@pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"])
-def test_the_ends_of_lines_of_all_systems_are_read(tmp_path, ends):
-    assert select_columns(write(tmp_path, ends.join(["a,b", "1,2", "3,4"])), ["a", "b"]).values.tolist() == [
-        [1, 2],
-        [3, 4],
-    ]
-
-
-@pytest.mark.parametrize(
-    ("heading", "parts"),
-    [
-        ("a", ("a", "")),
-        ("a [rad]", ("a", "rad")),
-        ("a(m/s)", ("a", "m/s")),
-        ("[rad]", ("[rad]", "")),
-        ("a b [ V ]", ("a b", "V")),
-    ],
-)
-def test_a_heading_is_a_name_and_a_unit(heading, parts):
-    assert split_unit(heading) == parts
 
 
 def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
@@ -122,15 +99,6 @@ def test_the_end_of_a_name_is_its_unit_where_the_name_stays_its_own(tmp_path, he
     assert select_columns(tmp_path / "log.csv", headings.split(",")).headings == tuple(plain)
 
 
-def test_commas_between_thousands_are_no_decimals(tmp_path):
-    assert read_columns(write(tmp_path, 'a,b\n"1,234",0.5\n221,1.5\n')).values.tolist() == [[1234, 0.5], [221, 1.5]]
-
-
-def test_a_column_of_words_is_refused_by_its_name(tmp_path):
-    with pytest.raises(ValueError, match="values"):
-        select_columns(write(tmp_path, "a,b [V]\n1,on\n2,off\n"), ["a", "b"])
-
-
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [
@@ -145,8 +113,3 @@ def test_a_column_of_words_is_refused_by_its_name(tmp_path):
 )
 def test_a_date_is_so_many_seconds_after_1970(text, seconds):
     assert seconds_of_date(text) == pytest.approx(seconds, abs=1e-6)
-
-
-@pytest.mark.parametrize("text", ["", "off", "31.02.2024 12:00:00", "1.2", "12.5.3"])
-def test_what_is_no_date_or_has_no_clear_month_is_none(text):
-    assert math.isnan(seconds_of_date(text))

@@ -120,14 +120,6 @@ def test_a_copy_has_the_name_of_one_folder(run, name):
     assert "\n" not in str(error.value)
 
 
-def test_two_runs_of_one_name_are_refused(tmp_path):
-    for place in ("a_b/c/s/seed_0", "a/b_c/s/seed_0"):
-        (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / "metrics.json").touch()
-    with pytest.raises(ValueError, match="a_b_c_s"):
-        to_save(tmp_path, None, 0, ["s"])
-
-
 def tree(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
 
@@ -219,11 +211,6 @@ def test_a_damaged_run_is_named_by_its_file(run, tmp_path, name, content):
     with pytest.raises(ValueError, match=f"{name.rpartition('/')[2]} is damaged") as error:
         keep_run(run, tmp_path / "kept")
     assert "\n" not in str(error.value) and not (tmp_path / "kept").exists()
-
-
-def test_every_saved_run_of_the_repository_is_known_as_a_copy():
-    folders = list((Path(__file__).parents[2] / "docs" / "results" / "runs").iterdir())
-    assert folders and all(_is_copy(folder) for folder in folders)
 
 
 def test_the_saved_runs_of_the_repository_name_no_machine():

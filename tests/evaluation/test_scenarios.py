@@ -10,12 +10,11 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast
-from dynasindy.evaluation.scenarios import Evaluation, Scenario, _phases, evaluate, step_references
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
 from dynasindy.evaluation.summary import evaluation_title, summarise, to_text
 from dynasindy.evaluation.tracking_criteria import judge_tracking
-from dynasindy.progress import listening
 from dynasindy.systems import Diverged, Pendulum, Signature, System, Tras, Xi
-from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward, Wave
+from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 PITCH_ZERO = (-0.1223, 0.2100)
 """Inputs that hold `xi` at pitch 0 (design table of equilibria)."""
@@ -43,16 +42,6 @@ def test_an_equilibrium_held_open_loop_ends_at_its_pitch() -> None:
     assert result.stop_share.item() == 0.0
 
 
-def test_an_episode_is_told_to_its_end_and_by_what_it_is() -> None:
-    heard = []
-    with listening(heard.append):
-        evaluate(make(), constant(0.0, 0.2), Scenario("hold", Step([[0.0, 0.0]]), seconds=0.5))
-        evaluate(make(), constant(0.0, 0.2), Scenario("hold", seconds=0.5), phase="untrained")
-    assert [told.done for told in heard if "untrained" not in told.phase] == [*range(9), 10]  # the end is told
-    assert {told.phase for told in heard} == {"policy in scenario 'hold'", "untrained"}
-    assert (heard[-1].done, heard[-1].total) == (10, 10)
-
-
 def test_returns_are_sums_of_the_rewards_and_rows_are_in_order() -> None:
     result = evaluate(make(), constant(0.0, 0.2), Scenario("two", Step([[0.1, 0.2], [0.3, -0.1]]), episodes=2))
     torch.testing.assert_close(result.trajectory["reference"][:, 0], torch.tensor([[0.1, 0.2], [0.3, -0.1]]))
@@ -60,14 +49,6 @@ def test_returns_are_sums_of_the_rewards_and_rows_are_in_order() -> None:
     assert result.returns[1].item() == pytest.approx(sum(r.item() for r in rewards[1]), rel=1e-4)
     assert result.trajectory["next", "truncated"][:, -1].all()
     assert not result.trajectory["next", "done"][:, :-1].any()
-
-
-def test_scenarios_may_be_longer_than_the_episodes_of_training() -> None:
-    wave = Scenario("sine", Wave([0.35, 0.25], [0.015, 0.015]), seconds=40.0)
-    reference = evaluate(make(), constant(0.0, 0.2), wave).trajectory["reference"]
-    assert reference.shape == (1, 800, 2)
-    # A quarter period, 1 / (4 * 0.015) s, after the start the sine is at its amplitude.
-    torch.testing.assert_close(reference[0, round(1 / 0.06 / 0.05)], torch.tensor([0.35, 0.25]), atol=1e-4, rtol=0)
 
 
 def test_batched_rows_equal_single_runs() -> None:
@@ -226,19 +207,6 @@ def test_a_simulation_that_breaks_down_by_its_steps_alone_says_so() -> None:
         evaluate(env, push, Scenario("stiff", Step([[1.0]]), episodes=1, seconds=1.0))
 
 
-def test_the_row_that_leaves_first_is_the_one_that_is_told() -> None:
-    class Edge(Tras):
-        def forward(self, x, u):  # nowhere above 2 krpm of the tail rotor, which the second row's policy reaches first
-            return torch.where(x[..., 4:5] > 2000, math.nan, super().forward(x, u))
-
-    def policy(td: TensorDictBase) -> TensorDictBase:
-        return td.set("action", torch.tensor([[0.4, 0.0], [0.9, 0.0]]).expand(*td.batch_size, 2))
-
-    two = Scenario("two", Step([[0.0, 0.0], [0.1, 0.1]]), episodes=2, plant=lambda _: Edge())
-    with pytest.raises(Diverged, match=r"under input \[0\.9, 0\]"):
-        evaluate(make(), policy, two)
-
-
 def test_a_reward_that_is_not_finite_is_told() -> None:
     class Bottomless(TrackingReward):
         def __call__(self, *of):
@@ -254,25 +222,6 @@ def test_a_reward_that_is_not_finite_is_told() -> None:
 def test_runs_that_memory_cannot_hold_are_refused(settings) -> None:
     with pytest.raises(ValueError, match="take"):
         evaluate(make(), constant(0.0, 0.0), Scenario("long", **settings))
-
-
-def test_a_run_shorter_than_a_period_is_refused() -> None:
-    with pytest.raises(ValueError, match="less"):
-        evaluate(make(), constant(0.0, 0.0), Scenario("short", seconds=0.01))
-
-
-@pytest.mark.parametrize(
-    ("windows", "phases"),
-    [
-        (None, [(60, True)]),
-        ([], [(60, False)]),
-        ([(1.0, 2.0)], [(20, False), (20, True), (20, False)]),
-        ([(0.0, 0.5), (0.5, 1.0), (2.5, 3.0)], [(10, True), (10, True), (30, False), (10, True)]),
-        ([(0.0, 3.0)], [(60, True)]),
-    ],
-)
-def test_phases_fill_the_run_and_windows_are_those_disturbed(windows, phases) -> None:
-    assert _phases(Scenario("gusts", seconds=3.0, windows=windows), 0.05) == phases
 
 
 def test_the_first_step_is_the_one_nearest_to_three_quarters_of_the_upper_ends() -> None:
@@ -295,15 +244,6 @@ def test_figures_of_a_run_are_those_of_its_trajectory() -> None:
     at_stop[1, :3] = True
     result.trajectory["next", "at_stop"] = at_stop
     assert result.stop_share.tolist() == pytest.approx([0.0, 0.2])
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"seconds": 0.0}, {"episodes": 0}, {"windows": [(2.0, 1.0)]}, {"windows": [(-1, 2)]}]
-)
-def test_scenarios_that_cannot_be_run_are_refused(wrong) -> None:
-    with pytest.raises(ValueError, match="scenario 'odd'"):
-        Scenario("odd", **wrong)
-    assert Scenario("one", episodes=1, seconds=0.1, windows=[(0.0, 0.1)]).seconds == 0.1
 
 
 def test_without_a_length_a_run_is_an_episode_of_the_task() -> None:
@@ -336,10 +276,6 @@ def test_a_task_without_references_is_run_as_it_draws_its_episodes(settle) -> No
         evaluate(env, pushed, Scenario("step", Step([[0.1]])))
 
 
-def test_ends_may_be_whole_numbers():
-    assert step_references([-2], [2], 8).targets.equal(step_references([-2.0], [2.0], 8).targets)
-
-
 def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -> None:
     """A pendulum that hangs, 3.6 degrees off its targets of twenty turns, is a hundredth of a turn away."""
     system = Pendulum()
@@ -355,15 +291,3 @@ def test_of_an_angle_that_goes_over_many_turns_errors_are_shares_of_one_turn() -
         assert found.turned == (["theta"] if box > 6 else [])
         told = Forecast((found,), result).summary()
         assert ("of a turn" in told) is (box > 6)
-
-
-def test_an_evaluation_tells_the_bounds_of_its_outputs() -> None:
-    system = Pendulum()
-    bounds = {"theta": [-0.5, 2.0]}
-    task = Tracking(system.signature, Step([[0.3]]), ["theta"], ["Omega"], TrackingReward((4.0,)), bounds=bounds)
-
-    def still(td):
-        return td.set("action", torch.zeros(*td.batch_size, 1))
-
-    env = ControlEnv(system, task, substeps=1)
-    assert evaluate(env, still, Scenario("step", Step([[0.1]]), seconds=0.2)).bounds == ((-0.5, 2.0),)

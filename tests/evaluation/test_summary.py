@@ -64,13 +64,6 @@ def test_steps_that_never_settle_count_and_rows_without_a_step_do_not() -> None:
     json.dumps(summary, allow_nan=False)
 
 
-def test_the_median_of_an_even_number_of_steps_lies_between_the_middle_two() -> None:
-    half_fail = torch.tensor([[1.0, 1.0], [2.0, 2.0], [math.inf, 4.0], [math.inf, 8.0]])
-    summary = summarise(evaluation(settling_time=half_fail))
-    assert summary["settling_time/alpha_a"] is None
-    assert summary["settling_time/alpha_p"] == pytest.approx(3.0)
-
-
 def test_the_table_names_every_metric_with_its_unit() -> None:
     undefined = torch.full((3, 2), math.nan)
     text = to_text(summarise(evaluation(overshoot=undefined)), "Step")

@@ -4,10 +4,9 @@ import math
 import re
 from importlib import resources
 
-import numpy as np
 import pytest
 
-from dynasindy.export.expressions import c_number, comment, fill, identifiers, module_name, number, rows, single
+from dynasindy.export.expressions import c_number, comment, fill, identifiers, module_name, number
 
 
 def test_identifiers_are_of_ascii_letters_and_differ():
@@ -39,24 +38,10 @@ def test_a_number_is_exact_and_finite():
     assert (c_number(math.inf), c_number(-math.inf), c_number(-1)) == ("INFINITY", "-INFINITY", "(-1.0)")
 
 
-def test_a_single_is_the_same_float_again():
-    values = np.random.default_rng(0).standard_normal(200).astype(np.float32) * np.float32(1e-3)
-    for value in (*values, np.float32(0), np.float32(1), np.float32(-1e-42)):
-        written = single(float(value))
-        assert re.fullmatch(r"-?\d+\.\d+e[+-]\d+f", written)
-        assert np.float32(written[:-1]) == value
-
-
 @pytest.mark.parametrize("name", ["", "1a", "a-b", "a b", "a" * 32, "é", "a\n"])
 def test_what_begins_no_name_of_c_is_refused(name):
     with pytest.raises(ValueError, match="letter"):
         module_name(name)
-
-
-def test_rows_hold_every_element_once():
-    lines = rows([str(k) for k in range(100)], width=30)
-    assert [int(word) for word in lines.replace(",", " ").split()] == list(range(100))
-    assert max(map(len, lines.splitlines())) <= 36 and not lines.endswith(",")
 
 
 @pytest.fixture

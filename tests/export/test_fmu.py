@@ -247,40 +247,6 @@ def test_a_controller_acts_at_the_multiples_of_its_period_whatever_the_steps_of_
     assert unit.step(0.05, 0.05) == ERROR
 
 
-class Unit:
-    """An FMU that FMPy runs, with its variables by name."""
-
-    def __init__(self, path, folder):
-        import fmpy
-        from fmpy.fmi2 import FMU2Slave
-        from fmpy.fmi3 import FMU3Slave
-
-        description = fmpy.read_model_description(path)
-        self.new = description.fmiVersion.startswith("3")
-        made = FMU3Slave if self.new else FMU2Slave
-        self.unit = made(
-            guid=description.guid,
-            unzipDirectory=fmpy.extract(path, unzipdir=str(folder)),
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName="unit",
-        )
-        self.places = {v.name: v.valueReference for v in description.modelVariables}
-        self.unit.instantiate()
-        if not self.new:
-            self.unit.setupExperiment(startTime=0.0)
-        self.unit.enterInitializationMode()
-
-    def set(self, **values):
-        places = [self.places[name] for name in values]
-        (self.unit.setFloat64 if self.new else self.unit.setReal)(places, list(values.values()))
-
-    def get(self, *names):
-        return (self.unit.getFloat64 if self.new else self.unit.getReal)([self.places[name] for name in names])
-
-    def step(self, now, h):
-        self.unit.doStep(currentCommunicationPoint=now, communicationStepSize=h)
-
-
 @needs_compiler
 @pytest.mark.parametrize(("version", "delay"), [(2, 0.0), (3, 0.2)])
 def test_a_plant_in_discrete_time_moves_by_whole_steps_alone(tmp_path, version, delay):

@@ -1,16 +1,8 @@
-import math
-
 import pytest
 import torch
 from alternating import Alternating
 
 from dynasindy.systems import Altered, Signature, Tras, integrate
-from dynasindy.systems.base import turn_of
-
-
-def test_an_unknown_state_is_answered_with_the_states_that_exist():
-    with pytest.raises(ValueError, match="alpha_a"):
-        Tras().signature.state_index("pitch")
 
 
 @pytest.mark.parametrize(
@@ -37,12 +29,6 @@ def test_what_is_no_signature_is_refused(wrong, key):
     Signature(**right)
     with pytest.raises(ValueError, match=key):
         Signature(**(right | wrong))
-
-
-def test_lists_become_tuples_so_that_signatures_compare():
-    given = Signature(["a", "b"], ["rad", "rpm"], ["u"], [1.0, 2.0])
-    assert given == Signature(("a", "b"), ("rad", "rpm"), ("u",), (1.0, 2.0))
-    assert (given.n_x, given.n_u) == (2, 1)
 
 
 def test_signatures_are_alike_whatever_their_ranges():
@@ -88,13 +74,3 @@ def test_what_is_made_of_a_system_that_moves_in_steps_moves_in_its_steps():
     moved = integrate(Stronger(Alternating()), x, u, 1.0, 1)[0]
     assert float(moved[..., -1, :]) == pytest.approx(-0.6 * (-0.6 * 1.0 + 0.2) + 0.2, rel=1e-12)
     assert Altered.step.fget(Stronger(Tras())) is None
-
-
-@pytest.mark.parametrize(("unit", "turn"), [("rad", 6.2831853), ("deg", 360), ("mrad", 6283.1853), ("turns", 1)])
-def test_a_turn_in_units_of_angles(unit: str, turn: float) -> None:
-    assert turn_of(unit) == pytest.approx(turn)
-
-
-@pytest.mark.parametrize("unit", ["m", "rad/s", "deg/s", "-", "K"])
-def test_what_is_no_angle_never_comes_round(unit: str) -> None:
-    assert turn_of(unit) == math.inf

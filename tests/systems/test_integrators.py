@@ -2,7 +2,6 @@ import math
 
 import pytest
 import torch
-from torch.autograd import forward_ad
 
 from dynasindy.systems import (
     Pendulum,
@@ -17,7 +16,6 @@ from dynasindy.systems import (
     simulate,
     steps_needed,
 )
-from dynasindy.systems.integrators import plain
 
 
 def oscillator(x, u):
@@ -49,21 +47,6 @@ def test_touching_within_the_period_is_reported():
     samples, touched = integrate(lambda x, u: torch.stack((x[..., 1], 0 * x[..., 1]), -1), x, x, 0.1, 5, stops)
     assert touched.tolist() == [True, False]
     assert samples[0, -1].tolist() == [1.0, 0.0]
-
-
-def test_a_step_is_the_classical_tableau_in_plain_numbers():
-    """x' = x^2 + u x from 0.7 with u = -0.4 over 0.3 s."""
-
-    def f(x):
-        return x * x - 0.4 * x
-
-    k1 = f(0.7)
-    k2 = f(0.7 + 0.15 * k1)
-    k3 = f(0.7 + 0.15 * k2)
-    k4 = f(0.7 + 0.3 * k3)
-    u = torch.tensor([-0.4], dtype=torch.float64)
-    after = rk4(lambda x, u: x * x + u * x, torch.tensor([0.7], dtype=torch.float64), u, 0.3)
-    assert after.item() == pytest.approx(0.7 + 0.3 * (k1 + 2 * k2 + 2 * k3 + k4) / 6, rel=1e-14)
 
 
 def test_a_stop_touched_only_on_the_way_is_reported_and_every_sample_is_held():
@@ -139,27 +122,3 @@ def test_a_flight_under_gradients_has_them():
     samples, _ = simulate(system, torch.zeros(1, system.signature.n_x), u, 0.05, 2)
     samples[-1, 0, -1, 0].backward()
     assert u.grad is not None and bool((u.grad != 0).all())
-
-
-X = torch.ones(3)
-
-
-def test_a_gradient_is_asked_of_what_carries_one_where_graphs_are_made():
-    followed = torch.ones(3, requires_grad=True)
-    assert plain(X) and plain(X, X) and plain()
-    assert not plain(X, followed) and not plain(followed, X)
-    with torch.no_grad():
-        assert plain(followed)
-
-
-def test_a_derivative_is_asked_of_dual_numbers():
-    with forward_ad.dual_level():
-        assert plain(X) and not plain(X, forward_ad.make_dual(X, X))
-
-
-def test_nothing_is_plain_under_a_transform():
-    seen = []
-    torch.func.vmap(lambda x: seen.append(plain(x)) or x)(X)
-    torch.func.jacfwd(lambda x: seen.append(plain(X)) or x)(X)
-    torch.func.grad(lambda x: seen.append(plain(x)) or x.sum())(X)
-    assert seen == [False, False, False]

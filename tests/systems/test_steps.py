@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Pendulum, Signature, System
-from dynasindy.systems.steps import UNTOLD, Rates, steps_of, time_step_of
+from dynasindy.systems.steps import Rates, steps_of, time_step_of
 
 
 def test_a_differential_equation_takes_as_many_steps_as_it_is_told():
@@ -21,10 +21,6 @@ def test_a_time_of_parts_of_steps_is_refused_in_a_line(seconds):
     with pytest.raises(ValueError, match="dt=0") as error:
         steps_of(0.1, seconds, 1)
     assert "\n" not in str(error.value)
-
-
-def test_before_a_fit_any_time_is_one_step():
-    assert steps_of(UNTOLD, 0.37, 5) == (0.37, 1, True)
 
 
 def test_a_function_is_of_a_difference_equation_where_it_says_so():
@@ -72,9 +68,3 @@ def test_a_plant_with_another_step_is_told_that_the_word_is_taken(build, own):
 
 def test_a_plant_is_a_difference_equation_where_its_class_has_a_number():
     assert time_step_of(Sampled()) == 0.1 and time_step_of(Tank()) is None
-
-
-@pytest.mark.parametrize("step", [True, "0.1", lambda: 0.1])
-def test_what_is_no_number_is_no_step(step):
-    with pytest.raises(TypeError, match="word"):
-        time_step_of(Rates(Tank(), step))

@@ -20,22 +20,6 @@ def test_each_position_has_its_own_stops_and_all_are_tried():
     assert stops == Stops((0, 2), (1, 3), (-1.0, -0.2), (0.5, 0.3))
 
 
-def test_a_state_on_the_very_stop_touches_it():
-    held, touched = Stops((0,), (1,), (-1.0,), (1.0,)).apply(torch.tensor([[1.0, 0.0], [-1.0, 0.0], [0.999, 0.0]]))
-    assert touched.tolist() == [True, True, False]
-    assert held[0].tolist() == [1.0, 0.0]
-
-
-def test_a_batch_of_any_shape_is_held_row_by_row():
-    stops = Stops((0, 2), (1, 3), (-1.0, -0.2), (0.5, 0.3))
-    x = torch.linspace(-2, 2, 24, dtype=torch.float64).reshape(2, 3, 4)
-    held, touched = stops.apply(x)
-    for i in range(2):
-        for j in range(3):
-            row, hit = stops.apply(x[i, j])
-            assert held[i, j].tolist() == row.tolist() and touched[i, j] == hit
-
-
 @pytest.mark.parametrize(
     "wrong", [((0,), (1, 2), (-1.0,), (1.0,)), ((0,), (1,), (-1.0, 0.0), (1.0,)), ((0,), (1,), (-1.0,), (1.0, 2.0))]
 )

@@ -76,18 +76,6 @@ def test_only_numbers_of_one_kind_without_a_gradient_are_moved_so():
     assert integrate(system, x.requires_grad_(), u, 0.05, 1)[0].requires_grad
 
 
-def test_a_class_speaks_for_itself_alone():
-    class Windy(Tras):
-        wind = 0.0
-
-        def forward(self, x, u):
-            return super().forward(x, u) + self.wind
-
-    system = Windy()
-    x, u = drawn(system, 3)
-    assert system.compiled(x, u) is None
-
-
 def test_without_a_compiler_torch_moves_the_plant(monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)

@@ -66,12 +66,6 @@ def test_joining_keeps_rows_inputs_and_rate_and_passes_over_an_empty_recording()
         Transitions.cat([])
 
 
-def test_casting_casts_states_and_inputs_and_leaves_the_rest():
-    data = _line(3).select(torch.tensor([True, False, True])).to(torch.float32)
-    assert {data.x.dtype, data.u.dtype, data.x_next.dtype} == {torch.float32}
-    assert data.segment.tolist() == [0, 1] and data.dt == 0.1
-
-
 @pytest.mark.parametrize(
     "shapes",
     [((3, 2), (3, 1), (2, 2), 3), ((3, 2), (3, 1), (3, 2), 2), ((3, 2), (3,), (3, 2), 3), ((3,), (3, 1), (3,), 3)],
@@ -80,11 +74,3 @@ def test_every_shape_is_checked(shapes):
     x, u, x_next, n = shapes
     with pytest.raises(ValueError, match="trim"):
         Transitions(torch.zeros(x), torch.zeros(u), torch.zeros(x_next), 0.1, torch.zeros(n, dtype=torch.int64))
-
-
-def test_samples_of_control_periods_keep_how_many_there_are_in_one():
-    one = Transitions.from_samples(torch.zeros(3, 2), torch.zeros(3, 1), torch.ones(3, 4, 2), 0.5)
-    kept = [one, Transitions.cat([one, one]), one.last(5), one.to(torch.float64)]
-    assert [data.substeps for data in kept] == [4, 4, 4, 4]
-    # A trajectory has an input for every sample.
-    assert _line(3).substeps == 1

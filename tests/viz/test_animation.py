@@ -78,8 +78,3 @@ def test_a_gif_runs_in_real_time(evaluation: Evaluation, tmp_path: Path) -> None
 def test_a_run_that_takes_too_long_is_shown_faster(evaluation: Evaluation, tmp_path: Path) -> None:
     with Image.open(animate(evaluation, tmp_path / "half.gif", seconds=0.25)) as gif:
         assert gif.n_frames * gif.info["duration"] == pytest.approx(250, abs=50)
-
-
-def test_mistakes_get_one_line(evaluation: Evaluation, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="seconds"):
-        animate(evaluation, tmp_path / "a.gif", seconds=0)

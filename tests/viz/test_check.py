@@ -147,13 +147,3 @@ def test_plants_that_run_away_leave_the_axes_to_those_that_stay():
     assert -0.7 < low < -0.4 and 0.5 < high < 0.7
     colors = [line.get_color() for line in upper.lines]
     assert colors[4] == colors[5] != colors[2] == colors[3] == colors[6]
-
-
-def test_a_plant_has_run_away_beyond_three_ranges_of_the_targets_or_ways_to_them():
-    found = held_cart(draws=2)
-    assert found.reach.tolist() == pytest.approx([3 * 0.8])  # from -0.4 to 0.4 m
-    far = replace(found, begin=torch.tensor([2.0, 0.0], dtype=torch.float64))
-    assert far.reach.tolist() == pytest.approx([3 * 2.4])
-    found.drawn.x[1, -1, 0] = -0.4 + 2.5
-    _, _, *others = draw_check(found)["steps"].axes[0].lines
-    assert others[0].get_color() != others[1].get_color()

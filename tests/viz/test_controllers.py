@@ -1,7 +1,7 @@
 import pytest
 
 from dynasindy.viz.controllers import CONTROLLERS, controller_name, line_styles, name_by_planning
-from dynasindy.viz.style import BLACK, BLUE, GREEN, GREY, RED
+from dynasindy.viz.style import BLUE, GREEN, RED
 
 
 def test_a_controller_looks_the_same_by_its_setting_and_by_its_words_in_every_company():
@@ -16,12 +16,6 @@ def test_a_controller_looks_the_same_by_its_setting_and_by_its_words_in_every_co
         "800 rollouts": {"color": GREEN, **solid},
     }
     assert len({look["color"] for look in line_styles("abcdef").values()}) == 6
-
-
-def test_no_two_controllers_share_a_look_and_none_has_that_of_the_reference():
-    pairs = [(one.colour, one.dashes) for one in CONTROLLERS.values()]
-    assert len(set(pairs)) == len(pairs)
-    assert not {BLACK, GREY} & {colour for colour, _ in pairs}  # the reference, and what explains a legend
 
 
 def test_names_are_words_and_unique():

@@ -30,24 +30,6 @@ def test_a_logarithmic_axis_is_for_returns_that_differ_much() -> None:
     assert scales == ["linear", "symlog", "symlog"]
 
 
-def test_fewer_than_three_seeds_are_lines_without_a_band() -> None:
-    two = np.array([np.arange(5.0), 2 * np.arange(5.0)])
-    (axis,) = average_rewards({"one": two[0], "two": two}, episode=[10, 20, 30, 40, 50]).axes
-    np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [10, 20, 30, 40, 50])
-    np.testing.assert_array_equal([line.get_ydata() for line in axis.lines], [two[0], *two])
-    assert not axis.collections
-    assert axis.lines[1].get_color() == axis.lines[2].get_color() != axis.lines[0].get_color()
-
-
-def test_of_a_single_episode_there_are_dots_and_intervals_to_be_seen() -> None:
-    (axis,) = average_rewards({"few": [[1.0], [2.0]], "many": [[1.0], [2.0], [6.0]]}).axes
-    shown = [line for line in axis.lines if line.get_visible() and len(line.get_xdata())]
-    assert [line.get_ydata()[0] for line in shown] == [1.0, 2.0, 3.0]  # of three seeds the mean, as none is trimmed
-    assert {line.get_marker() for line in shown} == {"o"}
-    (interval,) = axis.collections[-1].get_segments()
-    assert 1.0 <= interval[0][1] < interval[1][1] <= 6.0
-
-
 def rows(settings, episodes=(1, 2), seeds=(0, 1), **changed):
     return [
         {

@@ -177,12 +177,6 @@ def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planne
     assert low == 0.0 and 2.0 <= high < 2.1
 
 
-def test_a_flight_that_did_not_end_early_has_no_line_for_it() -> None:
-    figure = draw_flight(replace(ENDED, fault="", planned=5), WIRING, Guard(), "flight_1")
-    assert len(figure.axes[0].lines) == 2
-    assert figure.axes[-1].get_xlim() == (0.0, 0.5)
-
-
 def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
     figure = draw_flight(ENDED, WIRING, Guard(low={"theta": -5.0}, high={"theta": 0.45}), "flight_1")
     lines = [line for line in figure.axes[0].lines if line.get_linestyle() == "-." and len(line.get_xdata())]
@@ -205,14 +199,6 @@ def test_an_excitation_shows_what_was_measured_and_the_range_that_ended_it() -> 
         draw_rig_excitation((AT, MEASURED, np.full((5, 1), 0.2)), WIRING, Guard(), "Excitation").axes[0].get_legend()
         is None
     )
-
-
-def test_targets_are_drawn_as_they_are_held() -> None:
-    targets = np.tile([[0.3, 0.5]], (5, 1))
-    targets[3:] = -0.3
-    axis = draw_flight(replace(ENDED, references=targets), WIRING, Guard(), "flight_1").axes[0]
-    (line,) = [line for line in axis.lines if line.get_label() == "reference"]
-    assert line.get_drawstyle() == "steps-post"
 
 
 def test_samples_between_lost_ones_are_drawn_as_points() -> None:

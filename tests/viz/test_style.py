@@ -1,8 +1,5 @@
 """The style: labels with units, equal files for equal data, no trace in matplotlib's settings."""
 
-from pathlib import Path
-
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.mathtext import MathTextParser
@@ -12,13 +9,10 @@ from dynasindy.viz.style import (
     input_axis,
     label,
     panels,
-    save_figures,
     spell_names,
-    styled,
     symbol,
     time_axis,
     time_span,
-    zero_order_hold,
 )
 
 
@@ -72,38 +66,6 @@ def test_the_axis_of_an_input_has_the_range_and_the_unit_of_its_actuator(ends, l
     assert (*shown.get_ylim(), shown.get_ylabel()) == pytest.approx(axis)
 
 
-def test_labels_say_words_symbol_and_unit() -> None:
-    assert label("alpha_p", "rad") == r"pitch $\alpha_{p}$ [rad]"
-    assert label("x", "m") == "$x$ [m]"
-
-
-def test_drawing_leaves_the_global_settings_alone() -> None:
-    before = dict(matplotlib.rcParams)
-
-    @styled
-    def draw() -> float:
-        panels(1)
-        return matplotlib.rcParams["font.size"]
-
-    assert draw() == 9
-    assert dict(matplotlib.rcParams) == before
-
-
-def test_equal_data_give_equal_files(tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        figure, (axis,) = panels(1)
-        axis.plot([0, 1], [1, 2])
-        files = save_figures({name: figure}, tmp_path / "new", ("png", "svg"))
-        assert [f.name for f in files] == [f"{name}.png", f"{name}.svg"]
-    for suffix in ("png", "svg"):
-        one, two = (tmp_path / "new" / f"{name}.{suffix}" for name in ("one", "two"))
-        assert one.read_bytes() == two.read_bytes()
-
-
-def test_a_dot_in_the_name_is_kept(tmp_path: Path) -> None:
-    assert save_figures({"lambda_0.9": panels(1)[0]}, tmp_path)[0].name == "lambda_0.9.png"
-
-
 @pytest.mark.parametrize(
     ("end", "what", "ticks"),
     [
@@ -141,8 +103,3 @@ def test_the_time_of_a_slow_plant_is_drawn_in_minutes_or_hours(end, what, ticks)
 )
 def test_a_run_ends_with_its_last_period(times, ends) -> None:
     assert time_span(times) == pytest.approx(ends)
-
-
-def test_the_last_input_is_held_to_the_end() -> None:
-    times, values = zero_order_hold(np.array([0.0, 0.5]), np.array([[1.0, 2.0], [3.0, 4.0]]))
-    assert times.tolist() == [0.0, 0.5, 1.0] and values.tolist() == [[1, 2], [3, 4], [3, 4]]
