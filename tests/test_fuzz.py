@@ -1,4 +1,4 @@
-"""Some two hundred bad and odd inputs, drawn by a seed: each is accepted or costs one line that says what to mend."""
+"""Bad and odd inputs, drawn by a seed: each is accepted or costs one line that says what to mend."""
 
 import json
 import random
@@ -34,7 +34,7 @@ CRYPTIC = re.compile(
     "|positional argument|must be real number|unsupported operand|cannot unpack|values to unpack|not iterable|Traceback"
     "|could not convert|invalid literal|^list index|empty sequence|Expected all|cannot be interpreted"
 )
-EACH = {"train": 100, "identify": 20, "files": 10, "csv": 40, "model": 24}
+EACH = {"train": 60, "identify": 20, "files": 10, "csv": 40, "model": 24}
 """Inputs of each kind."""
 
 

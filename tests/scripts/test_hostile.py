@@ -3,7 +3,6 @@
 import importlib
 from pathlib import Path
 
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 REPOSITORY = Path(__file__).parents[2]
@@ -37,6 +36,4 @@ def test_every_part_of_the_groups_is_admitted(monkeypatch):
         for file in (REPOSITORY / "conf" / group).glob("[a-z]*.yaml"):
             if file.stem in ("logged", "black_box"):
                 continue
-            with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-                config = compose("train", [f"{group}={file.stem}", "folder=x"])
-            require_trusted(OmegaConf.to_container(config, resolve=True))
+            require_trusted(OmegaConf.to_container(OmegaConf.load(file)))

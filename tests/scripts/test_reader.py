@@ -14,7 +14,7 @@ from cli import command
 
 @command("evaluate")
 def main(cfg) -> None:
-    for line in range({lines}):
+    for line in range(100_000):
         print("a line of a table")
 
 main()
@@ -33,9 +33,8 @@ def unread(*arguments, cwd):
     return process.returncode, error
 
 
-@pytest.mark.parametrize("lines", [1, 100_000], ids=["at its end", "on its way"])
-def test_a_command_ends_without_a_word(lines, tmp_path):
-    assert unread("-c", COMMAND.format(lines=lines), cwd=tmp_path) == (141, "")
+def test_a_command_ends_without_a_word(tmp_path):
+    assert unread("-c", COMMAND, cwd=tmp_path) == (141, "")
 
 
 def test_so_does_a_script_that_exits(tmp_path):
