@@ -421,8 +421,8 @@ class _Search:
             return
         self.folds = folds
         for k, old in enumerate(self.tried):
-            judged = [fold.errors(model, old.source) for model, fold in zip(old.models, folds, strict=True)]
-            errors, blocks = (list(part) for part in zip(*judged, strict=True))
+            found = [fold.errors(model, old.source) for model, fold in zip(old.models, folds, strict=True)]
+            errors, blocks = (list(part) for part in zip(*found, strict=True))
             self.tried[k] = self._judged(old.models, old.source, old.settings, errors, blocks, old.what, old.structure)
 
     def _leaders(self) -> list[Candidate]:
