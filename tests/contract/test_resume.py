@@ -84,9 +84,7 @@ def whole(tmp_path_factory, command):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(MOMENTS))
-@pytest.mark.parametrize(
-    ("how", "name"), [("SIGKILL", "dyna"), ("SIGKILL", "default"), ("SIGINT", "dyna"), ("SIGTERM", "default")]
-)
+@pytest.mark.parametrize(("how", "name"), [("SIGKILL", "dyna"), ("SIGINT", "dyna"), ("SIGTERM", "default")])
 def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(
     tmp_path, start, command, whole, how, name, number
 ):
@@ -115,12 +113,11 @@ def test_a_run_stopped_at_a_random_moment_ends_as_the_one_that_was_not(
     assert found == expected
 
 
-@pytest.mark.parametrize("size", [pytest.param(20_000, marks=pytest.mark.slow), 100_000])
-def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, start, command, size, whole):
+def test_a_full_disk_costs_one_line_and_no_good_checkpoint(tmp_path, start, command, whole):
     expected, _ = whole("dyna")
     words, home = [*EXPERIMENTS["dyna"], *SMALL, "hydra.run.dir=run"], tmp_path / "home"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))  # as a full disk, larger files cannot be written
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))  # as a full disk, larger files cannot be written
     try:
         running = start("train", *words, cwd=home)
     finally:

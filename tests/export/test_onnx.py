@@ -64,7 +64,7 @@ def long(settings):
     [
         pytest.param(kind, marks=pytest.mark.slow) if long(kind) else kind
         for kind in flights_in_c.KINDS
-        if "ends" not in kind or not long(kind)
+        if not long(kind) or "integral" in kind or "step" in kind
     ],
     ids=str,
 )
@@ -74,11 +74,8 @@ def test_it_flies_a_pendulum_as_python_does(pendulum, settings, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("integral", "damped"), [(None, ["Omega_a", "Omega_p"]), ({"band": 0.5, "gain": 2.0}, ["Omega_a", None])]
-)
-def test_it_flies_two_rotors_as_python_does(rotors, integral, damped, tmp_path):
-    controller = rotors(integral, damped=damped)
+def test_it_flies_two_rotors_as_python_does(rotors, tmp_path):
+    controller = rotors({"band": 0.5, "gain": 2.0}, damped=["Omega_a", None])
     assert flights_in_c.apart(controller, written(controller, tmp_path).act, Tras(), 2) < 1e-6
 
 

@@ -83,7 +83,12 @@ def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(
     """The angle of a pendulum alone: its rate is lacking if nobody may add it, then a plan is to be made."""
     data = record_plant(Pendulum(), Aprbs(1, 10.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
-    given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}", "longest_delay=0.02"]
+    given = [
+        "data=csv",
+        f"data.path='{log}'",
+        "plant.start={theta: [-0.1, 0.1]}",
+        "world_model.refinement.method=trajectory",
+    ]
     first = _run(tmp_path / "first", *given, "plant.known={}")
     (hint,) = [line for line in first.stdout.splitlines() if line.startswith("warning: what theta will do")]
     assert first.stdout.count("plant.known") == 2  # the hint, and the command that does so

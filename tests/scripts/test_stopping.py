@@ -25,6 +25,7 @@ def stopped_at(phase, log, tmp_path):
     """Stop a plan from a log as soon as it reports a phase; return its exit code and its last line."""
     words = ["data=csv", f"data.path={log}", "plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
     words += ["plant.known={theta: rate}", "plant.library=[rate,u,'sin(theta)']", "planning.rollouts=8", "folder=run"]
+    words += ["world_model.refinement.method=trajectory"]
     stopper = f"""
 import os, runpy, signal, sys
 sys.path.insert(0, {str(ROOT / "scripts")!r})
