@@ -46,13 +46,17 @@ def coefficient(model, state, name):
     return float(model.coefficients[model.library.index(name), model.signature.state_index(state)])
 
 
-def test_exact_equations_end_the_search_at_once():
+@pytest.mark.parametrize("rows", [100_000, 300])
+def test_exact_equations_end_the_search_at_once_and_a_long_log_is_fitted_in_stretches(rows, monkeypatch):
+    monkeypatch.setattr(module, "FINAL_ROWS", rows)
     data = record_plant(Pendulum(), Multisine(1, duration=6, dt=0.05, amplitude=[0.6], seed=0).samples(0.01), 0.01)
     source = Source(Pendulum().signature, data, data.select(torch.zeros(len(data), dtype=torch.bool)), logged=True)
     words = ["1", "theta", "u", "Omega", "sin(theta)"]
     model = SindyModel(source.signature, words, Regression("bic"), AUTO, known={"theta": "Omega"})
     found = fit_log(model, source)
-    assert found.report.findings[0].values["count"] == 1
+    findings = {each.code: each.values for each in found.report.findings}
+    assert findings["fit.candidates"]["count"] == 1 and found.report.samples == min(rows, len(data))
+    assert findings.get("fit.fitted_to") == (None if rows > 600 else {"rows": 300, "total": 600, "stretches": 10})
     names = {"Omega": -0.5, "u": 12.0, "sin(theta)": -9.81}
     assert {n: coefficient(found.model, "Omega", n) for n in names} == pytest.approx(names, rel=1e-6)
     assert int((found.model.coefficients != 0).sum()) == 4
