@@ -113,9 +113,8 @@ class Source:
         Args:
             signature: names, units and ranges of all states.
         """
-        training, validation = self.training, self.validation
-        for _ in range(signature.n_x - self.signature.n_x):
-            training, validation = widened(training), widened(validation)
+        more = signature.n_x - self.signature.n_x
+        training, validation = widened(self.training, more), widened(self.validation, more)
         return replace(self, signature=signature, training=training, validation=validation)
 
     def with_states_of(self, model: SindyModel) -> Source:

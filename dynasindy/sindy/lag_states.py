@@ -197,9 +197,7 @@ class _Search:
         guess = replace(
             self.guess, x=torch.cat([self.guess.x, *own], -1), x_next=torch.cat([self.guess.x_next, *own_next], -1)
         )
-        measured = self.data
-        for _ in range(guess.x.shape[1] - n_x + 1):
-            measured = widened(measured)
+        measured = widened(self.data, guess.x.shape[1] - n_x + 1)
 
         def _theta(x: Tensor, u: Tensor) -> Tensor:
             return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
@@ -318,12 +316,12 @@ def completed(data: Transitions, names: tuple[str, ...], model: SindyModel) -> T
             f"the model has the states {', '.join(states)}, the log {', '.join(names)}; give a model of "
             "the plant that the log is of"
         )
-    for _ in more:
-        data = widened(data)
-    return data
+    return widened(data, len(more))
 
 
-def widened(data: Transitions) -> Transitions:
-    """Return a recording with one state more, which no sensor sees."""
-    unseen = torch.full_like(data.x[:, :1], torch.nan)
+def widened(data: Transitions, count: int = 1) -> Transitions:
+    """Return a recording with so many more states, which no sensor sees."""
+    if not count:
+        return data
+    unseen = torch.full_like(data.x[:, :1], torch.nan).expand(-1, count)
     return replace(data, x=torch.cat([data.x, unseen], -1), x_next=torch.cat([data.x_next, unseen], -1))
