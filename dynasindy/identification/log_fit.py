@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -34,7 +34,7 @@ from dynasindy.identification.forecast_errors import (
 from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.identification.source import Source, rates_of
 from dynasindy.limits import raise_if_memory
-from dynasindy.progress import report_progress, reporting_as
+from dynasindy.progress import Event, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, with_lag_state
@@ -68,8 +68,9 @@ BLOCKS, CHANCE = 4, 0.5
 """Blocks of a part between which errors are compared, and standard errors of a mean difference that tell nothing."""
 HORIZONS, STARTS = 7, 60
 """Times ahead, and start times, over which they are judged."""
-WINDOWS = (50, 100, 200, 400, 800)
-"""Samples in the windows over which they are simulated, the shortest first."""
+SHORTEST, LONGEST, WORSE = 50, 800, 2
+"""Samples in the shortest and the longest of the windows over which they are simulated, each twice as long as the one
+before; and how many of them in turn may be worse than the best before longer ones are given up."""
 PER_TERM, PER_STATE = 0.01, 0.03
 """Part by which the errors have to be lower for one coefficient more, and for one state more that follows a signal."""
 FARTHEST, LIMIT = 200, 10_000
@@ -88,8 +89,8 @@ MANY = 80
 """Functions up to which regressions choose among all of them."""
 STRUCTURES = 2
 """Linear models of other states each to which functions are added, those first that predict best."""
-SHARE = 0.25
-"""Part of the time that states that follow a signal may take."""
+SHARE, LARGEST_SHARE = 0.25, 0.5
+"""Part of the time that states that follow a signal may take, and any one candidate."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -104,6 +105,10 @@ SIGNIFICANT, NEGLIGIBLE = 2.0, 1e-6
 """Standard errors, and part of the largest term of an equation, below which a coefficient may be left out."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
+
+
+class TimeIsUp(RuntimeError):
+    """A search has no time left."""
 
 
 @contextmanager
@@ -248,11 +253,10 @@ class HoldOut:
         """Errors of the best simple model over each horizon, `(H, n_x)`."""
         return self.others[self.others.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
 
-    @cached_property
-    def fitted(self) -> Tensor:
-        """Rows that candidates are fitted to, bool `(N,)`: stretches of the early part."""
+    def fitted(self, window: int = 1) -> Tensor:
+        """Return rows that candidates are fitted to in windows of so many, bool `(N,)`: stretches of the early part."""
         rows = self.early.nonzero().flatten()
-        return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS)], True)
+        return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS, window)], True)
 
     def errors(self, model: SindyModel, source: Source) -> tuple[Tensor, Tensor]:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
@@ -345,6 +349,11 @@ class _Search:
         """Whether the time is used up."""
         return time.process_time() - self.began > self.refinement.seconds
 
+    def _stop_in_time(self, event: Event, began: float) -> None:
+        """End a fit that began at some time where none is left, or too little for others, and there is a candidate."""
+        if self.tried and (self.expired or time.process_time() - began > LARGEST_SHARE * self.refinement.seconds):
+            raise TimeIsUp(event.phase)
+
     @cached_property
     def builder(self) -> LibraryBuilder | None:
         """What the library was built by, if that suits any plant."""
@@ -377,7 +386,7 @@ class _Search:
             if len(each.blocks) != len(best.blocks):
                 return False
             behind = each.blocks - best.blocks
-            return float(behind.mean()) < CHANCE * float(behind.std()) / math.sqrt(count)
+            return float(behind.mean()) <= CHANCE * float(behind.std()) / math.sqrt(count)
 
         return min(filter(_as_good, self.tried), key=lambda each: (each.size, each.score), default=best)
 
@@ -395,8 +404,7 @@ class _Search:
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             linear[0] = self._with_linear_inputs(linear[0])
-            for each in self._near(linear)[:STRUCTURES]:
-                self._select(each)
+            self._select(linear[0])
             if (lagging := self._with_lag_states(linear[0])) is not linear[0]:
                 self._select(lagging)
         near = {each.source.signature.state_names for each in self._near(self.tried)} if self.tried else set()
@@ -407,6 +415,11 @@ class _Search:
             self._with_larger_library(self.best)
         for each in self._leaders() if self.tried else ():
             self._windows(each)
+        for each in self._near(linear)[1:STRUCTURES]:
+            before = self.best
+            self._select(each)
+            if self.best is not before:
+                self._windows(self.best)
         if self.tried:
             self._prune()
 
@@ -451,11 +464,12 @@ class _Search:
         if self.tried and (self.expired or (self._exact() and not pruned)):
             return None
         fitted, errors, blocks = list[SindyModel](), list[Tensor](), list[Tensor]()
-        with _attempt(), reporting_as(what):
+        in_time = partial(self._stop_in_time, began=time.process_time())
+        with _attempt(), listening(in_time), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
-                fitted[-1].fit(source.training.select(fold.fitted))
+                fitted[-1].fit(source.training.select(fold.fitted(settings.window)))
                 sought = model.constraints.free.any(0)
                 if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
                     return None  # what moves by nothing is no equation
@@ -502,8 +516,17 @@ class _Search:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
         settings = replace(self.refinement, method="one_step")
         for model, source in reversed(structures):
-            if not bool(source.training.x_next.isnan().any()):
+            if not bool(source.training.x_next.isnan().any()) and self._promising(model, source):
                 self._fit("single steps", self._each(model), source, settings)
+
+    def _promising(self, model: SindyModel, source: Source) -> bool:
+        """Tell whether a regression of rates, which costs little, is not hopelessly behind the best simple model."""
+        trial, fold = copy.deepcopy(model), self.folds[0]
+        trial.refinement = replace(self.refinement, method="integral")
+        with _attempt():
+            trial.fit(source.training.select(fold.fitted()))
+            return fold.score(fold.errors(trial, source)[0]) < HOPELESS
+        return False
 
     def _each(self, model: SindyModel) -> list[SindyModel]:
         return [model] * len(self.folds)
@@ -544,7 +567,7 @@ class _Search:
         places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
         plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
         delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
-        begun = [_linear_start(plain, source.training.select(fold.fitted), delay) for fold in self.folds]
+        begun = [_linear_start(plain, source.training.select(fold.fitted()), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
         return self._fit(f"linear equations of {names}", begun, source, settings, model)
 
@@ -629,16 +652,15 @@ class _Search:
 
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
-        last, best, worse = of, of, 0
-        for window in WINDOWS:
-            if window > len(self.source.training) // 2 or worse > 1:
-                break
+        last, best, worse, window = of, of, 0, SHORTEST
+        longest = min(len(self.source.training) // 2, LONGEST)
+        while window <= longest and worse <= WORSE:
             settings = self._settings(error="prediction", window=window, select=False)
             found = self._again(f"{of.what}, simulations of {window} samples", last, settings)
             if found is None:
                 break
             worse = 0 if found.score < best.score else worse + 1
-            last, best = found, _better(best, found)
+            last, best, window = found, _better(best, found), 2 * window
         if best is not of:
             self._select(best)
 
@@ -671,7 +693,11 @@ class _Search:
         linear = zip(model.signature.input_names, data.linear_inputs.tolist(), strict=True)
         model.linear_inputs = tuple(name for name, moves in linear if moves)
         with reporting_as("fit to all training data"):
-            rows = self.folds[0].fitted if stopped else choose_stretches(len(data), FINAL_ROWS)
+            rows = (
+                self.folds[0].fitted(settings.window)
+                if stopped
+                else choose_stretches(len(data), FINAL_ROWS, settings.window)
+            )
             report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt

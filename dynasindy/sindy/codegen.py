@@ -148,9 +148,10 @@ class _FieldWriter(Writer):
     def __init__(self, library: Library, coefficients: Tensor) -> None:
         super().__init__(library.signature)
         signature = library.signature
-        table = coefficients.tolist()
-        powers = [{f.base: f.power for f in feature.factors} for feature in library.features]
-        rows = [[(p, table[k][i]) for k, p in enumerate(powers) if table[k][i]] for i in range(signature.n_x)]
+        used = (coefficients != 0).any(-1).nonzero().flatten().tolist()
+        table = zip(used, coefficients[used].tolist(), strict=True)
+        terms = [({f.base: f.power for f in library.features[k].factors}, row) for k, row in table]
+        rows = [[(powers, row[i]) for powers, row in terms if row[i]] for i in range(signature.n_x)]
         try:
             self.results = [self._sum(row) if row else self._zero() for row in rows]
         except RecursionError as error:

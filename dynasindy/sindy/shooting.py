@@ -134,12 +134,16 @@ class Windows:
         return self.mask.shape[1]
 
 
-def choose_stretches(n: int, wanted: int) -> Tensor:
-    """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one."""
+def choose_stretches(n: int, wanted: int, window: int = 1) -> Tensor:
+    """Choose rows of a long recording in evenly spread stretches of equal length, bool `(n,)`; all of a short one.
+
+    Each is two windows long or more, of so many rows, where there are so many.
+    """
     if n <= wanted:
         return torch.ones(n, dtype=torch.bool)
-    length = wanted // CHOSEN_STRETCHES
-    begins = torch.linspace(0, n - length, CHOSEN_STRETCHES).long()
+    count = max(1, min(CHOSEN_STRETCHES, wanted // (2 * window)))
+    length = wanted // count
+    begins = torch.linspace(0, n - length, count).long()
     chosen = torch.zeros(n, dtype=torch.bool)
     chosen[(begins.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     return chosen
