@@ -9,7 +9,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from dynasindy.agents import LEARN_KEYS, TD3, DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import Imagination, ImaginedReplay, Planned, Planner, imagined_replay
+from dynasindy.planning import Imagination, ImaginedReplay, Planned, Planner
 from dynasindy.systems import Diverged, System, Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, Wave
 
@@ -149,25 +149,6 @@ def test_the_seed_of_the_planner_chooses_the_starts_and_nothing_else_does():
         planner.plan()
         chosen.append(starts_of(replay))
     assert torch.equal(chosen[0], chosen[1]) and not torch.equal(chosen[0], chosen[2])
-
-
-def test_cut_rollouts_are_counted_as_stored_and_evicted_as_counted(monkeypatch):
-    replay, planner, _ = make(rollouts=12, horizon=5, generations=3)
-    kept = iter([3, 4, 1, 2, 5, 5])
-
-    def first(finite):
-        believed = (torch.arange(5) < next(kept)).expand(finite.shape)
-        return believed, believed & ~torch.cat([believed[:, 1:], torch.zeros_like(believed[:, :1])], -1)
-
-    monkeypatch.setattr(imagined_replay, "_kept", first)
-    found = []
-    for _ in range(4):
-        found.append((planner.plan().imagined, len(replay.model)))
-    # 12 rollouts of 3, 4, 1 and 2 steps; of four phases the newest three stay.
-    assert found == [(36, 36), (48, 84), (12, 96), (24, 84)] and planner.made == [36, 48, 12, 24]
-    planner.distrust()
-    assert len(replay.model) == 0
-    assert [(planner.plan().imagined, len(replay.model)) for _ in range(2)] == [(60, 60), (60, 120)]
 
 
 POLICY = TensorDictModule(lambda o: o[..., :2] * 0 + 0.3, in_keys=["observation"], out_keys=["action"])

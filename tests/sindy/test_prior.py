@@ -38,16 +38,6 @@ def test_a_term_is_likely_to_be_some_times_the_rate_of_change_of_its_equation():
     assert found[:, 1].tolist() == [math.inf] * 4  # b does not move, and tells no size
 
 
-def test_rates_of_change_are_those_of_a_first_guess_where_these_are_larger():
-    data, guess = recorded(), torch.zeros(4, 2).double()
-    guess[0] = torch.tensor([7.0, 0.1])
-    size = math.sqrt(sum(math.cos(value) ** 2 for value in (0, 1, 3, 100)) / 4)
-    found = likely(LIBRARY, guess, data.x, data)
-    assert found[3].tolist() == pytest.approx([SHARE * 7.0 / size, SHARE * 0.1 / size])
-    guess[0, 0] = 0.01  # less than the 2 per second that a moves
-    assert likely(LIBRARY, guess, data.x, data)[3, 0].item() == pytest.approx(SHARE * 2.0 / size)
-
-
 def test_functions_of_angles_have_a_prior_and_others_have_none():
     words = ["1", "b", "b^2", "u", "tanh(20 b)", "b |b|", "a", "a^2 u", "sin(a)", "cos(a) b", "sin(2 a) u"]
     found = shares(Library(SIGNATURE, [parse(word) for word in words]))

@@ -13,12 +13,9 @@ from dynasindy.sindy.regression import (
     RunningSums,
     _eliminate,
     least_squares,
-    reconsider,
     simpson_form,
     stlsq,
-    walk_down,
 )
-from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.transitions import Transitions
 
 
@@ -187,71 +184,3 @@ def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
     middle = 1.5 + 0.8 / 8 * (10 - 20)
     assert theta.item() == pytest.approx(((1 + 3) + 4 * (middle**2 + 3) + (4 + 3)) / 6)
     assert dx.item() == pytest.approx(1 / 0.8)
-
-
-def _problem(seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
-    generator = torch.Generator().manual_seed(seed)
-    columns = torch.randn(60, 5, generator=generator, dtype=torch.float64)
-    target = columns[:, :1] - 2 * columns[:, 2:3] + 0.1 * torch.randn(60, 1, generator=generator, dtype=torch.float64)
-    return columns, target
-
-
-def _squared(columns: torch.Tensor, target: torch.Tensor) -> float:
-    return float((target - columns @ torch.linalg.pinv(columns) @ target).square().sum())
-
-
-def _triangle(*parts: torch.Tensor) -> torch.Tensor:
-    return torch.linalg.qr(torch.cat(parts, -1), mode="r")[1]
-
-
-def test_walking_down_ends_at_the_best_subset_of_its_size():
-    columns, target = _problem()
-    kept, values = walk_down(_triangle(columns, target) / 0.1, torch.ones(5, dtype=torch.bool), 12.0)
-    best = min(itertools.combinations(range(5), 2), key=lambda s: _squared(columns[:, list(s)], target))
-    assert tuple(kept.tolist()) == best == (0, 2)
-    assert torch.allclose(values, (torch.linalg.pinv(columns[:, [0, 2]]) @ target).squeeze(-1))
-
-
-def diagonal(*targets: float, rest: float = 1.0) -> torch.Tensor:
-    """Orthonormal columns: dropping one costs the square of its target."""
-    n = len(targets)
-    column = torch.tensor([*targets, rest], dtype=torch.float64).unsqueeze(-1)
-    return torch.cat([torch.eye(n + 1, n, dtype=torch.float64), column], -1)
-
-
-def test_a_column_stays_if_it_costs_as_much_as_the_limit():
-    for value, kept in ((3.0, [0, 1, 2]), (2.99, [0, 2])):
-        found, values = walk_down(diagonal(5.0, value, -4.0), torch.ones(3, dtype=torch.bool), 9.0)
-        assert found.tolist() == kept
-        assert values.tolist() == pytest.approx([{0: 5.0, 1: value, 2: -4.0}[k] for k in kept])
-
-
-def test_a_function_comes_in_if_it_is_worth_twice_the_limit_the_best_of_each_equation():
-    active = Parameters(torch.tensor([0]), torch.tensor([0]))
-    others = Parameters(torch.tensor([1, 2, 1, 2]), torch.tensor([0, 0, 1, 1]))
-    # Squared errors 9 and 16 in the first equation, 8.1 and 7.9 in the second; the start state is always there.
-    triangle = diagonal(1.0, 5.0, 3.0, 4.0, 8.1**0.5, 7.9**0.5)
-    assert reconsider(triangle, 1, active, others, 4.0).tolist() == [0, 2, 3]
-    assert reconsider(triangle, 1, active, others, 4.1).tolist() == [0, 2]
-    assert reconsider(triangle, 1, active, others, 8.1) is None
-
-
-def exchange(states: list[int], n_fixed: int = 0) -> list[int] | None:
-    """Three functions whose sum is the target, and the sum itself outside the model."""
-    n = 3 + n_fixed
-    columns = torch.eye(n + 2, n + 1, dtype=torch.float64)
-    columns[:, n] = 0.0
-    columns[n_fixed:n, n] = 1.0
-    columns[n, n] = 1e-3
-    target = 10.0 * columns[:, n : n + 1].clone()
-    target[n] = 0.0
-    target[:n_fixed] = 7.0
-    active = Parameters(torch.tensor([0, 1, 2]), torch.tensor(states))
-    others = Parameters(torch.tensor([3]), torch.tensor([0]))
-    better = reconsider(_triangle(columns, target), n_fixed, active, others, 1.0)
-    return None if better is None else better.tolist()
-
-
-def test_three_functions_are_exchanged_for_one_whichever_equations_they_are_of():
-    for states in ([0, 0, 0], [0, 0, 1], [0, 1, 1]):
-        assert exchange(states) == exchange(states, n_fixed=2) == [3]

@@ -20,7 +20,6 @@ from dynasindy.sindy.shooting import (
     RunsAway,
     Windows,
     _free_scales,
-    cost_of,
     left_over,
     linearise_windows,
     move,
@@ -94,22 +93,6 @@ def test_a_coefficient_that_is_likely_to_be_small_counts_as_one_measurement_more
     assert model.cost == pytest.approx(missed + (3.0 / 0.4) ** 2)
     bare = linearise_windows(Flow.of(estimate, parameters, replace(windows, likely=None)), torch.tensor([2.0]).double())
     assert left_over(model, windows) - left_over(bare, windows) == pytest.approx(0.5 * (3.0 / 0.4) ** 2)
-
-
-@pytest.mark.parametrize(
-    ("joined", "made_white"),
-    [(joined, made) for joined in (True, False) for made in ({}, {"likely": column(1.0, 0.5, 1.0, 1.0)})],
-)
-def test_the_cost_of_a_trial_is_that_of_its_linear_model(joined, made_white):
-    # Steps are judged by it before there is a linear model.
-    y = motion(A, B, Y0, INPUTS) + 0.1 * np.random.default_rng(9).normal(size=41)
-    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    data.x_next[::3] = torch.nan
-    windows = replace(Windows.of(data, 10, joined), **made_white)
-    estimate = Estimate(LIBRARY, column(A, 1.0, 0.0, 0.1), windows.first.nan_to_num(0.2))
-    flow, sigma = Flow.of(estimate, Parameters.where(TWO), windows), torch.tensor([0.3]).double()
-    model = linearise_windows(flow, sigma)
-    assert cost_of(flow, sigma) == pytest.approx(model.cost, rel=1e-12) and model.cost > 0.1
 
 
 def pushed(seed: int, n: int = 1500, lasts: float = 0.3) -> Transitions:
@@ -195,12 +178,6 @@ def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, mon
     torch.testing.assert_close(found.moves, wanted.moves, rtol=1e-9, atol=1e-12)
     normal = [model.triangle.mT @ model.triangle for model in (found, wanted)]
     torch.testing.assert_close(*normal, rtol=1e-9, atol=1e-9)
-
-
-def test_coefficients_that_are_no_numbers_are_lost_in_all_windows():
-    data = Transitions.from_trajectory(torch.zeros(21, 1).double(), torch.zeros(20, 1).double(), DT)
-    estimate = Estimate(LIBRARY, column(math.nan, B, 0.0, 0.0), torch.zeros(2, 1).double())
-    assert Flow.of(estimate, Parameters.where(TWO), Windows.of(data, 10)).lost().tolist() == [True, True]
 
 
 # y' = a y + 5: the fastest rate is |a|. An error of 1e-7 wants steps of 0.1 / |a|, at most 10; stability 1.5 / |a|.

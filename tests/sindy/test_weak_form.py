@@ -65,22 +65,6 @@ def test_of_a_state_that_nobody_saw_the_guess_is_differentiated():
     torch.testing.assert_close(rates, functions @ XI)
 
 
-def test_the_bump_is_that_of_the_eighth_power():
-    data = chain(30, 3)
-    data.u[:] = 0
-    data.u[13] = 1.0
-    for half, stride in ((4, 1), (9, 2)):
-        found = weak_form(theta, data, data, {}, half)[0][:, 4]
-        places = np.arange(1 - half, half)
-        bump = (1 - (places / half) ** 2) ** 4
-        bump /= bump.sum()
-        # Each value is the mean of two neighbouring intervals, so the impulse is in the means 12 and 13.
-        pulse = np.zeros(29)
-        pulse[[12, 13]] = 0.5
-        expected = [pulse[k : k + 2 * half - 1] @ bump for k in range(0, 29 - 2 * half + 2, stride)]
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
 def test_no_row_reaches_over_two_segments_and_short_ones_have_short_bumps():
     parts = [chain(30, 5), chain(1, 6), chain(7, 7), chain(2, 8)]
     functions, rates = weak_form(theta, whole := Transitions.cat(parts), whole, {}, 5)
