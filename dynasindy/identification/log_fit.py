@@ -45,7 +45,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_s
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
-from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
+from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
 from dynasindy.systems.transitions import Transitions
@@ -702,8 +702,9 @@ class _Search:
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
-        if (count := int(rows.sum())) == FINAL_ROWS < len(data):
-            findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=CHOSEN_STRETCHES))
+        if (count := int(rows.sum())) < len(data):
+            stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
+            findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))
         if stopped or self.expired:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
