@@ -45,7 +45,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_s
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
-from dynasindy.sindy.shooting import choose_stretches
+from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
 from dynasindy.systems.transitions import Transitions
@@ -297,7 +297,7 @@ class Candidate:
     """Hold a model that was fitted to the early part of the data, and how it predicts the kept one.
 
     Attributes:
-        models: the model, as it was fitted for each part that was kept.
+        models: the model, as it was fitted for each part that was kept; the first one where it was not.
         source: the data with all of its states.
         settings: of its fit.
         errors: over each horizon, `(H, n_x)`, for each part that it was judged on.
@@ -399,13 +399,15 @@ class _Search:
         self._single_steps(structures)
         if self.builder is None:
             self._regressed(*structures[0])
-        linear = [found for each in structures if (found := self._linear(*each)) is not None]
+        for structure in structures:
+            self._linear(*structure)
         self._shorten()
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             linear[0] = self._with_linear_inputs(linear[0])
             self._select(linear[0])
-            if (lagging := self._with_lag_states(linear[0])) is not linear[0]:
+            behind = self.best.score > 0
+            if behind and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
                 self._select(lagging)
         near = {each.source.signature.state_names for each in self._near(self.tried)} if self.tried else set()
         for model, source in structures if self.builder is not None else ():
@@ -434,9 +436,10 @@ class _Search:
             return
         self.folds = folds
         for k, old in enumerate(self.tried):
-            found = [fold.errors(model, old.source) for model, fold in zip(old.models, folds, strict=True)]
-            errors, blocks = (list(part) for part in zip(*found, strict=True))
-            self.tried[k] = self._judged(old.models, old.source, old.settings, errors, blocks, old.what, old.structure)
+            parts = zip(folds[: len(old.errors)], old.models, strict=False)
+            errors, blocks = (list(part) for part in zip(*(f.errors(m, old.source) for f, m in parts), strict=True))
+            score = self._score(old.model, old.source, errors)
+            self.tried[k] = replace(old, errors=errors, blocks=torch.cat(blocks), score=score)
 
     def _leaders(self) -> list[Candidate]:
         """Return the best candidates whose equations have different functions."""
@@ -463,7 +466,7 @@ class _Search:
         """Fit copies of a model to what is not kept, and judge them."""
         if self.tried and (self.expired or (self._exact() and not pruned)):
             return None
-        fitted, errors, blocks = list[SindyModel](), list[Tensor](), list[Tensor]()
+        fitted, errors, blocks, candidate = list[SindyModel](), list[Tensor](), list[Tensor](), None
         in_time = partial(self._stop_in_time, began=time.process_time())
         with _attempt(), listening(in_time), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
@@ -475,31 +478,24 @@ class _Search:
                     return None  # what moves by nothing is no equation
                 for each, found in zip((errors, blocks), fold.errors(fitted[-1], source), strict=True):
                     each.append(found)
-                hopeless = bool(self.tried) and fold.score(errors[0]) > self.best.score + 2 * HOPELESS
+                hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
                 if fold.exact(errors[-1]) or hopeless:
                     break  # the other parts would tell the same
-            self.tried.append(self._judged(fitted, source, settings, errors, blocks, what, structure))
-            report_progress("fit", note=f"{what}: score {self.tried[-1].score:.3f}, best {self.best.score:.3f}")
-            return self.tried[-1]
-        return None
+            score, models = (
+                self._score(fitted[0], source, errors),
+                fitted + fitted[:1] * (len(self.folds) - len(fitted)),
+            )
+            candidate = Candidate(models, source, settings, errors, torch.cat(blocks), score, what, structure)
+        if candidate is not None:
+            self.tried.append(candidate)
+            report_progress("fit", note=f"{what}: score {candidate.score:.3f}, best {self.best.score:.3f}")
+        return candidate
 
-    def _judged(
-        self,
-        fitted: list[SindyModel],
-        source: Source,
-        settings: Refinement,
-        errors: list[Tensor],
-        blocks: list[Tensor],
-        what: str,
-        structure: SindyModel | None,
-    ) -> Candidate:
-        """Return a candidate with its score; its first model stands for those parts on which it was not tried."""
-        model = fitted[0]
+    def _score(self, model: SindyModel, source: Source, errors: list[Tensor]) -> float:
+        """Return what is to be least: of its errors, for each part that it was judged on, and of its size."""
         score = sum(map(HoldOut.score, self.folds, errors)) / len(errors)
         score += PER_TERM * int((model.coefficients != 0).sum()) + PER_STATE * len(model.followed)
-        score += PER_TERM * float(source.training.u_end is not None)
-        models = fitted + [model] * (len(self.folds) - len(fitted))
-        return Candidate(models, source, settings, errors, torch.cat(blocks), score, what, structure)
+        return score + PER_TERM * float(source.training.u_end is not None)
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
         """Fit the models of a candidate again, from their coefficients on."""
@@ -507,8 +503,9 @@ class _Search:
 
     def _settings(self, **changes: Any) -> Refinement:
         longest, data = self.refinement.longest_delay, self.source.training
-        if longest is None:
-            longest = min(max(LATEST * data.dt, self.slow / 4), len(data) * data.dt / 10)
+        if longest is None:  # each stretch that is fitted loses as many samples
+            stretch = len(data) if len(data) <= ROWS else ROWS // CHOSEN_STRETCHES
+            longest = min(max(LATEST * data.dt, self.slow / 4), stretch * data.dt / 10)
         base = replace(self.refinement, method="trajectory", error="innovation", rounds=0, longest_delay=longest)
         return replace(base, **changes)
 
@@ -532,7 +529,7 @@ class _Search:
         return [model] * len(self.folds)
 
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
-        """Yield the model as it is, and with the rates of states that have none, measured or not."""
+        """Yield the model as it is, with rates that were measured as such, and with those of places that lack one."""
         yield self.given, self.source
         if self.builder is None or not self.rates:
             return
@@ -542,14 +539,11 @@ class _Search:
         rates = known | measured
         if len(rates) > len(known):
             yield self._rebuilt(self.source, rates), self.source
-        lacking = [name for name in names if name not in rates and name not in rates.values()]
-        units = dict(zip(names, signature.state_units, strict=True))
-        places = [name for name in lacking if not is_speed(units[name])]
-        for some in dict.fromkeys((tuple(places), tuple(lacking))):
-            if some:
-                wide = rates | {name: rate_name(name, signature) for name in some}
-                source = self.source.with_rates(wide)
-                yield self._rebuilt(source, wide), source
+        places = [n for n, unit in zip(names, signature.state_units, strict=True) if not is_speed(unit)]
+        if lacking := [name for name in places if name not in rates and name not in rates.values()]:
+            wide = rates | {name: rate_name(name, signature) for name in lacking}
+            source = self.source.with_rates(wide)
+            yield self._rebuilt(source, wide), source
 
     def _rebuilt(self, source: Source, known: Mapping[str, str]) -> SindyModel:
         old = self.given
@@ -562,14 +556,14 @@ class _Search:
             machine_code=old.machine_code,
         )
 
-    def _linear(self, model: SindyModel, source: Source) -> Candidate | None:
+    def _linear(self, model: SindyModel, source: Source) -> None:
         """Fit the linear functions of a model."""
         places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
         plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
         delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
         begun = [_linear_start(plain, source.training.select(fold.fitted()), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
-        return self._fit(f"linear equations of {names}", begun, source, settings, model)
+        self._fit(f"linear equations of {names}", begun, source, settings, model)
 
     def _with_linear_inputs(self, of: Candidate) -> Candidate:
         """Try inputs that move in straight lines between samples, and return the better one."""
@@ -631,7 +625,8 @@ class _Search:
             for n in model.library.features[k].variables
         }
         names = [n for n in (*signature.state_names, *signature.input_names) if n in used]
-        levels = self.source.training.x.nan_to_num(math.inf, math.inf, math.inf).amin(0) > 0
+        x = self.source.training.x
+        levels = (x > 0).any(0) & ~(x <= 0).any(0)
         each = zip(signature.state_names, signature.state_units, levels.tolist(), strict=False)
         roots = [function_of("sqrt", name) for name, unit, level in each if level and unit not in ANGLES]
         roots += [function_of("sqrt", n) for n in model.followed if roots]
@@ -667,13 +662,13 @@ class _Search:
     def _prune(self) -> None:
         """Leave out coefficients that the data do not tell, one after the other, where kept data do not miss them."""
         while not self.expired:
-            best, places = self.best, [_least_significant(model) for model in self.best.models]
-            if places[0] is None:
+            best, place = self.best, _least_significant(self.best.model)
+            if place is None:
                 return
             models = [_warm_started(model) for model in best.models]
             for model in models:
                 assert model.initial is not None
-                model.initial[places[0]] = 0.0
+                model.initial[place] = 0.0
             settings = replace(best.settings, rounds=0, select=False)
             found = self._fit(f"{best.what}, without one", models, best.source, settings, pruned=True)
             if found is None or self.best is best:
@@ -705,6 +700,7 @@ class _Search:
         if (count := int(rows.sum())) < len(data):
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))
+            report = replace(report, findings=tuple(f for f in report.findings if f.code != "fit.chosen_on"))
         if stopped or self.expired:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
