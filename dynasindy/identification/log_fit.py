@@ -370,7 +370,8 @@ class _Search:
     def run(self) -> LogFit | None:
         """Return the best candidate, fitted to all training data; None where none could be fitted."""
         try:
-            self._try_all()
+            with _attempt():
+                self._try_all()
         except KeyboardInterrupt:
             if not self.tried:
                 raise
