@@ -756,31 +756,26 @@ def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyMo
 
 def _with_library(model: SindyModel, library: Library, free: Tensor) -> SindyModel:
     """Return a model with other functions, which may stand where `free` is true, and the coefficients of the first."""
-    offset = torch.zeros(len(library), model.signature.n_x, dtype=torch.float64)
-    places = {name: k for k, name in enumerate(model.library.names)}
-    for k, name in enumerate(library.names):
-        if name in places:
-            offset[k] = model.constraints.offset[places[name]]
     other = SindyModel(model.signature, library, model.regression, model.refinement, machine_code=model.machine_code)
-    other.constraints = Constraints(free, offset)
+    other.constraints = Constraints(free, _moved_to(library, model, model.constraints.offset))
     return _with_coefficients(other, model)
 
 
 def _with_coefficients(model: SindyModel, of: SindyModel) -> SindyModel:
     """Return a copy of a model with the coefficients and the delay of another one, of the functions that both have."""
     other = copy.deepcopy(model)
-    other.set_coefficients(_moved_to(other.library, of))
+    other.set_coefficients(_moved_to(other.library, of, of.coefficients))
     other.delay = of.delay
     return other
 
 
-def _moved_to(library: Library, model: SindyModel) -> Tensor:
-    """Return the coefficients of a model in another library, of the functions that both have."""
+def _moved_to(library: Library, model: SindyModel, values: Tensor) -> Tensor:
+    """Return values of a model's functions, `(n_features, n_x)`, as those of another library; 0 of its other ones."""
     places = {name: k for k, name in enumerate(library.names)}
-    found = torch.zeros(len(library), model.signature.n_x, dtype=torch.float64)
-    for k, name in enumerate(model.library.names):
+    found = torch.zeros(len(library), library.signature.n_x, dtype=torch.float64)
+    for name, row in zip(model.library.names, values, strict=True):
         if name in places:
-            found[places[name]] = model.coefficients[k]
+            found[places[name], : len(row)] = row
     return found
 
 

@@ -465,7 +465,13 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
         RunsAway: without `sigma`, so at an estimate that is no trial, the model runs away within a window.
     """
     if sigma is None:
-        require_bounded(flow)
+        if bool((lost := flow.lost()).any()):
+            method, window = (setting(f"world_model.refinement.{key}") for key in ("method", "window"))
+            raise RunsAway(
+                f"{method}=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
+                f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
+                f"there, lower {window}, or choose another {method}"
+            )
         sigma = flow.sigma()
     triangles, rest, moves = _condensed(flow, sigma, flow.pieces)
     parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
@@ -610,7 +616,7 @@ def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]
     Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
     """
     n_x = flow.predicted.shape[-1]
-    rows = _every(flow, observed)[0].div_(sigma[observed].unsqueeze(-1)).flatten(1, 2)
+    rows = _every(flow, observed).div_(sigma[observed].unsqueeze(-1)).flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
     best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
@@ -626,17 +632,17 @@ def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
     return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
 
 
-def _every(flow: Flow, observed: Tensor) -> tuple[Tensor, Tensor]:
+def _every(flow: Flow, observed: Tensor) -> Tensor:
     """Return slopes and errors of each window's start and samples, `(W, L + 1, n_seen, n_x + S + P + 1)`.
 
-    They are zero where nothing was measured; which were is 1 there and else 0, `(W, L + 1, n_seen)`.
+    They are zero where nothing was measured.
     """
     error, seen = (part[..., observed] for part in _errors(flow))
     every = error.new_zeros(*error.shape, flow.s.shape[-1] + 1)
     every[:, 0, :, : len(observed)] = torch.eye(len(observed), dtype=error.dtype)[observed]
     every[:, 1:, :, :-1] = flow.s[:, :, observed]
     every[..., -1] = error
-    return every.mul_(seen.unsqueeze(-1)), seen
+    return every.mul_(seen.unsqueeze(-1))
 
 
 def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
@@ -658,21 +664,6 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
     seen = sigma > EXACT
     relative = (sigma / spread)[seen].median() if bool(seen.any()) else torch.ones(())
     return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
-
-
-def require_bounded(flow: Flow) -> None:
-    """Refuse trajectories of a model that runs away within a window.
-
-    Raises:
-        RunsAway: it does.
-    """
-    if bool((lost := flow.lost()).any()):
-        method, window = (setting(f"world_model.refinement.{key}") for key in ("method", "window"))
-        raise RunsAway(
-            f"{method}=trajectory: the model runs away in {int(lost.sum())} of {len(lost)} windows of "
-            f"{flow.windows.length} samples, the first of them number {int(lost.nonzero()[0])}; look for outliers "
-            f"there, lower {window}, or choose another {method}"
-        )
 
 
 def _condense(flow: Flow) -> Tensor:

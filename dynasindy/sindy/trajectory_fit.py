@@ -321,25 +321,24 @@ def refine_trajectory(
     first = Estimate(library, xi, guess[some], delay, gain)
     flow = _grown(first, (xi != 0) & free, part, descent, COARSE, some_before)
     found, windows = flow.estimate, flow.windows
-    may_begin_anew = joined is None
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
-    if may_begin_anew and not seen:
+    if joined is None and not seen:
         windows = replace(windows, joined=_grows(flow)[1])
-    if may_begin_anew and seen and _grows(flow)[0] > GROWN:
+    if joined is None and seen and _grows(flow)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
         own = _search_functions(found, free, alone, descent)
         windows = replace(windows, joined=_grows(Flow.of(own, flow.parameters.take(slice(0)), windows))[1])
         found = _search_functions(own, free, windows, descent)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
-            found, joined, may_begin_anew = own, False, False
+            found, joined = own, False
     else:
         found = _search_functions(found, free, windows, descent)
     if not bool(some.all()):
         support = (found.xi != 0) & free
         flow = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined), before=before)
         whole, windows = flow.estimate, flow.windows
-        if may_begin_anew:
+        if joined is None:
             windows = replace(windows, joined=_grows(flow)[1])
         found, _ = _descend(whole, support, windows, _priced(len(data)))
     else:
