@@ -1058,7 +1058,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "fit.budget": lambda seconds, stopped: (
         f"the search {'was stopped' if stopped else 'used up its time'} after {seconds:.0f} s of computing; the best "
-        f"model until then was kept. For a longer one give {setting('world_model.refinement.seconds')} more"
+        "model until then was kept"
+        + ("" if stopped else f". For a longer one give {setting('world_model.refinement.seconds')} more")
     ),
     # the model
     "model.delay": lambda seconds: (

@@ -372,11 +372,11 @@ class _Search:
         try:
             with _attempt():
                 self._try_all()
+            return self._final(self._parsimonious()) if self.tried else None
         except KeyboardInterrupt:
             if not self.tried:
                 raise
             return self._final(self._parsimonious(), stopped=True)
-        return self._final(self._parsimonious()) if self.tried else None
 
     def _parsimonious(self) -> Candidate:
         """Return the smallest candidate that predicts as well as the best one but for what differs by chance."""

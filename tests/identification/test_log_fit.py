@@ -157,6 +157,22 @@ def test_a_search_that_is_interrupted_keeps_the_best_candidate(monkeypatch):
     assert codes["fit.budget"]["stopped"] is True and bool(found.model.coefficients.any())
 
 
+def test_an_interrupt_of_the_last_fit_keeps_the_best_candidate(monkeypatch):
+    plain, count = module.choose_stretches, []
+
+    def _choose(n, rows, *given):
+        count.append(rows)
+        if count.count(module.FINAL_ROWS) == 1 and rows == module.FINAL_ROWS:
+            raise KeyboardInterrupt
+        return plain(n, rows, *given)
+
+    monkeypatch.setattr(module, "choose_stretches", _choose)
+    found = fitted(noisy_tank(), seconds=1e-9)
+    codes = {each.code: each.values for each in found.report.findings}
+    assert codes["fit.budget"]["stopped"] is True
+    assert coefficient(found.model, "y", "u") == pytest.approx(0.5, rel=0.3)
+
+
 def test_an_interrupt_before_any_candidate_is_passed_on(monkeypatch):
     def _errors(*given):
         raise KeyboardInterrupt
