@@ -177,7 +177,7 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
 def find_rest(
     loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0, say: Say | None = None
 ) -> RestingLoop:
-    """Find where loops rest, by Newton's method; where it fails, by letting the loop run and trying again.
+    """Find where loops rest, by Newton's method; where it fails, or the loop is not stable, by letting it run first.
 
     Args:
         loop: The loop, of as many rows as `r` has, or of one plant.
@@ -191,15 +191,19 @@ def find_rest(
     z = guess_rest(loop, r, say) if start is None else start.z
     covariance = _covariance_at(loop, z, say) if start is None else start.covariance
     found, still = _newton(loop, z, covariance, r, 0, say)
-    lost = (~still).nonzero().flatten()
+    linear, _, u = _linearise(loop, found, covariance, r)
+    stable = torch.from_numpy(linear.finite().radius < 1)
+    lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
         known = total - len(lost)
         moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, known, say)
         again, calm = _newton(loop.rows(lost), moved, spread, r[lost], known, say)
+        new = calm | ~still[lost]
+        lost, again, spread, calm = lost[new], again[new], spread[new], calm[new]
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
         still = still.index_copy(0, lost, calm)
-    linear, _, u = _linearise(loop, found, covariance, r)
+        linear, _, u = _linearise(loop, found, covariance, r)
     restless = total - int(still.sum())
     say(total, f"{restless} of them without a rest" if restless else "")
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
