@@ -23,6 +23,7 @@ from dynasindy.checking.linear_loop import (
     settling,
 )
 from dynasindy.checking.verdict import check_record
+from dynasindy.sindy import SindyModel
 
 A = np.array([[1.0, 0.1], [0.0, 1.0]])
 B = np.array([[0.005], [0.1]])
@@ -88,6 +89,17 @@ def test_a_late_input_is_another_state(loops, carts):
     k = np.array([[-2.0, -2.5]])
     whole = np.block([[A, old, flow[1]], [np.zeros((1, 2)), np.zeros((1, 1)), np.ones((1, 1))], [k, np.zeros((1, 2))]])
     np.testing.assert_allclose(linear.a[0], whole, atol=1e-8)
+
+
+def test_of_several_rests_the_one_that_is_reached_counts(loops, law):
+    """v' = p - p^3 - v + u with u = (r - p) / 10 rests near 0, from where it goes away, and near -1 and 1."""
+    model = SindyModel(loops().signature, ["force", "v", "p", "p^3"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0, 1], [1, -1], [0, 1], [0, -1]]).double())
+    loop = loops(law(0.1, 0.0), model)
+    found = find_rest(loop, targets(0.1))
+    ends = sorted(np.roots([-1, 0, 0.9, 0.01]).real)
+    assert bool(found.still.all()) and float(found.z[0, loop.parts["x"]][0]) == pytest.approx(ends[2], rel=1e-6)
+    assert found.linear.radius < 1
 
 
 def test_a_spring_pulls_a_law_off_its_target_and_an_integral_brings_it_back(loops, carts):
