@@ -16,7 +16,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import before_leaving, disturb, observed, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
-from dynasindy.identification.source import DataSource, Source
+from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
@@ -24,8 +24,6 @@ from dynasindy.systems.ranges import Ends, sample_states, start_ranges, state_li
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
-PERIOD = 0.05
-"""Control period of a plant that names none [s]."""
 HOLD = 0.5
 """Time for which an input of the validation is held, unless it is shorter [s]."""
 VALIDATION = 400

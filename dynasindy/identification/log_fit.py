@@ -107,7 +107,7 @@ FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
 
 
-class TimeIsUp(RuntimeError):
+class _TimeIsUp(RuntimeError):
     """A search has no time left."""
 
 
@@ -253,7 +253,7 @@ class HoldOut:
         """Errors of the best simple model over each horizon, `(H, n_x)`."""
         return self.others[self.others.log().nanmean((1, 2)).nan_to_num(math.inf).argmin()]
 
-    def fitted(self, window: int = 1) -> Tensor:
+    def fit_rows(self, window: int = 1) -> Tensor:
         """Return rows that candidates are fitted to in windows of so many, bool `(N,)`: stretches of the early part."""
         rows = self.early.nonzero().flatten()
         return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS, window)], True)
@@ -352,7 +352,7 @@ class _Search:
     def _stop_in_time(self, event: Event, began: float) -> None:
         """End a fit that began at some time where none is left, or too little for others, and there is a candidate."""
         if self.tried and (self.expired or time.process_time() - began > LARGEST_SHARE * self.refinement.seconds):
-            raise TimeIsUp(event.phase)
+            raise _TimeIsUp(event.phase)
 
     @cached_property
     def builder(self) -> LibraryBuilder | None:
@@ -473,7 +473,7 @@ class _Search:
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
-                fitted[-1].fit(source.training.select(fold.fitted(settings.window)))
+                fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
                 if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
                     return None  # what moves by nothing is no equation
@@ -522,7 +522,7 @@ class _Search:
         trial, fold = copy.deepcopy(model), self.folds[0]
         trial.refinement = replace(self.refinement, method="integral")
         with _attempt():
-            trial.fit(source.training.select(fold.fitted()))
+            trial.fit(source.training.select(fold.fit_rows()))
             return fold.score(fold.errors(trial, source)[0]) < HOPELESS
         return False
 
@@ -562,7 +562,7 @@ class _Search:
         places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
         plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
         delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
-        begun = [_linear_start(plain, source.training.select(fold.fitted()), delay) for fold in self.folds]
+        begun = [_linear_start(plain, source.training.select(fold.fit_rows()), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
         self._fit(f"linear equations of {names}", begun, source, settings, model)
 
@@ -690,7 +690,7 @@ class _Search:
         model.linear_inputs = tuple(name for name, moves in linear if moves)
         with reporting_as("fit to all training data"):
             rows = (
-                self.folds[0].fitted(settings.window)
+                self.folds[0].fit_rows(settings.window)
                 if stopped
                 else choose_stretches(len(data), FINAL_ROWS, settings.window)
             )

@@ -530,7 +530,7 @@ class SindyModel(WorldModel):
             self.sums = RunningSums(len(self.library), self.signature.n_x)
             recording = DelayedRecording.of(data, guess, rate_states(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording.seen(self.delay)))
-        rows = selection_rows(constraints.free, self.refinement.error or "")
+        rows = selection_rows(constraints.free, self.refinement.error == "innovation")
         if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
             return list(found.findings), fields
         chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)

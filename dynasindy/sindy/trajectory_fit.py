@@ -101,16 +101,16 @@ def first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Ten
     return mask, gain
 
 
-def selection_rows(free: Tensor, error: str) -> int:
+def selection_rows(free: Tensor, observed: bool) -> int:
     """Return how many rows of a recording functions are chosen by.
 
     Of innovations, of which every sample tells as much, the fewer, the more there are to choose from.
 
     Args:
         free: coefficients to choose from, bool `(n_features, n_x)`.
-        error: what is minimised, see `Refinement`.
+        observed: whether innovations of an observer are minimised.
     """
-    if error != "innovation":
+    if not observed:
         return ENOUGH
     return max(FEWEST, min(ENOUGH, round(ELEMENTS / max(int(free.sum()), 1) ** 2)))
 
@@ -311,7 +311,7 @@ def refine_trajectory(
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
     joined = descent.joined
-    some = choose_stretches(len(data), selection_rows(free, "simulation" if gain is None else "innovation"))
+    some = choose_stretches(len(data), selection_rows(free, gain is not None))
 
     def _priced(n: int) -> Descent:
         return replace(descent, price=descent.penalty * _price(n, free) if descent.select else 0.0)

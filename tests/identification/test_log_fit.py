@@ -14,6 +14,7 @@ from dynasindy.excitation import Multisine
 from dynasindy.identification import log_fit as module
 from dynasindy.identification.log_fit import HoldOut, fit_log
 from dynasindy.identification.source import Source
+from dynasindy.progress import listening
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
@@ -157,19 +158,22 @@ def test_a_search_that_is_interrupted_keeps_the_best_candidate(monkeypatch):
     assert codes["fit.budget"]["stopped"] is True and bool(found.model.coefficients.any())
 
 
-def test_an_interrupt_of_the_last_fit_keeps_the_best_candidate(monkeypatch):
-    plain, count = module.choose_stretches, []
+def test_an_interrupt_of_the_last_fit_keeps_the_best_candidate():
+    """What is reported last is of the fit to all training data; the search has time for one candidate."""
+    events: list[object] = []
+    with listening(events.append):
+        fitted(noisy_tank(), seconds=1e-9)
+    count = []
 
-    def _choose(n, rows, *given):
-        count.append(rows)
-        if count.count(module.FINAL_ROWS) == 1 and rows == module.FINAL_ROWS:
+    def _interrupt(event):
+        count.append(event)
+        if len(count) == len(events):
             raise KeyboardInterrupt
-        return plain(n, rows, *given)
 
-    monkeypatch.setattr(module, "choose_stretches", _choose)
-    found = fitted(noisy_tank(), seconds=1e-9)
+    with listening(_interrupt):
+        found = fitted(noisy_tank(), seconds=1e-9)
     codes = {each.code: each.values for each in found.report.findings}
-    assert codes["fit.budget"]["stopped"] is True
+    assert len(count) > len(events) and codes["fit.budget"]["stopped"] is True
     assert coefficient(found.model, "y", "u") == pytest.approx(0.5, rel=0.3)
 
 
