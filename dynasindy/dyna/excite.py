@@ -124,7 +124,7 @@ def _scale(parts: PlantComponents) -> Tensor:
 
 
 BEYOND = 10.0
-"""Ranges of a state, about zero, that limit the excitation of a plant that stays by itself and names no bounds."""
+"""Ranges of a state, about the start, that limit the excitation of a plant that stays by itself and names no bounds."""
 FEW = 3.0
 """Ranges of a state, about the start, that limit that of any other plant."""
 MUCH = 0.25
@@ -170,12 +170,9 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
 def _excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
     """Return the ends of the states within which the plant is excited, `(n_x,)` each."""
     scale, task = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64), parts.plant.task
-    if not isinstance(task, Tracking):
-        return -BEYOND * scale, BEYOND * scale
-    far = torch.stack([-BEYOND * scale, BEYOND * scale])
-    if parts.excitation.first < 1:
-        far = task.start.double() + FEW * torch.stack([-scale, scale])
-    low, high = torch.where(task.bounds.isfinite(), task.bounds, far)
+    few = FEW if isinstance(task, Tracking) and parts.excitation.first < 1 else BEYOND
+    far = task.start_ends.double() + few * torch.stack([-scale, scale])
+    low, high = torch.where(task.bounds.isfinite(), task.bounds, far) if isinstance(task, Tracking) else far
     return low, high
 
 

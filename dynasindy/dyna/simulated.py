@@ -20,7 +20,7 @@ from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.sensing import Sensors
 from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
-from dynasindy.systems.ranges import Ends, sample_states, start_ranges, state_limits
+from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -98,6 +98,7 @@ class Simulated(DataSource):
         if system is None or excitation is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
         ends = state_limits(system.signature, self.bounds or {})
+        require_start_within(system.signature, start_ranges(system.signature, self.start or {}), ends)
         require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)

@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates, require_plant, shapes
+from dynasindy.systems.ranges import require_start_within
 from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.base import constants
@@ -178,9 +179,10 @@ class ControlEnv(EnvBase):
         """Refuse a plant that is none, and warn where its rates of change are not finite; of a model the gate tells.
 
         Raises:
-            ValueError: They are not finite where episodes begin, a row of a batch depends on another, or a plant that
-                moves in steps has another control period or samples within it.
+            ValueError: They are not finite where episodes begin, a row of a batch depends on another, a plant that
+                moves in steps has another control period or samples within it, or episodes begin outside of the bounds.
         """
+        self._require_start_within()
         if self.system.step is not None:
             steps_of(self.system.step, self.dt, 1, f"the plant {type(self.system).__name__}")
             if self.substeps > 1:
@@ -274,6 +276,11 @@ class ControlEnv(EnvBase):
         n_x, n_u = self.system.signature.n_x, self.system.signature.n_u
         for shape in shapes(n_x, n_u):
             rates(self.system, self._begins(torch.Size(shape)), torch.zeros(*shape, n_u, dtype=self.float_type))
+
+    def _require_start_within(self) -> None:
+        """Refuse bounds that exclude where episodes begin."""
+        if isinstance(self.task, Tracking):
+            require_start_within(self.system.signature, self.task.start_ends, self.task.bounds)
 
     def _begins(self, batch: torch.Size) -> Tensor:
         """Return states in which episodes begin, `(*batch, n_x)`, the same ones each time."""

@@ -273,7 +273,8 @@ class GymnasiumEnv(ControlEnv):
         """Ask for none, as the equations are not known."""
 
     def check_plant(self) -> None:
-        """Find nothing wrong, as the equations are not known."""
+        """Refuse bounds that exclude where episodes begin; the equations are not known."""
+        self._require_start_within()
 
     def _make_specs(self) -> None:
         super()._make_specs()

@@ -121,7 +121,7 @@ def before_leaving(
     """
     far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
     given = state_limits(signature, bounds)
-    low, high = torch.where(given.isfinite(), given, torch.stack([-far, far]))
+    low, high = torch.where(given.isfinite(), given, data.x[0] + torch.stack([-far, far]))
     out = ~((data.x_next >= low) & (data.x_next <= high))
     if not bool(out.any()):
         return data, None

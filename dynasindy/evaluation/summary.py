@@ -22,6 +22,8 @@ RESTLESS = 0.02
 from -1 to 1 counts as 2]."""
 ROUNDING = 1e-4
 """What a reference may lie beyond its ends by, as float32 rounds it [ranges of the targets]."""
+SINGLE = 1e-6
+"""The same as a share of the ends themselves, where the range is none or small."""
 WORDS = {
     "rmse": "RMSE",
     "mean_abs_error": "mean abs error",
@@ -85,7 +87,7 @@ def beyond_targets(evaluation: Evaluation) -> list[Finding]:
         name, unit = evaluation.output_names[i], evaluation.units[evaluation.output_names[i]]
         asked = evaluation.references[..., i]
         least, most = float(asked.min()), float(asked.max())
-        room = ROUNDING * (high - low)
+        room = max(ROUNDING * (high - low), SINGLE * max(abs(low), abs(high)))
         if least < low - room or most > high + room:
             facts = {"output": name, "scenario": evaluation.scenario, "unit": unit, "least": least, "most": most}
             findings.append(note("control.beyond_targets", **facts, low=low, high=high))

@@ -11,7 +11,7 @@ from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.systems.base import turn_of
 
 FAR = 20.0
-"""Ranges beyond which a state has run away, whatever the reference does."""
+"""Ranges from where it began at which a state has run away, whatever the reference does."""
 WITHIN = 0.01
 """Mean absolute error at the end that is asked for unless another is given, in target ranges."""
 LOST = 10.0
@@ -51,8 +51,9 @@ def judge_tracking(evaluation: Evaluation, matter: Tensor) -> TrackingCriteria:
     last = evaluation.steady_periods
     errors = evaluation.errors[:, -last:].mean(1)
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
-    x = evaluation.trajectory["state"][:, -last:].double() / scale
-    far = ~(x.abs() <= FAR).all(1)
+    states = evaluation.trajectory["state"].double()
+    x = states[:, -last:] / scale
+    far = ~((x - states[:, :1] / scale).abs() <= FAR).all(1)
     lost = far.clone()
     # Where nothing is tracked nobody asked for a rest either: a task may pay for motion.
     if evaluation.columns:

@@ -26,7 +26,7 @@ from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 from dynasindy.systems.checks import require_plant
-from dynasindy.systems.ranges import Ends, sample_states, start_ranges, state_limits
+from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 
 BRIDGED = 1
 """Periods without inputs that are bridged with the last ones."""
@@ -253,7 +253,9 @@ def rehearsal(
     def _begins(batch: torch.Size) -> torch.Tensor:
         return sample_states(ends, batch, torch.Generator().manual_seed(seed))
 
-    require_plant(system, _begins, state_limits(system.signature, bounds or {}))
+    limits = state_limits(system.signature, bounds or {})
+    require_start_within(system.signature, ends, limits)
+    require_plant(system, _begins, limits)
     with _FarEnd() as end:
         begin = _begins(torch.Size()).numpy()
         port = end.begin(FOREVER, system=system, dt=dt, sensors=sensors, seed=seed, start=begin)

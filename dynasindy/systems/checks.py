@@ -59,7 +59,7 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
         system: The plant.
         begins: Returns states in which it begins, `(*batch, n_x)`, for a batch.
         bounds: Limits of its states, `(2, n_x)`, infinite where there is none; none is asked about beyond them. Of a
-            state without limits the range is asked about, to both sides of zero, and to where it begins.
+            state without limits the range is asked about, to both sides of zero, or of where it begins far from that.
 
     Raises:
         ValueError: The plant fails, returns another shape or type, mixes the rows of a batch, or is not finite in any
@@ -135,7 +135,8 @@ def _places(system: System, begin: Tensor, bounds: Tensor | None) -> tuple[Tenso
     """
     n_x, n_u = system.signature.n_x, system.signature.n_u
     scale = torch.tensor(system.signature.x_scale, dtype=begin.dtype)
-    low, high = torch.minimum(begin, -scale), torch.maximum(begin, scale)
+    home = begin.where(begin.abs() > scale, 0.0)
+    low, high = home - scale, home + scale
     if bounds is not None:
         low, high = (torch.where(g.isfinite(), g.to(begin), e) for g, e in zip(bounds, (low, high), strict=True))
     middle, half = 0.5 * (low + high), 0.5 * INNER * (high - low)

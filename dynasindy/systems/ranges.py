@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -43,6 +43,30 @@ def start_ranges(signature: Signature, given: Mapping[str, Ends], key: str = "pl
         ValueError: One is of no state, or is no range.
     """
     return _put(signature, given, key, torch.zeros(2, signature.n_x))
+
+
+def require_start_within(
+    signature: Signature, start: Tensor, bounds: Tensor, names: Collection[str] | None = None
+) -> None:
+    """Refuse limits that exclude where a plant begins: it would leave them with the first period of every try.
+
+    Args:
+        signature: Names of the states.
+        start: Ends of the range in which they begin, `(2, n_x)`.
+        bounds: Their limits, `(2, n_x)`, infinite where there is none.
+        names: States that are looked at; all if omitted.
+
+    Raises:
+        ValueError: A state begins outside of its limits.
+    """
+    low, high = bounds.to(start)
+    outside = ((start < low) | (start > high)).any(0).tolist()
+    for name, out, begin, ends in zip(signature.state_names, outside, start.T.tolist(), bounds.T.tolist(), strict=True):
+        if out and (names is None or name in names):
+            raise ValueError(
+                f"task.start has {name} at {' to '.join(f'{value:g}' for value in dict.fromkeys(begin))}, and "
+                f"task.bounds are {ends[0]:g} to {ends[1]:g}; allowed is a start within the bounds: correct one of them"
+            )
 
 
 def sample_states(ends: Tensor, batch: torch.Size, generator: torch.Generator) -> Tensor:

@@ -84,6 +84,13 @@ class Task(ABC):
         return action.clamp(low, high)
 
     @property
+    def start_ends(self) -> Tensor:
+        """Ends of the states in which episodes begin, `(2, n_x)`; zero where nothing says where."""
+        if self.starts is None:
+            return torch.zeros(2, self.signature.n_x)
+        return torch.stack([self.starts.amin(0), self.starts.amax(0)])
+
+    @property
     def unit(self) -> float:
         """Reward that counts as one where models are judged."""
         return 1.0

@@ -116,15 +116,8 @@ class Tracking(Task):
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.start_ranges(signature, start or {}, "task.start")
         self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
-        outside = _beyond(self.start, self.bounds).any(0)
-        if away := [
-            name for name, out in zip(signature.state_names, outside.tolist()) if out and name in (start or {})
-        ]:
-            place = signature.state_index(away[0])
-            raise ValueError(
-                f"task.start has '{away[0]}' at {self.start[:, place].tolist()}, and task.bounds are "
-                f"{self.bounds[:, place].tolist()}; allowed is a start within the bounds: correct one of them"
-            )
+        # Where a state begins of which nothing is said, a log or the plant itself may say.
+        ranges.require_start_within(signature, self.start, self.bounds, start or {})
         for place, name, *ends in zip(self.outputs, outputs, *(self.ends or ((), ())), strict=False):
             least, most = self.bounds[:, place].tolist()
             if not least <= ends[0] <= ends[1] <= most:
@@ -151,6 +144,11 @@ class Tracking(Task):
     def error_columns(self) -> slice:
         """Columns of the observation that hold the scaled errors."""
         return slice(self.signature.n_x, self.signature.n_x + self.n_r)
+
+    @property
+    def start_ends(self) -> Tensor:
+        """Ends of the states in which episodes begin, `(2, n_x)`; `start`, unless the plant says where."""
+        return self.start if self.starts is None else super().start_ends
 
     def with_reference(self, reference: Reference) -> Tracking:
         """Return the same task with another distribution of references.

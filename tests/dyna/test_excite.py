@@ -123,9 +123,24 @@ def test_a_plant_that_may_not_stay_is_followed_three_ranges_from_its_start_witho
     assert low.tolist() == [-far[0], -far[1]] and high.tolist() == [*far]
     begun = parts(Inverted(), careful={"first": first}, start={"theta": [0.5, 0.7]}, bounds={"Omega": 5.0})
     low, high = _excitation_limits(begun)
-    shift = (0.5, 0.7) if first < 1 else (0.0, 0.0)
-    assert low.tolist() == pytest.approx([shift[0] - far[0], -5.0])
-    assert high.tolist() == pytest.approx([shift[1] + far[0], 5.0])
+    assert low.tolist() == pytest.approx([0.5 - far[0], -5.0])
+    assert high.tolist() == pytest.approx([0.7 + far[0], 5.0])
+
+
+def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_bounds():
+    """A tank of 350 K, of which some kelvin are usual, cools towards 340 K."""
+    signature = Signature(("T",), ("K",), ("heat",), (5.0,))
+
+    class Tank(System):
+        def forward(self, x, u):
+            return 0.1 * (340.0 - x) + u
+
+    experiment = parts(Tank(signature), start={"T": 350.0})
+    rows = excite(experiment)
+    assert restarts(experiment, rows) is None and rows["step_count"].flatten().tolist() == [*range(200)]
+    own = experiment.plant.task.with_starts(torch.tensor([[350.0], [352.0]]))  # as an environment of Gymnasium says
+    experiment.plant.task = own
+    assert [end.tolist() for end in _excitation_limits(experiment)] == [[300.0], [402.0]]
 
 
 def test_under_a_gain_that_is_given_a_plant_that_falls_stays_from_the_first_period_on():

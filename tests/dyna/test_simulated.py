@@ -101,6 +101,21 @@ def test_a_plant_that_falls_though_it_is_said_to_stay_is_told_how_it_is_held():
         Simulated(bounds={"theta": 0.5}).load(Inverted(), CHIRP)
 
 
+def test_bounds_that_exclude_the_start_are_refused_and_a_far_start_is_no_running_away():
+    with pytest.raises(ValueError, match="theta"):
+        Simulated(bounds={"theta": [0.5, 1.0]}).load(Inverted(), CHIRP)
+    with pytest.raises(ValueError, match="Omega"):
+        Simulated(bounds={"Omega": 1.0}, start={"Omega": [0.0, 2.0]}).load(Inverted(), CHIRP)
+
+    class Warm(System):
+        def forward(self, x, u):
+            return u - 0.1 * (x - 9000.0)
+
+    plant = Warm(Signature(("T",), ("K",), ("u",), (2.0,)))
+    source = Simulated(start={"T": 9000.0}, period=0.5, validation_seconds=5.0).load(plant, CHIRP)
+    assert source.findings == () and float(source.training.x.min()) > 8990.0
+
+
 def test_a_gain_that_is_given_holds_the_recording_and_its_validation():
     """The poles of s^2 + 8 K_2 s + 8 K_1 - 5 are -3 and -4."""
     gain = [[(12.0 + 5.0) / 8.0, 7.0 / 8.0]]

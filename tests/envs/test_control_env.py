@@ -227,6 +227,21 @@ def test_a_plant_that_moves_in_steps_has_periods_of_whole_steps_and_no_samples_w
         ControlEnv(plant, task, 0.05, 1).check_plant()
 
 
+def test_bounds_that_exclude_where_episodes_begin_are_refused_before_anything_moves():
+    system = Pendulum()
+    settings = {"outputs": ["theta"], "rates": ["Omega"], "bounds": {"theta": [0.5, 2.0]}}
+    task = Tracking(system.signature, RandomStep([1.0], [1.5]), **settings, reward=TrackingReward((1.0,)))
+    with pytest.raises(ValueError, match="theta") as error:
+        ControlEnv(system, task).check_plant()
+    assert "\n" not in str(error.value)
+    begun = Tracking(
+        system.signature, RandomStep([1.0], [1.5]), **settings, reward=TrackingReward((1.0,)), start={"theta": 0.5}
+    )
+    ControlEnv(system, begun).check_plant()
+    with pytest.raises(ValueError, match="theta"):
+        ControlEnv(system, begun.with_starts(torch.tensor([[0.6, 0.0], [0.4, 0.0]]))).check_plant()
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.07])
 def test_periods_that_follow_each_other_are_advanced_one_by_one(delay):
     """Also where inputs are late, of which only `advance` knows."""

@@ -149,6 +149,10 @@ def test_references_beyond_the_targets_of_the_plant_are_told_and_others_are_not(
     derived = wave("square", [-0.3], [0.4], 20, 0.05)
     assert beyond_targets(evaluate(env, still, Scenario("square", derived, seconds=2.0))) == []
     assert beyond_targets(evaluate(env, still, Scenario("step", Step([[0.4], [-0.3]]), 2, 1.0))) == []
+    upright = Tracking(
+        system.signature, Step([[math.pi]]), ["theta"], ["Omega"], TrackingReward((4.0,)), low=[math.pi], high=[math.pi]
+    )
+    assert beyond_targets(evaluate(ControlEnv(system, upright), still, Scenario("step", seconds=1.0))) == []
 
 
 def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:

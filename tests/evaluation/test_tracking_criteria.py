@@ -60,6 +60,11 @@ def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
     assert not judge(states(theta=TIME), r).swings
 
 
+def test_a_state_runs_away_from_where_it_began_and_not_from_zero():
+    assert not judge(states(theta=300.0 + 0.1 * torch.sin(3 * TIME))).away  # 600 ranges
+    assert judge(states(theta=300.0 + TIME)).away == {"theta": 1.0}
+
+
 def test_what_is_not_finite_is_lost():
     found = judge(states(p=torch.inf, theta=torch.nan))
     assert found.share == {"p": None} and found.away == {"theta": 1.0}

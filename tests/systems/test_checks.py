@@ -79,6 +79,7 @@ def test_nothing_is_asked_of_a_plant_beyond_its_bounds():
         require_plant(Level(torch.sqrt), at(0.5), torch.tensor([[0.0], [2.0]]))
         require_plant(Level(torch.log), at(0.5), torch.tensor([[0.0], [2.0]]))  # its very end is no place
         require_plant(Level(lambda h: h.clamp(min=0).sqrt()), at(0.5), FREE)
+        require_plant(Level(torch.sqrt), at(350.0), FREE)  # a temperature, which a range of 1 K never takes to zero
     with pytest.warns(UserWarning, match=r"-0\.98"):
         require_plant(Level(torch.sqrt), at(0.5), FREE)
 
