@@ -11,12 +11,22 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
-from cli import CONF, end_with_parent, exit_at_once, handle_signals, pipe_guard, require_writable, stop  # isort: split
+from cli import (  # isort: split
+    CONF,
+    end_with_parent,
+    exit_at_once,
+    handle_signals,
+    pipe_guard,
+    plant_settings,
+    require_writable,
+    stop,
+)
 
 os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hydra's printer
 
 import hydra
-from errors import in_words, mendable, of_user
+from errors import MISSPELT, in_words, mendable, of_user
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -94,7 +104,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
     try:
         with one_line(config_name), PROGRESS:
             sys.argv[1:] = complete([as_text(_resolve_latest(word)) for word in sys.argv[1:]])
-            hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job)()
+            _start(hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job))
     except KeyboardInterrupt as end:
         handle_signals(exit_at_once)
         line = " ".join((str(end) or "stopped").split())
@@ -107,6 +117,21 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
     if Sweep.errors:
         print(*(f"error: {line}" for line in Sweep.errors), sep="\n", file=sys.stderr)
         sys.exit(2)
+
+
+def _start(main: Callable[[], None]) -> None:
+    """Start a command; a setting of its plant that no file gives is added to those that one does."""
+    while True:
+        try:
+            return main()
+        except HydraException as error:
+            key = found[1] if (found := MISSPELT.search(str(error))) else ""
+            group, _, name = key.partition(".")
+            added = [f"++{word}" if word.partition("=")[0] == key else word for word in sys.argv[1:]]
+            if group != "plant" or name.partition(".")[0] not in plant_settings() or added == sys.argv[1:]:
+                raise
+            GlobalHydra.instance().clear()
+            sys.argv[1:] = added
 
 
 def show() -> None:

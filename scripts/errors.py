@@ -8,7 +8,7 @@ from pathlib import Path
 
 import hydra
 import yaml
-from cli import CONF, SCRIPTS, config_dir, group_options
+from cli import CONF, SCRIPTS, config_dir, group_options, plant_settings
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -153,6 +153,7 @@ def _misspelt(key: str, config_name: str) -> str:
     if source := _taken_from(key, whole):
         return f"'{key}' follows another key; give {source} instead"
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node if str(name)[0] != "_"]
+    names += [place for place in map("plant.{}".format, plant_settings()) if "plant" in names and place not in names]
     keys, group = sorted((name for name in names if "[" not in name), key=lambda name: name.count(".")), key
     while group not in ("", *keys):
         group = group.rpartition(".")[0]

@@ -13,6 +13,7 @@ from itertools import chain
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
+from cli import plant_settings
 from errors import unknown_name
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationResolutionError, InterpolationToMissingValueError
@@ -110,6 +111,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
             tree.pop("excitation", None)  # nothing is excited where there is a log
+        if not file:  # what a run read is all that its file holds
+            _require_plant_settings(tree.get("plant"), repr(OmegaConf.to_container(cfg)))
         for key, value, hint in chain(_values(tree, PLANT), _arguments(tree), _values(tree, _hints(tree, bool(file)))):
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
@@ -125,6 +128,24 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(f"{what}, which is not given, or no group of keys; give the keys as conf/ does") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
+
+
+def _require_plant_settings(plant: Any, text: str) -> None:
+    """Refuse settings of a plant that nothing reads.
+
+    Args:
+        plant: The settings.
+        text: The whole config, as it was written, in which a plant of the user's own may read some of its own.
+    """
+    names = {"plant": {*plant_settings(), *re.findall(r"\bplant\.(\w+)", text)}}
+    for key in PLANT:
+        group, _, name = key.rpartition(".")
+        names.setdefault(group, set()).add(name)
+    for group, allowed in names.items():
+        node = plant if group == "plant" else plant.get(group.partition(".")[2]) if isinstance(plant, dict) else None
+        for name in () if not isinstance(node, dict) else node:
+            if name not in allowed:
+                raise ValueError(unknown_name(str(name), allowed, group))
 
 
 def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:

@@ -148,6 +148,21 @@ def test_a_plant_in_the_place_of_what_is_known_of_one_is_named():
         check(OmegaConf.create({"plant": "tras"}))
 
 
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [("+plant.strat={theta: 1}", "'start'"), ("+plant.signals.stepp=[[0.1]]", "'step'"), ("+plant.mass=2", "'mass'")],
+)
+def test_a_setting_of_a_plant_that_nothing_reads_is_refused(word, meant):
+    cfg = composed("train", "system=pendulum", word)
+    with pytest.raises(ValueError, match=meant):
+        check(cfg)
+    check(cfg, "run/config.yaml")  # what another version wrote is looked at by what it builds
+
+
+def test_a_plant_may_read_settings_of_its_own():
+    check(composed("train", "system=pendulum", "+plant.mass=2", "+system.mass=${plant.mass}"))
+
+
 def test_what_is_not_given_is_missed():
     cfg = composed("train", "~replay.capacity")
     with pytest.raises(ValueError, match=r"replay\.capacity"):
