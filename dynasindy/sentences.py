@@ -1132,6 +1132,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "the inputs change more often and more widely, or name functions and states that the model lacks",
     "forecast.longer_plan": "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of "
     "targets",
+    "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
+    "{functions} functions of the equations, so that nothing tells how well they hold: log longer, or choose a smaller "
+    "library",
     "control.other_period": _other_period,
     "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g} {unit}, the log from {least:.3g} to "
     "{most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log",

@@ -41,7 +41,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
-from dynasindy.findings import Finding
+from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors
 from dynasindy.identification.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
 from dynasindy.identification.signal_resolution import low_signal_states, resolved_errors
@@ -129,16 +129,41 @@ def plan(
     return Controller(actor.deployed, setup, observer)
 
 
+def refit_shortage(model: SindyModel, log: Source | None) -> Finding | None:
+    """Return that a log keeps too little of itself to fit its model again, so that no forecast can promise anything.
+
+    Args:
+        model: Model that was identified from it.
+        log: The log; nothing is lacking of none, nor of one that was not to keep anything.
+    """
+    if log is None or not len(log.validation):
+        return None
+    samples, functions = len(log.validation) // HALVES, int((model.coefficients != 0).any(-1).sum())
+    return wrong("forecast.short_log", samples=samples, functions=functions) if samples < functions else None
+
+
 def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> list[SindyModel]:
-    """Fit the functions that a model uses to equal stretches of data, each refined from its coefficients on."""
+    """Fit the functions that a model uses to equal stretches of data, each refined from its coefficients on.
+
+    There is no fit where a stretch has fewer samples than functions.
+    """
     late, places = delay_inputs(data, model.delay), torch.arange(len(data))
     length, found = len(data) // stretches, []
+    library, coefficients, rows = model.library, model.coefficients, (model.coefficients != 0).any(-1)
+    used, given = (
+        model.constraints.free & (coefficients != 0),
+        torch.where(model.constraints.free, 0.0, model.constraints.offset),
+    )
+    if length < int(rows.sum()):
+        return []
+    if length < len(library):  # too few to fit those, too, that the model does not use
+        library = library.subset(rows.nonzero().flatten().tolist())
+        used, given, coefficients = used[rows], given[rows], coefficients[rows]
     for k in range(stretches):
         member = copy.deepcopy(model)
-        used = model.constraints.free & (model.coefficients != 0)
-        given = torch.where(model.constraints.free, 0.0, model.constraints.offset)
+        member.library, member.coefficients = library, coefficients.clone()
         member.constraints = replace(model.constraints, free=used, offset=given)
-        member.initial, member.initial_delay = model.coefficients.clone(), 0.0
+        member.initial, member.initial_delay = coefficients.clone(), 0.0
         if member.refinement is not None:
             member.refinement = replace(member.refinement, longest_delay=0.0)
         with reporting_as(f"fit to {name}" if stretches == 1 else f"fit to part {k + 1} of {stretches} of {name}"):
@@ -173,8 +198,7 @@ def forecast(
         within: Mean absolute error at the end that is asked for, in target ranges.
 
     Raises:
-        ValueError: There are too few data for a fit, the log is of another plant, or the task is one without a range
-            of targets and no scenario is given.
+        ValueError: The log is of another plant, or the task is one without a range of targets and no scenario is given.
     """
     scenario = scenario or _steps(controller.setup.task)
     setup, policy = controller.setup, controller.policy
@@ -194,8 +218,9 @@ def forecast(
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
-    found = predict(models, env, policy, scenario, sensing, within)
+    found = replace(predict(models or [model], env, policy, scenario, sensing, within), in_sample=not models)
     doubts = _doubts(model, log, LONGEST * controller.dt)
+    doubts += [short] if (short := refit_shortage(model, log)) else []
     if found.evaluation is not None:
         doubts += inputs_beyond_log(model, log.training.u, found.evaluation.inputs.flatten(0, -2))
     if setup.task.ends is not None:

@@ -32,7 +32,7 @@ from dynasindy.sentences import lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
-from dynasindy.workbench import damped, forecast, plan
+from dynasindy.workbench import damped, forecast, plan, refit_shortage
 
 
 @dataclass(frozen=True)
@@ -108,19 +108,24 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         period = suited_period(model, task, source)
         dt = period.seconds
         say(*lines([period.why] if period.why else []))
+    say(*lines(filter(None, [refit_shortage(model, source)])))
     within = cfg.evaluation.get("within", WITHIN)
+    controller = None
     try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **begun.planning)
+        save(controller, folder / NAME)  # before the forecast, which may fail
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
         prediction = forecast(controller, model, source, scenario, cfg.seed, within)
-    except KeyboardInterrupt as stop:
+    except (KeyboardInterrupt, Exception) as stop:
+        if controller is not None:
+            say(f"Controller: {folder / NAME}, of which nothing is promised")
+        if not isinstance(stop, KeyboardInterrupt):
+            raise
         file = folder / "model.json"
         again = command_line("train", [*without(words, "model"), f"model={file}"])
-        line = (
-            f"stopped; the equations are kept in {file}, but no controller yet; plan on them without a new fit: {again}"
-        )
+        without_it = ", but no controller yet" if controller is None else ""
+        line = f"stopped; the equations are kept in {file}{without_it}; plan on them without a new fit: {again}"
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
-    save(controller, folder / NAME)
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     if prediction.evaluation:
         draw_evaluation(prediction.evaluation, figures, controller_name("gradient"), place=prediction.place)

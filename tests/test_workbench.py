@@ -25,7 +25,7 @@ from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
-from dynasindy.workbench import _sensors_of, forecast
+from dynasindy.workbench import _sensors_of, forecast, refit_shortage
 
 COUNT = 2 * math.pi / 4096
 WORDS = ["1", "u", "theta", "Omega", "sin(theta)", "Omega^2"]
@@ -167,6 +167,12 @@ def exact():
     return Source.of(Recording(record_plant(Pendulum(), u, 0.02), Pendulum().signature))
 
 
+def brief(samples, kept=0.25):
+    """Return a log of so many samples without noise, of which a share is kept for the forecast."""
+    u = Multisine(1, duration=samples / 50, dt=0.05, amplitude=[0.8], seed=0).samples(0.02)
+    return Source.of(Recording(record_plant(Pendulum(), u, 0.02), Pendulum().signature), kept)
+
+
 @pytest.fixture(scope="module")
 def late(exact):
     """Return a model, identified without noise, whose inputs act two control periods late."""
@@ -246,6 +252,28 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     found = forecast(controller, model, alone)
     assert found.in_sample and not found.promised
     assert found.evaluation.trajectory.batch_size[0] == 64  # steps over the range of the targets
+
+
+def test_a_part_of_the_log_that_is_shorter_than_the_library_is_fitted_by_what_the_model_uses():
+    log = brief(250)
+    words = [*WORDS, *(f"cos({k} theta)" for k in range(2, len(log.validation) // 2))]
+    model = dynasindy.identify(log, words, {"theta": "Omega"}, "one_step")
+    assert len(model.library) > len(log.validation) // 2
+    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, **SHORT)
+    found = forecast(controller, model, log)
+    assert len(found.flights) == 3 and not found.in_sample
+    assert "forecast.short_log" not in {each.code for each in found.findings}
+
+
+def test_nothing_is_promised_where_what_the_log_keeps_is_shorter_than_the_equations():
+    log = brief(250, 0.02)
+    model = dynasindy.identify(log, WORDS, {"theta": "Omega"}, "one_step")
+    shortage = refit_shortage(model, log)  # known before the plan
+    assert shortage.values["samples"] == len(log.validation) // 2 < shortage.values["functions"]
+    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, **SHORT)
+    found = forecast(controller, model, log)
+    assert shortage in found.findings and not found.promised and found.evaluation is not None
+    assert refit_shortage(model, None) is None
 
 
 def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_bend_in_it(exact):

@@ -17,6 +17,7 @@ from omegaconf import OmegaConf
 import dynasindy
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
+from dynasindy.findings import Finding
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.workbench import tracking_task
@@ -130,6 +131,19 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     kept = [*given[:-2], "plant.library=['sinh(theta)']", given[-1], f"model={tmp_path}/run/model.json"]
     again = train("data=csv", *kept, f"folder={tmp_path}/again")  # the model has a library: another one is not read
     assert "sinh" not in again.stderr and (tmp_path / "again" / "model.json").exists()
+
+
+@pytest.mark.slow
+def test_a_log_that_keeps_too_little_for_a_forecast_says_so_before_the_plan_and_promises_nothing(log, tmp_path):
+    done = train(
+        "data=csv", f"data.path={log}", "data.validation_share=0.004", *TASK, WORDS, *SHORT, "folder=run", cwd=tmp_path
+    )
+    assert done.returncode == 1 and (tmp_path / "run" / "controller.json").is_file()
+    told = json.loads((tmp_path / "run" / "metrics.json").read_text())["prediction"]
+    (short,) = (Finding.from_record(each) for each in told["findings"] if each["code"] == "forecast.short_log")
+    assert not told["promised"] and short.values["samples"] < short.values["functions"]
+    before, _, after = done.stdout.partition("PREDICTED")
+    assert str(short)[:30] in before and str(short)[:30] in after
 
 
 LOGGED = {"data": {"_target_": "dynasindy.identification.identify.LoggedData", "path": "log.csv"}, "system": None}
