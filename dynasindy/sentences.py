@@ -22,6 +22,8 @@ CALLS = {"data.states": "read", "data.inputs": "read", "plant.known": "identify"
 SETTING = re.compile(r"<([a-z_]+(?:\.[a-z_]+)+)((?:=[^>]*)?)>")
 PLAIN = re.compile(r"[^\W\d][\w ./^²°%-]*|[-+]?[\d.]+(?:e[-+]?\d+)?|NUMBER")
 """A word that YAML takes without quotation marks."""
+FEW = 4
+"""Names that a sentence lists."""
 HEADS = {"note": "note", "weak": "warning", "wrong": "wrong"}
 
 
@@ -550,6 +552,7 @@ def _controlled(
     away: Mapping[str, Any],
     idle: Mapping[str, Any],
     grew: bool | None,
+    ringing: Sequence[str] = (),
 ) -> str:
     """Say whether a plant is held, and how near."""
     word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
@@ -564,13 +567,35 @@ def _controlled(
         if grew is not None:
             change = "grew" if grew else "did not grow"
             parts[0] += f"; what was compared is the mean return with that of the untrained policy, and it {change}"
-    for name, each in away.items():
-        fate = "does not come to rest" if each["swings"] else "runs away or does not come to rest"
-        parts.append(f"{name}, which is not tracked, {fate} in {percent(each['share'])} of the runs")
+    for swings in (False, True):
+        shares = {name: each["share"] for name, each in away.items() if each["swings"] == swings}
+        if shares:
+            most = f"{'up to ' if len(set(shares.values())) > 1 else ''}{percent(max(shares.values()))}"
+            parts.append(f"{_untracked([*shares], not swings, True)} in {most} of the runs")
+    parts += [_ringing(ringing)] if ringing else []
     parts += [
         f"{name} runs on in {percent(share)} of the runs, which nothing depends on" for name, share in idle.items()
     ]
     return f"{word}: {'; '.join(parts)}"
+
+
+def _few(names: Iterable[str]) -> str:
+    """Return names, of many the first ones and how many there are beside them."""
+    first = [*names]
+    more = len(first) - FEW
+    return ", ".join(first) if more <= 1 else f"{', '.join(first[:FEW])} and {more} more"
+
+
+def _untracked(states: Sequence[str], runs_away: bool, restless: bool) -> str:
+    """Say what becomes of states that are not tracked."""
+    one = len(states) == 1
+    away, rest = ("runs away", "does not come to rest") if one else ("run away", "do not come to rest")
+    fates = " or ".join([away] * runs_away + [rest] * restless)
+    return f"{_few(states)}, which {'is' if one else 'are'} not tracked, {fates}"
+
+
+def _ringing(states: Sequence[str]) -> str:
+    return f"{_few(states)} still ring{'s' if len(states) == 1 else ''}, decaying"
 
 
 def percent(share: float | None) -> str:
@@ -1123,9 +1148,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.runs_away": lambda models, of: (
         f"{'it runs' if of == 1 else 'all of them run'} away" if models == of else f"{models} of {of} models run away"
     ),
-    "forecast.untracked": lambda state, runs_away: (
-        f"{state}, which is not tracked, {'runs away' if runs_away else 'does not come to rest'}"
-    ),
+    "forecast.untracked": lambda states, runs_away: _untracked(states, runs_away, not runs_away),
+    "forecast.ringing": _ringing,
     "forecast.idle": "{state} runs on, which nothing depends on",
     "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
     "forecast.models_differ": "some models are held and others are not, by what the log leaves open: log longer, let "

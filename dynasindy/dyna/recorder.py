@@ -8,7 +8,8 @@ import math
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -111,13 +112,15 @@ class Recorder(Callback):
         self._open_logs()
         self.untrained = self.latest = summarise(self.evaluate("untrained policy, for comparison"))
 
-    def evaluate(self, phase: str = "") -> Evaluation:
+    def evaluate(self, phase: str = "", seconds: float | None = None) -> Evaluation:
         """Run the deployed policy, without noise, in the scenario; its steps are counted apart from the real ones.
 
         Args:
             phase: What is under way, in words.
+            seconds: Length of the runs [s]; that of the scenario if omitted.
         """
-        evaluation = evaluate(self.plant, self.parts.agent.deployed, self.scenario, self.parts.sensing, phase)
+        scenario = self.scenario if seconds is None else replace(self.scenario, seconds=seconds)
+        evaluation = evaluate(self.plant, self.parts.agent.deployed, scenario, self.parts.sensing, phase)
         moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
         self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation
@@ -176,6 +179,7 @@ class Recorder(Callback):
             What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
+        held = asdict(self._held(final))
         shown = representative_episode(final)
         metrics = {
             **settings,
@@ -183,7 +187,7 @@ class Recorder(Callback):
             "cost": self._spent(self.cost) | {"evaluation_steps": self.evaluation_steps},
             "scenario": final.scenario,
             "evaluation": summarise(final),
-            "held": asdict(self._held(final)),
+            "held": held,
             "units": final.units,
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
@@ -221,8 +225,10 @@ class Recorder(Callback):
 
     def _held(self, final: Evaluation) -> TrackingCriteria:
         start = final.trajectory["state"][0, 0]
-        system = self.plant.system if self.plant.system.known else self.parts.model_env.system
-        return judge_tracking(final, states_that_matter(system, final.columns, start))
+        known = self.plant.system.known  # another simulator, or a rig, is not flown for longer than was asked for
+        system = self.plant.system if known else self.parts.model_env.system
+        fly = partial(self.evaluate, "whether swings die away") if known else None
+        return judge_tracking(final, states_that_matter(system, final.columns, start), fly)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import torch
 
 from dynasindy.envs import ControlEnv, DelayedEnv
-from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
+from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, fly_for
 from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, judge_tracking
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.sensing import Sensing
@@ -102,8 +103,12 @@ class Forecast:
             return (wrong("forecast.runs_away", models=n, of=n), *advice)
         findings = [(wrong if self._missed else note)("forecast.errors", **self._errors(flown))]
         findings += [wrong("forecast.runs_away", models=n - len(flown), of=n)] if len(flown) < n else []
-        fates = sorted({(name, name not in flight.swings) for flight in flown for name in flight.away})
-        findings += [wrong("forecast.untracked", state=name, runs_away=away) for name, away in fates]
+        fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
+        for fate in (False, True):
+            if states := sorted(name for name, away in fates if away == fate):
+                findings.append(wrong("forecast.untracked", states=states, runs_away=fate))
+        if ringing := sorted({name for flight in flown for name in flight.ringing} - {name for name, _ in fates}):
+            findings.append(note("forecast.ringing", states=ringing))
         idle = sorted({name for flight in flown for name in flight.idle})
         findings += [note("forecast.idle", state=name) for name in idle]
         diverged = len(flown) < n or any(away for _, away in fates)
@@ -204,7 +209,8 @@ def predict(
             continue
         shown = shown or result
         start = result.trajectory["state"][0, 0]
-        flights.append(judge_tracking(result, states_that_matter(model, result.columns, start)))
+        matter, fly = states_that_matter(model, result.columns, start), partial(fly_for, env, policy, scenario, seen)
+        flights.append(judge_tracking(result, matter, fly))
         errors.append(_whole(result))
         over = result.metrics["overshoot"].nanmedian(0).values.nan_to_num(0.0).tolist() if result.columns else []
         overshoot = {

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from dynasindy.evaluation.scenarios import Evaluation
+from dynasindy.systems import Diverged
 from dynasindy.systems.base import turn_of
 
 FAR = 20.0
@@ -18,6 +21,10 @@ LOST = 10.0
 """Multiple of the error asked for beyond which the worst reference counts as not held."""
 UNREST = 0.5
 """Ranges that a state may move by at the end of a run whose references stand still."""
+LONGER = 5.0
+"""Multiple of a run's length in which it shows whether a state that has not come to rest at its end is about to."""
+DECAYED = 0.7
+"""Share of its motion at the end of a run that such a state may still have there."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,7 @@ class TrackingCriteria:
         away: States that run away or do not come to rest though they are not tracked, with the share of runs.
         idle: Those of them that nothing depends on, as a mileage.
         swings: Those of `away` that stay near and only do not come to rest.
+        ringing: States that have not come to rest either, and do so in longer runs; they are none of `away`.
         turned: Outputs whose targets reach over a turn or more, and whose errors are shares of one turn.
     """
 
@@ -38,15 +46,20 @@ class TrackingCriteria:
     away: dict[str, float]
     idle: dict[str, float]
     swings: dict[str, float] = field(default_factory=dict)
+    ringing: dict[str, float] = field(default_factory=dict)
     turned: list[str] = field(default_factory=list)
 
 
-def judge_tracking(evaluation: Evaluation, matter: Tensor) -> TrackingCriteria:
+def judge_tracking(
+    evaluation: Evaluation, matter: Tensor, fly: Callable[[float], Evaluation] | None = None
+) -> TrackingCriteria:
     """Judge the final part of an evaluation.
 
     Args:
         evaluation: Runs of a policy.
         matter: States that are tracked or that a rate of change depends on, bool `(n_x,)`.
+        fly: Returns the same runs in another length [s], by which swings that die away are known; if omitted, all
+            swings count alike.
     """
     last = evaluation.steady_periods
     errors = evaluation.errors[:, -last:].mean(1)
@@ -62,18 +75,36 @@ def judge_tracking(evaluation: Evaluation, matter: Tensor) -> TrackingCriteria:
     names = evaluation.signature.state_names
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}
     near = (~far.any(0)).tolist()
+    swinging = [i for i in gone if bool(matter[i]) and near[i]]
+    decaying: set[int] = set()
+    if swinging and evaluation.columns and fly is not None and bool((errors.mean(0) <= LOST * WITHIN).all()):
+        with suppress(Diverged):
+            decaying = set(swinging) & _decaying(evaluation, fly(LONGER * evaluation.seconds))
+    ringing = {names[i]: gone.pop(i) for i in swinging if i in decaying}
     return TrackingCriteria(
         share=_named(evaluation, errors.mean(0)),
         worst=_named(evaluation, errors.amax(0)),
         away={names[i]: share for i, share in gone.items() if bool(matter[i])},
         idle={names[i]: share for i, share in gone.items() if not bool(matter[i])},
         swings={names[i]: share for i, share in gone.items() if bool(matter[i]) and near[i]},
+        ringing=ringing,
         turned=[
             name
             for (name, unit), box in zip(evaluation.units.items(), evaluation.boxes, strict=False)
             if box >= turn_of(unit)
         ],
     )
+
+
+def _decaying(evaluation: Evaluation, longer: Evaluation) -> set[int]:
+    """Return the states that move less at the end of longer runs, wherever references rest in both."""
+    scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
+    parts = [(evaluation, evaluation.steady_periods), (longer, len(evaluation.time))]
+    states = [each.trajectory["state"][:, -last:].double() / scale for each, last in parts]
+    now, later = (x.amax(1) - x.amin(1) for x in states)
+    rest = (evaluation.resting & longer.resting).unsqueeze(-1)
+    calm = (later <= (DECAYED * now).clamp_min(UNREST)) | ~rest
+    return set(calm.all(0).nonzero().flatten().tolist())
 
 
 def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:

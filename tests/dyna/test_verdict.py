@@ -40,8 +40,16 @@ def test_a_policy_that_is_no_better_or_of_no_finite_return_is_no_result(untraine
 def test_an_output_within_what_is_asked_for_is_controlled():
     verdict = judge_run(metrics(-2.0, -1.0))
     outputs = {"x": {"share": 0.004, "worst": 0.02, "of_turn": False}}
-    facts = {"outputs": outputs, "within": 0.01, "away": {}, "idle": {}, "grew": True}
+    facts = {"outputs": outputs, "within": 0.01, "away": {}, "idle": {}, "grew": True, "ringing": []}
     assert verdict.controlled and verdict.findings[1] == note("run.controlled", controlled=True, **facts)
+
+
+def test_states_that_still_ring_are_named_and_speak_against_nothing():
+    names = [f"x{k}" for k in range(12)]
+    verdict = judge_run(metrics(-2.0, -1.0, ringing=dict.fromkeys(names, 0.5)))
+    told = verdict.findings[1]
+    assert verdict.controlled and told.severity == "note" and told.values["ringing"] == names
+    assert "x0" in str(told) and "x11" not in str(told)  # of many the first ones
 
 
 @pytest.mark.parametrize(

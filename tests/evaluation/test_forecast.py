@@ -35,7 +35,7 @@ def seen(share, away=None, worst=None, idle=None):
         (
             (seen(0.001, {"cart": 0.5}),),
             ("note", 0.1, 0.1, 0.3),
-            wrong("forecast.untracked", state="cart", runs_away=True),
+            wrong("forecast.untracked", states=["cart"], runs_away=True),
         ),
     ],
 )
@@ -199,7 +199,7 @@ def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = weak("forecast.longer_plan")
     swinging = TrackingCriteria({"theta": 0.2}, {"theta": 0.4}, {"cart": 1.0}, {}, {"cart": 1.0})
-    assert wrong("forecast.untracked", state="cart", runs_away=False) in Forecast((swinging,)).findings
+    assert wrong("forecast.untracked", states=["cart"], runs_away=False) in Forecast((swinging,)).findings
     assert longer in Forecast((swinging,)).findings and longer in Forecast((seen(0.02),)).findings
     assert longer not in Forecast((seen(0.001),)).findings
     for gone in ((seen(0.02), None), (seen(0.02, {"cart": 0.5}),)):

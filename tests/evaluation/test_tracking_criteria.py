@@ -1,6 +1,7 @@
 """What the end of a run says of a plant, from made-up trajectories."""
 
 import json
+import math
 from dataclasses import asdict
 
 import pytest
@@ -9,7 +10,7 @@ from tensordict import TensorDict
 
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import judge_tracking, representative_episode
-from dynasindy.systems import Signature
+from dynasindy.systems import Diverged, Signature
 
 SIGNATURE = Signature(("p", "theta", "way"), ("m", "rad", "m"), ("u",), (1.0, 0.5, 10.0))
 TIME = torch.arange(0, 20, 0.05)
@@ -53,6 +54,33 @@ def test_a_state_that_swings_has_not_come_to_rest():
     assert not judge(states(theta=torch.where(TIME < 14.9, 3.0, 0.0))).away
 
 
+def ringing(damping, amplitude=0.2, period=6.0):
+    """Return runs in which theta swings about its rest, and what makes the same runs in another length [s]."""
+
+    def fly(seconds):
+        time = torch.arange(0, seconds, 0.05)
+        theta = amplitude * torch.exp(-damping * time) * torch.sin(2 * math.pi / period * time)
+        x = torch.stack([0 * theta, theta, 0 * theta], -1).expand(2, -1, -1).double()
+        rows = {"state": x, "reference": torch.zeros(2, len(time), 1, dtype=torch.float64)}
+        return Evaluation("step", SIGNATURE, (0,), time, TensorDict(rows, x.shape[:2]), {}, (), (4.0,))
+
+    return fly(20.0), fly
+
+
+@pytest.mark.parametrize(("damping", "decaying"), [(0.02, True), (0.0, False), (-0.001, False)])
+def test_a_state_whose_swings_die_away_rings_and_is_not_restless(damping, decaying):
+    short, fly = ringing(damping)
+    matter = torch.tensor([True, True, False])
+    found = judge_tracking(short, matter, fly)
+    assert bool(found.ringing) == decaying and bool(found.away) == bool(found.swings) == (not decaying)
+    assert judge_tracking(short, matter).away == {"theta": 1.0}  # as no longer run says more
+
+    def ends(seconds):
+        raise Diverged("it runs away")
+
+    assert judge_tracking(short, matter, ends).away == {"theta": 1.0}
+
+
 def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
     r = torch.sin(TIME).reshape(1, -1, 1).expand(2, -1, 1).double()
     assert not judge(states(theta=torch.sin(TIME)), r).away
@@ -75,7 +103,15 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
     trajectory = TensorDict({"state": x, "reference": torch.zeros(2, len(TIME), 0)}, [2, len(TIME)])
     untracked = Evaluation("task", SIGNATURE, (), TIME, trajectory, {})
     found = judge_tracking(untracked, torch.tensor([True, True, False]))
-    assert asdict(found) == {"share": {}, "worst": {}, "away": {"p": 0.5}, "idle": {}, "swings": {}, "turned": []}
+    assert asdict(found) == {
+        "share": {},
+        "worst": {},
+        "away": {"p": 0.5},
+        "idle": {},
+        "swings": {},
+        "ringing": {},
+        "turned": [],
+    }
 
 
 TWO = Signature(("a", "b"), ("m", "rad"), ("u",), (1.0, 1.0))
