@@ -74,23 +74,30 @@ def resolutions(data: Transitions) -> Tensor:
     Args:
         data: the recording.
     """
-    found = []
-    for i, column in enumerate(samples_of(data)):
-        noise = float(np.fmin(_noise(column), _unforeseen(data, i)))
+    found, unforeseen = [], _unforeseen(data).tolist()
+    for column, left in zip(samples_of(data), unforeseen, strict=True):
+        noise = float(np.fmin(_noise(column), left))
         found.append(sensor_resolution(column, noise) or noise)
     return torch.tensor(found)
 
 
-def _unforeseen(data: Transitions, i: int) -> float:
-    """Return the standard deviation of what past samples leave over of the next one of a state; NaN if none can tell.
+def _unforeseen(data: Transitions) -> Tensor:
+    """Return the standard deviation of what past samples leave over of the next one of each state; NaN if none tell.
 
     Noise of a sensor is new in each sample, so that it stays in what is left over, whatever explains the rest.
     """
-    whole, least = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0)), float("nan")
-    target, state = data.x_next[:, i].double(), data.x[:, i].double()
-    both = torch.cat([data.x[:, whole].double(), data.u.double()], -1)
-    if not bool(whole[i]):
-        both = torch.cat([state.unsqueeze(-1), both], -1)
+    whole = ~(data.x.isnan().any(0) | data.x_next.isnan().any(0))
+    found = torch.full((len(whole),), math.nan, dtype=torch.float64)
+    each = (torch.arange(len(whole)) == i for i in (~whole).nonzero().flatten().tolist())
+    for mine in (*([whole] if bool(whole.any()) else []), *each):
+        found[mine] = _left_by_past(data, torch.cat([data.x[:, mine | whole], data.u], -1).double(), mine)
+    return found
+
+
+def _left_by_past(data: Transitions, both: Tensor, states: Tensor) -> Tensor:
+    """Return the least that regressions on some past signals, `(N, n)`, leave over of the next samples of states."""
+    target = data.x_next[:, states].double()
+    least = torch.full((target.shape[1],), math.nan, dtype=torch.float64)
     both = (both - both.nanmean(0)) / (both - both.nanmean(0)).square().nanmean(0).sqrt().clamp_min(1e-300)
     lost = torch.cat([torch.zeros(1, dtype=torch.int64), both.isnan().any(-1).long().cumsum(0)])
     for order in ORDERS:
@@ -99,7 +106,7 @@ def _unforeseen(data: Transitions, i: int) -> float:
         rows = torch.arange(order - 1, len(data))
         rows = rows[data.segment[rows] == data.segment[rows - order + 1]]
         gaps = lost[rows + 1] - lost[rows + 1 - order]
-        rows = rows[(gaps == 0) & ~target[rows].isnan()]
+        rows = rows[(gaps == 0) & ~target[rows].isnan().any(-1)]
         rows = rows[:: len(rows) // MOST_ROWS + 1]
         past = both[rows.unsqueeze(-1) - torch.arange(order)].flatten(1)
         columns = torch.cat([torch.ones(len(rows), 1, dtype=past.dtype), past], -1)
@@ -109,7 +116,7 @@ def _unforeseen(data: Transitions, i: int) -> float:
             if n < ROWS_EACH * p or p > MOST_COLUMNS:
                 continue
             left = target[rows] - trial @ least_squares(trial, target[rows])
-            least = float(np.fmin(least, math.sqrt(float(left.square().sum()) / (n - p))))
+            least = least.fmin((left.square().sum(0) / (n - p)).sqrt())
     return least
 
 

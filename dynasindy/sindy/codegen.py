@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -281,6 +282,13 @@ def write_program(library: Library, coefficients: Tensor) -> Program:
     return Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step)
 
 
+@lru_cache(maxsize=4)
+def _program_of(library: Library, coefficients: tuple[float, ...]) -> Program:
+    """Return the program of a model; the same one is simulated from other states in turn."""
+    xi = torch.tensor(coefficients, dtype=torch.float64)
+    return write_program(library, xi.reshape(len(library), library.signature.n_x))
+
+
 class _MachineWriter(InfixWriter):
     """Leave numbers as elements of `k`."""
 
@@ -314,7 +322,8 @@ def simulate(
         States at the end of each interval, `(rows, T, n_x)`, before they are corrected.
     """
     try:
-        return simulate_program(write_program(library, coefficients), x, u, dt, substeps, u_end, update)
+        program = _program_of(library, tuple(coefficients.flatten().tolist()))
+        return simulate_program(program, x, u, dt, substeps, u_end, update)
     except (ValueError, OSError):
         pass  # a function has no formula, or there is no compiler
     field, states = generate(library, coefficients), list[Tensor]()

@@ -296,20 +296,27 @@ class Propagator:
             update: what corrects the states after each interval.
 
         Returns:
-            States, `(W, L, n_x)`, and derivatives by the states x, the shapes and the coefficients,
-            `(W, L, n_x, n_x + S + P)`.
+            States, `(W, L, n_x)`, and derivatives by the states x, the fitted elements of the gain, the shapes and the
+            coefficients, `(W, L, n_x, n_x + G + S + P)`.
         """
         if self._code:
             return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end, update)
         ends, slopes, before = [], list[Tensor](), x
+        fitted = None if update is None else update.fitted
         for k in range(u.shape[1]):
             x, moved = self.transfer(x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
+            if fitted is not None:
+                none = moved.new_zeros(*moved.shape[:2], fitted.shape[1])
+                moved = torch.cat([moved[..., : self.n_x], none, moved[..., self.n_x :]], -1)
             ends.append(x)
             slopes.append(_chained(moved, before) if slopes else moved)
             before = slopes[-1]
             if update is not None:
-                x, there = update.corrected(x, k), update.measured[:, k].isfinite()
+                missed, there = (update.measured[:, k] - x).nan_to_num(), update.measured[:, k].isfinite()
+                x = update.corrected(x, k)
                 before = before - (update.gain * there.unsqueeze(-2)) @ before
+                for column, (i, j) in enumerate([] if fitted is None else fitted.mT.tolist()):
+                    before[:, i, self.n_x + column] += missed[:, j]
         return torch.stack(ends, 1), torch.stack(slopes, 1)
 
     def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None) -> tuple[Tensor, Tensor]:

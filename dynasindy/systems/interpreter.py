@@ -76,10 +76,12 @@ class MeasurementUpdate(NamedTuple):
     Attributes:
         measured: what was measured at the end of each period, `(rows, T, n_x)`, NaN where nothing was.
         gain: of what an end misses of it, `(n_x, n_x)`, which is added before the next period.
+        fitted: row and column of each element of the gain by which to differentiate, too, `(2, G)`; None of none.
     """
 
     measured: Tensor
     gain: Tensor
+    fitted: Tensor | None = None
 
     def corrected(self, x: Tensor, period: int) -> Tensor:
         """Return states after a period, `(rows, n_x)`, as the next one begins with them."""
@@ -141,8 +143,8 @@ class Slopes:
             update: what corrects the states after each period.
 
         Returns:
-            States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the shapes and
-            the coefficients, `(rows, T, n_x, n_x + S + P)`.
+            States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the fitted
+            elements of the gain, the shapes and the coefficients, `(rows, T, n_x, n_x + G + S + P)`.
         """
         return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps), update)
 
@@ -164,7 +166,8 @@ class Slopes:
         sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
         sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
         constants = torch.tensor([*self.program.constants, *listing.numbers], dtype=torch.float64)
-        own, columns = torch.stack(parameters).int(), n_x + self.n_shapes + len(parameters[0])
+        fitted = torch.zeros(2, 0) if update is None or update.fitted is None else update.fitted
+        own, columns = torch.stack(parameters).int(), n_x + fitted.shape[1] + self.n_shapes + len(parameters[0])
         sizes = (n_x, n_u, len(constants), listing.values, len(xi), self.n_shapes, own.shape[1])
         stages = 4 * (len(xi) + state_places.shape[1] + shape_places.shape[1] + 2 * n_x)
         room = x.new_empty((listing.values + stages + n_x * (steps.number + 2 + 3 * columns)) * WIDTH)
@@ -173,7 +176,7 @@ class Slopes:
         arguments = [
             *(*map(ctypes.c_long, (rows, periods)), *sizes, *map(ctypes.c_long, (listing.first, len(listing.code)))),
             *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
-            *(int(steps.difference), *whole, ends, slopes, room, *_correction(update)),
+            *(int(steps.difference), *whole, ends, slopes, room, *_correction(update), fitted.shape[1], fitted.int()),
         ]
         self._code.sensitivities(
             *(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments)

@@ -93,7 +93,7 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
         functions = t, v**2 * t**3 * b, (b - 0.25).clamp_min(0), a, slack, torch.sin(2 * a), v
         return torch.stack(functions, -1) @ xi
 
-    def predict(x, numbers, xi, u, u_end, measured):
+    def predict(x, gain, numbers, xi, u, u_end, measured):
         ends = []
         for begin, end, y in zip(u, u_end, measured):
             x = integrated(lambda x, u: field(x, u, xi, numbers), x, begin, end, 0.1, 2)
@@ -102,13 +102,15 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
         return torch.stack(ends)
 
     propagator = Propagator(library, xi, Parameters.where(xi != 0), library.shapes)
-    observer, ends = MeasurementUpdate(measured, gain) if observed else None, u_end if linear else None
+    fitted = torch.tensor([[0, 1, 1], [0, 0, 1]])
+    observer, ends = MeasurementUpdate(measured, gain, fitted) if observed else None, u_end if linear else None
     ours, s = propagator.trajectories(x, u, 0.2, 2, ends, observer)
-    rest, each = (x, numbers, xi, u, u_end, measured), (0, None, None, 0, 0, 0)
+    rest, each = (x, gain, numbers, xi, u, u_end, measured), (0, None, None, None, 0, 0, 0)
     torch.testing.assert_close(ours, torch.func.vmap(predict, each)(*rest), rtol=1e-12, atol=1e-14)
     torch.testing.assert_close(simulate(library, xi, x, u, 0.2, 2, ends, observer), ours, rtol=1e-12, atol=1e-14)
-    by_x, by_number, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1, 2)), each)(*rest)
-    wanted = torch.cat([by_x, by_number, by_xi.mT.flatten(-2)], -1)
+    by_x, by_gain, by_number, by_xi = torch.func.vmap(torch.func.jacrev(predict, (0, 1, 2, 3)), each)(*rest)
+    by_gain = by_gain[..., fitted[0], fitted[1]] if observed else by_gain[..., 0, :0]
+    wanted = torch.cat([by_x, by_gain, by_number, by_xi.mT.flatten(-2)], -1)
     torch.testing.assert_close(s, wanted, rtol=1e-11, atol=1e-13)
 
 

@@ -58,18 +58,20 @@ static void put_inputs(double (*v)[W], long first, int width, int n_u, long ever
 }
 
 /* The observer of W rows: states after a period are corrected by `gain`: (n_x, n_x) times what their ends miss of what
-   was measured, which is NaN where nothing was, and their derivatives alike. */
+   was measured, which is NaN where nothing was, and their derivatives alike. `n_g` of the columns are those by elements
+   of the gain, whose rows and columns are `places`. */
 static void correct(const double *gain, int n_x, int width, long every, const double *measured, const double *ends,
-                    double (*at)[W], double (*s)[W], long columns)
+                    double (*at)[W], double (*s)[W], long columns, int n_g, const int *places)
 {
-    double error[W], part[W];
+    double error[n_x][W], part[W];
     for (int j = 0; j < n_x; j++) {
         for (int r = 0; r < W; r++) {
             long place = (r < width ? r : 0) * every + j;
-            error[r] = measured[place] - ends[place];
+            double missed = measured[place] - ends[place];
+            error[j][r] = missed == missed ? missed : 0;
         }
         for (int i = 0; i < n_x; i++)
-            for (int r = 0; r < W; r++) at[i][r] += error[r] == error[r] ? gain[i * n_x + j] * error[r] : 0;
+            for (int r = 0; r < W; r++) at[i][r] += gain[i * n_x + j] * error[j][r];
     }
     for (long k = 0; k < columns; k++) {
         double sum[n_x][W];
@@ -85,6 +87,8 @@ static void correct(const double *gain, int n_x, int width, long every, const do
         for (int i = 0; i < n_x; i++)
             for (int r = 0; r < W; r++) s[i * columns + k][r] -= sum[i][r];
     }
+    for (int k = 0; k < n_g; k++)
+        for (int r = 0; r < W; r++) s[places[k] * columns + n_x + k][r] += error[places[n_g + k]][r];
 }
 
 /* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x). The first values
@@ -132,7 +136,7 @@ void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long 
             for (int r = 0; r < width; r++)
                 for (int i = 0; i < n_x; i++) ends[((first + r) * periods + t) * n_x + i] = at[i][r];
             long row = (first * periods + t) * n_x;
-            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, at, NULL, 0);
+            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, at, NULL, 0, 0, NULL);
         }
     }
 }
@@ -265,8 +269,8 @@ static void chain(int n_x, long columns, double (*own)[W], double (*before)[W], 
 }
 
 /* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x), and their
-   derivatives by the states x, the numbers inside functions and the coefficients, slopes: (rows, periods, n_x,
-   n_x + n_s + n_p). The first `n_values` instructions compute functions, the others their slopes. A step k1 .. k4 of h
+   derivatives by the states x, elements of the gain, the numbers inside functions and the coefficients, slopes:
+   (rows, periods, n_x, n_x + n_g + n_s + n_p). The first `n_values` instructions compute functions, the others their slopes. A step k1 .. k4 of h
    moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and a1 = h/6 + h/2 a2 J2 times the
    errors of its four rates, where J are the slopes of the rates by the states: so each function is weighed once. */
 void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n_f, int n_s, int n_p,
@@ -275,7 +279,8 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                    const int *shapes, const double *shapes_by, int n_state_places, const int *state_places,
                    int n_shape_places, const int *shape_places, const int *parameters, const double *constants,
                    double h, int steps, int difference, const double *x, const double *u, const double *u_end,
-                   double *ends, double *slopes, double *room, const double *measured, const double *gain)
+                   double *ends, double *slopes, double *room, const double *measured, const double *gain,
+                   int n_g, const int *places)
 {
     struct flow f = {n_x, n_f, difference ? 1 : 4, steps, h, code, features,
                      {n_rates, rates, rates + n_rates, rates_by}, {n_states, states, states + n_states, states_by},
@@ -283,7 +288,7 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                      {n_state_places, state_places, state_places + n_state_places},
                      {n_shape_places, shape_places, shape_places + n_shape_places},
                      NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL};
-    long columns = n_x + n_s + n_p, size = n_x * columns;
+    long columns = n_x + n_g + n_s + n_p, size = n_x * columns;
     f.v = (double (*)[W])room;
     f.at = f.v + n_v;
     f.rate = f.at + (steps + 1) * n_x;
@@ -316,8 +321,8 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                 }
                 for (int i = 0; with && i < n_x; i++) {
                     weigh_stages(&f, own + i * columns);
-                    add_shapes(&f, own + i * columns + n_x);
-                    add_own(&f, n_p, parameters, parameters + n_p, own + i * columns + n_x + n_s);
+                    add_shapes(&f, own + i * columns + n_x + n_g);
+                    add_own(&f, n_p, parameters, parameters + n_p, own + i * columns + n_x + n_g + n_s);
                 }
             }
             if (t) {
@@ -336,7 +341,7 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                 }
             long row = (first * periods + t) * n_x;
             double (*last)[W] = f.at + steps * n_x;
-            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns);
+            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns, n_g, places);
         }
     }
 }
