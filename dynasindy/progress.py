@@ -34,6 +34,10 @@ INTERVAL = 10.0
 VERDICT = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
 
 
+class TimeIsUp(RuntimeError):
+    """What hears of progress raises it where no time is left; work that can ends with what it has."""
+
+
 @dataclass(frozen=True)
 class Event:
     """State of a phase of the work.

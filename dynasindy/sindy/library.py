@@ -43,15 +43,19 @@ class Factor:
     frequency: float = 1.0
     fitted: float = 0.0
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Least and largest number that a fit may put inside."""
+        low, high = sorted((self.fitted / FARTHEST, self.fitted * FARTHEST))
+        return low, high
+
     def with_number(self, number: float) -> Factor:
-        """Return the factor with another number inside, not farther from its first guess than `FARTHEST` allows.
+        """Return the factor with another number inside, within its `limits`.
 
         A number that is not finite, of a step that led nowhere, changes nothing.
         """
-        if not math.isfinite(number):
-            return self
-        low, high = sorted((self.fitted / FARTHEST, self.fitted * FARTHEST))
-        return replace(self, frequency=min(max(number, low), high))
+        low, high = self.limits
+        return replace(self, frequency=min(max(number, low), high)) if math.isfinite(number) else self
 
     def compute(self) -> Callable[..., Tensor]:
         """Return the function of the variables alone, its power left out."""

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count
-from dynasindy.progress import report_progress
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import (
@@ -30,12 +29,10 @@ from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, r
 from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates, has_gaps, rate_states
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means
 from dynasindy.sindy.shape_parameters import fit_shapes
-from dynasindy.sindy.shooting import Descent, Flow, RunsAway, shooting_covariance
-from dynasindy.sindy.trajectory_fit import WORSE, few_steps, first_gain, refine_trajectory, trajectory_error_ratio
+from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
+from dynasindy.sindy.trajectory_fit import WORSE, first_gain, refine_trajectory, trajectory_error_ratio
 from dynasindy.systems.transitions import Transitions
 
-STEPS = 6
-"""Gauss-Newton steps after which two delays are compared."""
 PERIODS = 2
 """Control periods within which noisy samples are searched for a delay where no regression tells one. An unstable plant
 is excited under feedback, and in such data a longer delay, with other equations, may explain as much as the true
@@ -277,7 +274,8 @@ class _Fit:
             return self._fit_with_delay(first, rough, kinds[error], observed=error == "innovation")
         try:
             found = self._fit_with_delay(first, rough, descent)
-            ratio = self._strain(found[:2], found.delay, descent)
+            measured, start = self.recording.measured(found.delay), self.recording.guessed(found.delay).x
+            ratio = trajectory_error_ratio(*found[:2], self.constraints.free, measured, descent, start)
         except RunsAway:
             why: dict[str, Any] = {"why": "runs_away"}
         else:
@@ -301,7 +299,6 @@ class _Fit:
         free, recording = self.constraints.free, self.recording
         fits = bool(self.longest) and found[0].step is None
         if self.longest:
-            delay = delay if fits else self._fine(delay, found, descent)
             found = self._regressed(found, delay)
         data, guess, gain = recording.measured(0.0 if fits else delay), recording.guessed(delay).x, None
         if observed:
@@ -314,27 +311,7 @@ class _Fit:
         findings: tuple[Finding, ...] = ()
         if flow.windows.length != descent.window:
             findings = (weak("fit.shorter_shooting", long=descent.window, short=flow.windows.length),)
-        return Refined(*_model(flow), delay, findings, covariance=shooting_covariance(flow))
-
-    def _fine(self, delay: float, found: Model, descent: Descent) -> float:
-        """Return the delay in fractions of a sample that a few steps of the fit to trajectories find [s].
-
-        Equations without functions tell none.
-        """
-        if not bool(found[1].any()):
-            return delay
-        report_progress("fit", note=f"trying delays of the inputs up to {self.longest:g} s")
-        few, recording = replace(descent, max_rounds=STEPS), self.recording
-
-        def _cost(trial: float) -> float:
-            measured, start = recording.measured(trial), recording.guessed(trial).x
-            return few_steps(*found, self.constraints.free, measured, few, start)
-
-        return self._refined_delay(delay, found, recording.data, _cost)
-
-    def _strain(self, found: Model, delay: float, descent: Descent) -> Tensor:
-        measured, start = self.recording.measured(delay), self.recording.guessed(delay).x
-        return trajectory_error_ratio(*found, self.constraints.free, measured, descent, start)
+        return Refined(flow.estimate.library, flow.estimate.xi, delay, findings, covariance=shooting_covariance(flow))
 
     def _chosen(self, library: Library, coefficients: Tensor, delay: float) -> tuple[str, bool, tuple[Finding, ...]]:
         """Return the method for these data, whether samples look noisy, and the finding of a choice."""
@@ -361,7 +338,3 @@ class _Fit:
             coefficients = regression.solve(sums, free, offset, seen.shares(library))
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
-
-
-def _model(flow: Flow) -> Model:
-    return flow.estimate.library, flow.estimate.xi

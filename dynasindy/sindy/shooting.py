@@ -176,7 +176,7 @@ class Descent:
 
 
 STEP = 1e-3
-"""Samples by which inputs are shifted, and part by which a gain is changed, to differentiate by them."""
+"""Samples by which inputs are shifted, to differentiate by their delay."""
 EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 ROUNDING = 1e-12
@@ -208,7 +208,8 @@ class Estimate:
         """Return what corrects the states in windows."""
         if self.gain is None:
             return None
-        return MeasurementUpdate(torch.where(windows.mask > 0, windows.measured, math.nan), self.gain)
+        fitted = None if windows.gain_mask is None else windows.gain_mask.nonzero().mT
+        return MeasurementUpdate(torch.where(windows.mask > 0, windows.measured, math.nan), self.gain, fitted)
 
 
 @dataclass(frozen=True)
@@ -239,20 +240,16 @@ class Flow:
 
         D numbers of the gain and the delay are fitted.
         """
-        estimate, windows, n_x = self.estimate, self.windows, self.predicted.shape[-1]
+        estimate, windows = self.estimate, self.windows
         propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
-        update, others, nodes = estimate.measurement_update(windows), list[Tensor](), estimate.nodes
-        inputs = windows.inputs, windows.dt, windows.substeps, windows.last_inputs
-        s = propagator.trajectories(nodes, *inputs, update)[1]
-        if estimate.gain is not None and windows.gain_mask is not None:
-            for i, j in windows.gain_mask.nonzero().tolist():
-                gain = estimate.gain.clone()
-                gain[i, j] += (size := STEP * max(abs(float(gain[i, j])), STEP))
-                others.append((_states_of(replace(estimate, gain=gain), windows) - self.predicted) / size)
-        if windows.history is not None:
-            later = _states_of(estimate, windows.delayed(estimate.delay + STEP * windows.dt))
-            others.append((later - self.predicted) / (STEP * windows.dt))
-        return torch.cat([s[..., :n_x], *(slope.unsqueeze(-1) for slope in others), s[..., n_x:]], -1)
+        update, inputs = estimate.measurement_update(windows), (windows.inputs, windows.dt, windows.substeps)
+        s = propagator.trajectories(estimate.nodes, *inputs, windows.last_inputs, update)[1]
+        if windows.history is None:
+            return s
+        later = _states_of(estimate, windows.delayed(estimate.delay + STEP * windows.dt))
+        place = s.shape[-1] - len(estimate.library.shapes) - len(self.parameters)
+        by_delay = ((later - self.predicted) / (STEP * windows.dt)).unsqueeze(-1)
+        return torch.cat([s[..., :place], by_delay, s[..., place:]], -1)
 
     @property
     def count(self) -> int:
@@ -422,6 +419,10 @@ def _scale_constraints(exponents: Tensor, xi: Tensor, norms: Tensor, places: tup
     return held
 
 
+LEAP = 2.0
+"""Factor by which a step may change the number inside a function."""
+UNTOLD = 1e-300
+"""Weight of an unknown that nothing measured depends on."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 
@@ -475,9 +476,9 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
         sigma = flow.sigma()
     triangles, rest, moves = _condensed(flow, sigma, flow.pieces)
     parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
-    errors, cost = _weighted_errors(flow, sigma)
+    errors, cost = weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
-    scale = rows[:, :-1].norm(dim=0).clamp_min(1e-300)
+    scale = rows[:, :-1].norm(dim=0).clamp_min(UNTOLD)
     target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
     return Linearised(triangle, scale, cost, moves, sigma, errors, _unlikely(flow))
@@ -569,8 +570,8 @@ def _starts(flow: Flow, sigma: Tensor, moves: Tensor, norms: Tensor) -> Tensor:
     return torch.cat([starts, _held(estimate, begun, torch.cat([norms.unsqueeze(0), starts]))])
 
 
-def _weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
-    """Return the weighted errors of the samples, `(W, L, n_x)`, and the cost."""
+def weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
+    """Return the weighted errors of the samples, `(W, L, n_x)`, and the cost of `linearise_windows`, by no slopes."""
     estimate, windows = flow.estimate, flow.windows
     if not bool(windows.joined.any()):
         error, seen = _errors(flow)
@@ -584,11 +585,6 @@ def _weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     gap_weight = 10.0 * windows.mask.shape[1]
     cost = float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
     return weighed, cost + _unlikely(flow)
-
-
-def cost_of(flow: Flow, sigma: Tensor) -> float:
-    """Return the cost of a trial, as in `linearise_windows`. No slopes are computed: only a better trial needs them."""
-    return _weighted_errors(flow, sigma)[1]
 
 
 def _unlikely(flow: Flow) -> float:
@@ -619,7 +615,8 @@ def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]
     rows = _every(flow, observed).div_(sigma[observed].unsqueeze(-1)).flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)
-    best = torch.linalg.lstsq(finite[..., :n_x], finite[..., n_x:], driver="gelsd").solution
+    q, r = torch.linalg.qr(finite[..., :n_x])
+    best = torch.linalg.lstsq(r, q.mT @ finite[..., n_x:], driver="gelsd").solution
     moves = torch.cat([-best[..., :-1], best[..., -1:]], -1)
     return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves
 
@@ -695,6 +692,41 @@ def _gaps(flow: Flow) -> Tensor:
     return torch.where(windows.joined.unsqueeze(-1), ends - nodes, 0.0)
 
 
+def _limits(flow: Flow, n_fixed: int) -> Tensor:
+    """Return how far each of the fixed unknowns may move at least and at most, `(2, F)`; shapes, delay, gain are last.
+
+    What a function is by its number is far from a straight line, and at the ends of its limits nothing tells the way
+    back, so a step goes no further than to some multiple. No observer goes away from what was measured: where that
+    would fit best, it is a simulation.
+    """
+    estimate, windows, limits = flow.estimate, flow.windows, list[tuple[float, float]]()
+    if estimate.gain is not None and windows.gain_mask is not None:
+        for i, j in windows.gain_mask.nonzero().tolist():
+            limits.append((-float(estimate.gain[i, j]) if i == j else -math.inf, math.inf))
+    if windows.history is not None:
+        limits.append((-estimate.delay, windows.longest - estimate.delay))
+    for shape in estimate.library.shapes:
+        (low, high), number = shape.limits, shape.frequency
+        near, far = sorted((number / LEAP, number * LEAP))
+        limits.append((max(low, near) - number, min(high, far) - number))
+    free = [(-math.inf, math.inf)] * (n_fixed - len(limits))
+    return torch.tensor([*free, *limits], dtype=torch.float64).reshape(-1, 2).mT
+
+
+def _solve_within(square: Tensor, target: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return the least squares solution within limits: what would leave them stops there, one after the other."""
+    free, solution = low < high, torch.zeros_like(low)
+    while bool(free.any()):
+        rest = target - square[:, ~free] @ solution[~free]
+        solution[free] = torch.linalg.lstsq(square[:, free], rest.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+        beyond = torch.maximum(low - solution, solution - high)
+        worst = int(beyond.argmax())
+        if not float(beyond[worst]) > 0:
+            break
+        solution[worst], free[worst] = solution[worst].clamp(low[worst], high[worst]), False
+    return solution
+
+
 def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: float = 0.0) -> Estimate:
     """Solve the linear model over the kept unknowns, the others zero, and move coefficients, shapes and nodes.
 
@@ -716,8 +748,12 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
             f"{method}=trajectory: the trajectories leave all finite numbers; give a better first guess, lower "
             f"{window}, or choose another {method}"
         )
-    solution = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
-    values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
+    low, high = torch.full_like(old, -math.inf), torch.full_like(old, math.inf)
+    limits = _limits(flow, n_fixed) * model.scale[:n_fixed]
+    low[:n_fixed], high[:n_fixed] = torch.where(model.scale[:n_fixed] > UNTOLD, limits, 0.0)  # else any step is chance
+    values = (
+        torch.zeros_like(old).index_copy(0, kept, _solve_within(square, target, low[kept], high[kept])) / model.scale
+    )
     step = values.clone()
     step[n_fixed:] -= parameters.read(estimate.xi)
     nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1]
@@ -731,8 +767,6 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         delay = min(max(delay + float(step[place]), 0.0), flow.windows.longest)
     if gain is not None and (mask := flow.windows.gain_mask) is not None:
         gain = gain.masked_scatter(mask, gain[mask] + step[place - int(mask.sum()) : place])
-        # No observer goes away from what was measured: where that would fit best, it is a simulation.
-        gain = torch.where(gain.diagonal() < 0, 0.0, gain)
     return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes, delay, gain)
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from dynasindy.progress import report_progress
+from dynasindy.progress import TimeIsUp, report_progress
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature, Library
 from dynasindy.sindy.noise import repetition
@@ -28,12 +28,12 @@ from dynasindy.sindy.shooting import (
     RunsAway,
     Windows,
     choose_stretches,
-    cost_of,
     left_over,
     linearise_windows,
     move,
     relative_step,
     substeps_for,
+    weighted_errors,
 )
 from dynasindy.systems.transitions import Transitions
 
@@ -156,7 +156,10 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descen
         active, others = flow.parameters, Parameters.where(free & ~support & ~failed)
         if not len(others):
             break
-        report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
+        try:
+            report_progress("fit", note=f"which of {len(others)} terms that were left out should come in")
+        except TimeIsUp:
+            break
         wider = replace(flow, parameters=active + others)
         model = linearise_windows(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
@@ -250,10 +253,13 @@ def _settle(
     model = model or linearise_windows(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
     for k in range(0 if model.least else max_rounds):
-        report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
+        try:
+            report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
+        except TimeIsUp:
+            break
         candidate = move(flow, model, torch.arange(len(model.scale)), damping)
         trial = Flow.of(candidate, parameters, windows)
-        cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf
+        cost = weighted_errors(trial, model.sigma)[1] if bool(trial.predicted.square().isfinite().all()) else math.inf
         lost = not cost < math.inf or (cost < model.cost and bool(trial.lost().any()))
         after = linearise_windows(trial) if cost < model.cost and not lost else None
         if after is None or not bool(after.triangle.isfinite().all()):
@@ -396,17 +402,6 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     if not bool(estimate.xi.any()):
         return torch.full((estimate.xi.shape[1],), math.inf)
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma()
-
-
-def few_steps(library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor) -> float:
-    """Return N/2 log of the squared errors that a few steps leave, summed.
-
-    The support of `xi` stays, and `start` is a guess of the states before each transition, `(N, n_x)`.
-    """
-    some = choose_stretches(len(data), ENOUGH)
-    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
-    flow = _grown(Estimate(library, xi, start[some]), support, data, descent, COARSE)
-    return left_over(_settle(flow, descent.max_rounds)[1], flow.windows)
 
 
 def trajectory_error_ratio(
