@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -34,11 +34,12 @@ from dynasindy.identification.forecast_errors import (
 from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.identification.source import Source, rates_of
 from dynasindy.limits import raise_if_memory
-from dynasindy.progress import Event, listening, report_progress, reporting_as
+from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
+from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, with_lag_state
-from dynasindy.sindy.library import Constraints, Feature, Library
+from dynasindy.sindy.library import Constraints, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_speed, polynomial
@@ -64,15 +65,14 @@ ROWS, FINAL_ROWS = 10_000, 100_000
 """Rows that a candidate is fitted to at most, and the best one in the end, in stretches spread evenly."""
 SHORT, FOLDS = 3000, 3
 """Samples below which several parts are kept in turn, and how many."""
-BLOCKS, CHANCE = 4, 0.5
-"""Blocks of a part between which errors are compared, and standard errors of a mean difference that tell nothing."""
 HORIZONS, STARTS = 7, 60
 """Times ahead, and start times, over which they are judged."""
 SHORTEST, LONGEST, WORSE = 50, 800, 2
 """Samples in the shortest and the longest of the windows over which they are simulated, each twice as long as the one
 before; and how many of them in turn may be worse than the best before longer ones are given up."""
-PER_TERM, PER_STATE = 0.01, 0.03
-"""Part by which the errors have to be lower for one coefficient more, and for one state more that follows a signal."""
+PER_TERM = 0.01
+"""Part by which errors have to be lower for a coefficient more; of functions that are not linear, and for a state more
+that follows a signal, twice as much."""
 FARTHEST, LIMIT = 200, 10_000
 """Samples ahead up to which candidates are judged at least, where there are so many, and at most."""
 BEHIND = 1.0
@@ -86,11 +86,13 @@ HOPELESS = 1.0
 LEADERS = 3
 """Models with other functions each that longer simulations are fitted by, those first that predict best."""
 MANY = 80
-"""Functions up to which regressions choose among all of them."""
+"""Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
+SAMPLES_EACH = 5
+"""Samples for each function without which those of a library are not chosen from."""
 STRUCTURES = 2
 """Linear models of other states each to which functions are added, those first that predict best."""
-SHARE, LARGEST_SHARE = 0.25, 0.5
-"""Part of the time that states that follow a signal may take, and any one candidate."""
+SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.5, 0.15
+"""Part of the time that states that follow a signal may take, any one candidate, and the last fit."""
 CUBIC = 6
 """States and inputs up to which cubic functions are tried."""
 ANGLES = frozenset({"rad", *TURNS})
@@ -105,10 +107,6 @@ SIGNIFICANT, NEGLIGIBLE = 2.0, 1e-6
 """Standard errors, and part of the largest term of an equation, below which a coefficient may be left out."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
-
-
-class _TimeIsUp(RuntimeError):
-    """A search has no time left."""
 
 
 @contextmanager
@@ -210,11 +208,12 @@ class HoldOut:
         """
         place, length = torch.arange(len(data)), round(KEPT * len(data))
         ends = [len(data) - k * length for k in range(FOLDS if len(data) < SHORT else 1)]
-        found = [cls._of(data, (place < end - length) | (place >= end)) for end in ends]
+        resolution = resolutions(data).nan_to_num()
+        found = [cls._of(data, (place < end - length) | (place >= end), resolution) for end in ends]
         return [each for each in found if each is not None]
 
     @classmethod
-    def _of(cls, data: Transitions, early: Tensor) -> HoldOut | None:
+    def _of(cls, data: Transitions, early: Tensor, resolution: Tensor) -> HoldOut | None:
         fit, kept = data.select(early), data.select(~early)
         slow = characteristic(fit)
         before = min(max(round(slow / data.dt), FEWEST), MOST, len(kept) // 4)
@@ -233,7 +232,7 @@ class HoldOut:
         errors = torch.stack([errors_over(guess, real, steps) for guess in simple])
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
-        floor = torch.maximum(resolutions(fit).nan_to_num(), EXACT * spread)
+        floor = torch.maximum(resolution, EXACT * spread)
         whole = cls(early, kept, steps, starts, later, real, before, errors, deviation, floor)
         return whole.within(errors[:-1]) if len(errors) > 1 else whole
 
@@ -258,22 +257,17 @@ class HoldOut:
         rows = self.early.nonzero().flatten()
         return torch.zeros_like(self.early).index_fill(0, rows[choose_stretches(len(rows), ROWS, window)], True)
 
-    def errors(self, model: SindyModel, source: Source) -> tuple[Tensor, Tensor]:
-        """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts.
-
-        Beside them is their mean logarithm by those of the best simple model in each block of starts, `(B,)`.
-        """
+    def errors(self, model: SindyModel, source: Source) -> Tensor:
+        """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts."""
         kept, n_x = source.training.select(~self.early), self.real.shape[-1]
-        found, best = torch.full_like(self.simple, math.inf), torch.full_like(self.real, math.inf)
+        found = torch.full_like(self.simple, math.inf)
         for length in dict.fromkeys(max(3, self.before >> k) for k in (0, 1, 2, 4)):
             with _attempt():
                 guess = predict_from(model, kept, self.starts, self.later, length)[..., :n_x]
                 errors = errors_over(guess, self.real, self.steps)
                 if errors.clamp_max(1e9).log().nanmean() < found.clamp_max(1e9).log().nanmean():
-                    found, best = errors, guess
-        parts = torch.arange(len(self.starts)).tensor_split(min(BLOCKS, len(self.starts)))
-        blocks = [self.ratios(errors_over(best[part], self.real[part], self.steps)).nanmean() for part in parts]
-        return found, torch.stack(blocks)
+                    found = errors
+        return found
 
     def score(self, errors: Tensor) -> float:
         """Return the mean logarithm of errors by those of the best simple model, and more where they are larger."""
@@ -301,7 +295,6 @@ class Candidate:
         source: the data with all of its states.
         settings: of its fit.
         errors: over each horizon, `(H, n_x)`, for each part that it was judged on.
-        blocks: mean logarithm of errors in each block of all these parts, by those of a simple model, `(B,)`.
         score: what is to be least.
         what: what it is, in words.
         structure: model with all functions, of which this one has the linear ones; None of others.
@@ -311,7 +304,6 @@ class Candidate:
     source: Source
     settings: Refinement
     errors: list[Tensor]
-    blocks: Tensor
     score: float
     what: str
     structure: SindyModel | None = None
@@ -322,10 +314,9 @@ class Candidate:
         return self.models[0]
 
     @property
-    def size(self) -> float:
-        """How much there is in the equations: coefficients, of functions that are not linear twice, and states."""
-        weight = torch.tensor([1 if _is_linear(feature) else 2 for feature in self.model.library.features])
-        return float(weight @ (self.model.coefficients != 0).sum(-1)) + 2 * len(self.model.followed)
+    def states(self) -> tuple[str, ...]:
+        """Names of its states but for those that follow a signal."""
+        return tuple(n for n in self.source.signature.state_names if n not in self.model.followed)
 
 
 @dataclass
@@ -346,13 +337,17 @@ class _Search:
 
     @property
     def expired(self) -> bool:
-        """Whether the time is used up."""
-        return time.process_time() - self.began > self.refinement.seconds
+        """Whether the time is used up, but for that of the last fit."""
+        return time.process_time() > self.until
 
-    def _stop_in_time(self, event: Event, began: float) -> None:
-        """End a fit that began at some time where none is left, or too little for others, and there is a candidate."""
-        if self.tried and (self.expired or time.process_time() - began > LARGEST_SHARE * self.refinement.seconds):
-            raise _TimeIsUp(event.phase)
+    @property
+    def until(self) -> float:
+        return self.began + (1 - LAST_SHARE) * self.refinement.seconds
+
+    def _stop_in_time(self, event: Event, until: float) -> None:
+        """End a fit where no time is left, or too little for others, and there is a candidate."""
+        if self.tried and time.process_time() > until:
+            raise TimeIsUp(event.phase)
 
     @cached_property
     def builder(self) -> LibraryBuilder | None:
@@ -372,24 +367,11 @@ class _Search:
         try:
             with _attempt():
                 self._try_all()
-            return self._final(self._parsimonious()) if self.tried else None
+            return self._final(self.best) if self.tried else None
         except KeyboardInterrupt:
             if not self.tried:
                 raise
-            return self._final(self._parsimonious(), stopped=True)
-
-    def _parsimonious(self) -> Candidate:
-        """Return the smallest candidate that predicts as well as the best one but for what differs by chance."""
-        best, fold = self.best, self.folds[0]
-        count = max(2.0, min(len(best.blocks), len(self.folds) * len(fold.kept) / fold.steps[-1]))
-
-        def _as_good(each: Candidate) -> bool:
-            if len(each.blocks) != len(best.blocks):
-                return False
-            behind = each.blocks - best.blocks
-            return float(behind.mean()) <= CHANCE * float(behind.std()) / math.sqrt(count)
-
-        return min(filter(_as_good, self.tried), key=lambda each: (each.size, each.score), default=best)
+            return self._final(self.best, stopped=True)
 
     def _exact(self) -> bool:
         return all(map(HoldOut.exact, self.folds, self.best.errors))
@@ -399,7 +381,7 @@ class _Search:
         structures = list(self._structures())
         self._single_steps(structures)
         if self.builder is None:
-            self._regressed(*structures[0])
+            self._regressed(*structures[-1])
         for structure in structures:
             self._linear(*structure)
         self._shorten()
@@ -410,12 +392,14 @@ class _Search:
             behind = self.best.score > 0
             if behind and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
                 self._select(lagging)
-        near = {each.source.signature.state_names for each in self._near(self.tried)} if self.tried else set()
+        near = {each.states for each in self._near(self.tried)} if self.tried else set()
         for model, source in structures if self.builder is not None else ():
             if not near or source.signature.state_names in near:
                 self._regressed(model, source)
         if self.builder is not None and self.tried:
-            self._with_larger_library(self.best)
+            self._with_larger_library()
+            if self._with_lag_states(before := self.best) is not before:
+                self._with_larger_library()
         for each in self._leaders() if self.tried else ():
             self._windows(each)
         for each in self._near(linear)[1:STRUCTURES]:
@@ -438,9 +422,8 @@ class _Search:
         self.folds = folds
         for k, old in enumerate(self.tried):
             parts = zip(folds[: len(old.errors)], old.models, strict=False)
-            errors, blocks = (list(part) for part in zip(*(f.errors(m, old.source) for f, m in parts), strict=True))
-            score = self._score(old.model, old.source, errors)
-            self.tried[k] = replace(old, errors=errors, blocks=torch.cat(blocks), score=score)
+            errors = [fold.errors(model, old.source) for fold, model in parts]
+            self.tried[k] = replace(old, errors=errors, score=self._score(old.model, old.source, errors))
 
     def _leaders(self) -> list[Candidate]:
         """Return the best candidates whose equations have different functions."""
@@ -467,26 +450,27 @@ class _Search:
         """Fit copies of a model to what is not kept, and judge them."""
         if self.tried and (self.expired or (self._exact() and not pruned)):
             return None
-        fitted, errors, blocks, candidate = list[SindyModel](), list[Tensor](), list[Tensor](), None
-        in_time = partial(self._stop_in_time, began=time.process_time())
-        with _attempt(), listening(in_time), reporting_as(what):
+        fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
+        with _attempt(), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
-                fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
+                most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
+                until = min(self.until, time.process_time() + most)
+                with listening(partial(self._stop_in_time, until=until)):
+                    fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
                 if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
                     return None  # what moves by nothing is no equation
-                for each, found in zip((errors, blocks), fold.errors(fitted[-1], source), strict=True):
-                    each.append(found)
+                errors.append(fold.errors(fitted[-1], source))
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
-                if fold.exact(errors[-1]) or hopeless:
-                    break  # the other parts would tell the same
+                if fold.exact(errors[-1]) or hopeless or self.expired:
+                    break  # the other parts would tell the same, or there is no time for them
             score, models = (
                 self._score(fitted[0], source, errors),
                 fitted + fitted[:1] * (len(self.folds) - len(fitted)),
             )
-            candidate = Candidate(models, source, settings, errors, torch.cat(blocks), score, what, structure)
+            candidate = Candidate(models, source, settings, errors, score, what, structure)
         if candidate is not None:
             self.tried.append(candidate)
             report_progress("fit", note=f"{what}: score {candidate.score:.3f}, best {self.best.score:.3f}")
@@ -495,8 +479,9 @@ class _Search:
     def _score(self, model: SindyModel, source: Source, errors: list[Tensor]) -> float:
         """Return what is to be least: of its errors, for each part that it was judged on, and of its size."""
         score = sum(map(HoldOut.score, self.folds, errors)) / len(errors)
-        score += PER_TERM * int((model.coefficients != 0).sum()) + PER_STATE * len(model.followed)
-        return score + PER_TERM * float(source.training.u_end is not None)
+        weight = torch.tensor([1 if _is_linear(feature) else 2 for feature in model.library.features])
+        size = int(weight @ (model.coefficients != 0).sum(-1)) + 2 * len(model.followed)
+        return score + PER_TERM * (size + int(source.training.u_end is not None))
 
     def _again(self, what: str, of: Candidate, settings: Refinement) -> Candidate | None:
         """Fit the models of a candidate again, from their coefficients on."""
@@ -513,7 +498,7 @@ class _Search:
     def _single_steps(self, structures: Sequence[tuple[SindyModel, Source]]) -> None:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
         settings = replace(self.refinement, method="one_step")
-        for model, source in reversed(structures):
+        for model, source in structures:
             if not bool(source.training.x_next.isnan().any()) and self._promising(model, source):
                 self._fit("single steps", self._each(model), source, settings)
 
@@ -523,28 +508,29 @@ class _Search:
         trial.refinement = replace(self.refinement, method="integral")
         with _attempt():
             trial.fit(source.training.select(fold.fit_rows()))
-            return fold.score(fold.errors(trial, source)[0]) < HOPELESS
+            return fold.score(fold.errors(trial, source)) < HOPELESS
         return False
 
     def _each(self, model: SindyModel) -> list[SindyModel]:
         return [model] * len(self.folds)
 
     def _structures(self) -> Iterator[tuple[SindyModel, Source]]:
-        """Yield the model as it is, with rates that were measured as such, and with those of places that lack one."""
-        yield self.given, self.source
+        """Yield the model with rates of all places, with those alone that were measured as such, and as it is."""
         if self.builder is None or not self.rates:
+            yield self.given, self.source
             return
         signature, known = self.given.signature, rates_of(self.given)
         names = signature.state_names
         measured = {names[i]: names[rate] for rate, i in find_rates(self.source.training).items()}
         rates = known | measured
-        if len(rates) > len(known):
-            yield self._rebuilt(self.source, rates), self.source
         places = [n for n, unit in zip(names, signature.state_units, strict=True) if not is_speed(unit)]
         if lacking := [name for name in places if name not in rates and name not in rates.values()]:
-            wide = rates | {name: rate_name(name, signature) for name in lacking}
+            wide = {n: rates.get(n, rate_name(n, signature)) for n in names if n in rates or n in lacking}
             source = self.source.with_rates(wide)
             yield self._rebuilt(source, wide), source
+        if len(rates) > len(known):
+            yield self._rebuilt(self.source, rates), self.source
+        yield self.given, self.source
 
     def _rebuilt(self, source: Source, known: Mapping[str, str]) -> SindyModel:
         old = self.given
@@ -559,8 +545,7 @@ class _Search:
 
     def _linear(self, model: SindyModel, source: Source) -> None:
         """Fit the linear functions of a model."""
-        places = [k for k, each in enumerate(model.library.features) if _is_linear(each)]
-        plain = _with_library(model, model.library.subset(places), model.constraints.free[places])
+        plain = _with_functions(model, _is_linear)
         delay = 0.5 * source.training.dt if self._settings().longest_delay else 0.0
         begun = [_linear_start(plain, source.training.select(fold.fit_rows()), delay) for fold in self.folds]
         names, settings = ", ".join(source.signature.state_names), self._settings(select=False)
@@ -592,23 +577,35 @@ class _Search:
         return best
 
     def _select(self, of: Candidate) -> None:
-        """Let functions of the whole library come in and go, at two prices."""
-        full = of.structure
-        if full is None or len(full.library) == len(of.model.library):
+        """Let functions come in and go, at two prices: of a large library first those of one factor."""
+        if of.structure is None or len(of.structure.library) == len(of.model.library):
             return
-        for signal in of.model.followed.values():
-            full = with_lag_state(full, signal)
-        begun = replace(of, models=[_with_coefficients(full, model) for model in of.models], structure=None)
-        self._at_prices(f"{of.what}, functions", begun, replace(of.settings, rounds=0, select=True))
+        full = _with_functions(of.structure, lambda each: not _is_quotient(each))
+        small = _with_functions(full, lambda each: len(each.factors) <= 1)
+        rows = int(self.folds[0].fit_rows().sum())
+        for library in (small, full) if len(full.library) > MANY else (full,):
+            if len(library.library) * SAMPLES_EACH > rows:
+                return
+            for signal in of.model.followed.values():
+                library = with_lag_state(library, signal)
+            begun = replace(of, models=[_with_coefficients(library, model) for model in of.models], structure=None)
+            found = self._at_prices(f"{of.what}, functions", begun, replace(of.settings, rounds=0, select=True))
+            of = replace(found, structure=of.structure, what=of.what) if found is not None else of
 
-    def _at_prices(self, what: str, last: Candidate | None, settings: Refinement) -> None:
-        """Let functions come in and go from a candidate on, at rising prices."""
+    def _at_prices(self, what: str, last: Candidate, settings: Refinement) -> Candidate | None:
+        """Let functions come in and go from a candidate on, at rising prices, and return the best one; None of none."""
+        best: Candidate | None = None
         for penalty in PRICES:
-            if last is not None:
-                last = self._again(f"{what} at {penalty:g} times a price", last, replace(settings, penalty=penalty))
+            found = self._again(f"{what} at {penalty:g} times a price", last, replace(settings, penalty=penalty))
+            if found is None:
+                break
+            last, best = found, found if best is None else _better(best, found)
+        return best
 
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
+        if len(model.library) > MANY:
+            model = _with_functions(model, lambda each: not _is_quotient(each))
         if len(model.library) > MANY:
             return
         names = ", ".join(source.signature.state_names)
@@ -617,34 +614,38 @@ class _Search:
         self._fit(f"functions of {names} in simulations of {pieces.window} samples", self._each(model), source, pieces)
         self._fit(f"functions of {names} that regressions choose", self._each(model), source, settings)
 
-    def _with_larger_library(self, of: Candidate) -> None:
-        """Try cubic functions, and roots of what is never negative, too."""
-        signature, model = of.model.signature, of.model
-        used = {
-            n
-            for k in (model.coefficients != 0).any(-1).nonzero().flatten().tolist()
-            for n in model.library.features[k].variables
-        }
-        names = [n for n in (*signature.state_names, *signature.input_names) if n in used]
-        x = self.source.training.x
-        levels = (x > 0).any(0) & ~(x <= 0).any(0)
-        each = zip(signature.state_names, signature.state_units, levels.tolist(), strict=False)
-        roots = [function_of("sqrt", name) for name, unit, level in each if level and unit not in ANGLES]
-        roots += [function_of("sqrt", n) for n in model.followed if roots]
-        for what, more in (
-            ("cubic functions", polynomial(signature, 3, names).features if len(names) <= CUBIC else ()),
-            ("square roots", roots),
-        ):
-            more = [f for f in more if f.name() not in model.library.names]
+    def _with_larger_library(self) -> None:
+        """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
+        for what in ("signed squares", "cubic functions", "square roots"):
+            of, model = self.best, self.best.model
+            more = [f for f in self._functions(what, model) if f.name() not in model.library.names]
             if not more:
                 continue
-            library = Library(signature, [*model.library.features, *more], step=model.step)
-            derived = ~model.constraints.free.any(0) | torch.tensor(
-                [n in model.followed for n in signature.state_names]
-            )
-            free = torch.cat([model.constraints.free, (~derived).expand(len(more), -1)])
+            library = Library(model.signature, [*model.library.features, *more], step=model.step)
+            lags = torch.tensor([n in model.followed for n in model.signature.state_names])
+            free = torch.cat([model.constraints.free, (model.constraints.free.any(0) & ~lags).expand(len(more), -1)])
             begun = replace(of, models=[_with_library(each, library, free) for each in of.models])
             self._at_prices(what, begun, self._settings())
+
+    def _functions(self, what: str, model: SindyModel) -> Sequence[Feature]:
+        """Return functions of a kind of those states and inputs that a model has in its equations."""
+        signature, features = model.signature, model.library.features
+        used = {n for k in (model.coefficients != 0).any(-1).nonzero().flatten() for n in features[int(k)].variables}
+        names = [n for n in (*signature.state_names, *signature.input_names) if n in used]
+        units = dict(zip(signature.state_names, signature.state_units, strict=True))
+        if what == "signed squares":
+            return [
+                variable(n) * function_of("abs", n)
+                for n in names
+                if n in model.followed or n not in units or is_speed(units[n])
+            ]
+        if what == "cubic functions":
+            names = [n for n in names if units.get(n) not in ANGLES]  # sines are bounded beyond what was seen, too
+            return polynomial(signature, 3, names).features if len(names) <= CUBIC else ()
+        x = self.source.training.x
+        levels = ((x > 0).any(0) & ~(x <= 0).any(0)).tolist()
+        roots = [n for (n, unit), level in zip(units.items(), levels, strict=False) if level and unit not in ANGLES]
+        return [function_of("sqrt", n) for n in (*roots, *(model.followed if roots else ()))]
 
     def _windows(self, of: Candidate) -> None:
         """Simulate over windows that grow, each fit begun where the one before ended."""
@@ -694,7 +695,10 @@ class _Search:
                 if stopped
                 else choose_stretches(len(data), FINAL_ROWS, settings.window)
             )
-            report = model.fit(data.select(rows))
+            until = time.process_time() + LAST_SHARE * self.refinement.seconds
+            limited = settings.method == "trajectory"
+            with listening(partial(self._stop_in_time, until=until if limited else math.inf)):
+                report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
         findings = [*self._behind(best), note("fit.candidates", count=len(self.tried), what=best.what, seconds=seconds)]
@@ -730,6 +734,17 @@ def _is_linear(feature: Feature) -> bool:
     """Tell whether a function is the constant, a state or an input, or what one is ahead of another."""
     own = feature.factors
     return len(own) <= 1 and all(factor.function in ("id", "ahead") and factor.power == 1 for factor in own)
+
+
+def _is_quotient(feature: Feature) -> bool:
+    """Tell whether a function is divided by a moment of inertia."""
+    return any(factor.function in QUOTIENTS for factor in feature.factors)
+
+
+def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> SindyModel:
+    """Return a model with those functions alone that are wanted."""
+    places = [k for k, each in enumerate(model.library.features) if wanted(each)]
+    return _with_library(model, model.library.subset(places), model.constraints.free[places])
 
 
 def _kind(feature: Feature) -> object:

@@ -171,7 +171,8 @@ def closest_period(log: Source | None, wanted: float | None = None) -> float:
 def rates_of(model: SindyModel) -> dict[str, str]:
     """Return the name of each state whose rate is known to be another state, and that state's name."""
     names = model.signature.state_names
-    return {names[state]: names[rate] for rate, state in rate_states(model.library, model.constraints).items()}
+    rates = sorted(rate_states(model.library, model.constraints).items())  # as they come in the model
+    return {names[state]: names[rate] for rate, state in rates}
 
 
 def same_input_ranges(first: Signature, second: Signature) -> bool:

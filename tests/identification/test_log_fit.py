@@ -35,9 +35,9 @@ def steps(seed, count, length):
     return np.random.default_rng(seed).uniform(-1, 1, count).repeat(length)
 
 
-def fitted(source, library="auto_rig", **settings):
+def fitted(source, library="auto_rig", known=None, **settings):
     refinement = Refinement("auto", longest_delay=None, **settings)
-    model = SindyModel(source.signature, library, Regression("bic", tolerance=1e-4), refinement)
+    model = SindyModel(source.signature, library, Regression("bic", tolerance=1e-4), refinement, known=known or {})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return fit_log(model, source)
@@ -87,6 +87,37 @@ def test_rate_hold_and_cubic_are_found_where_nobody_told_them(tmp_path):
     assert model.signature.state_names == ("y", "y_rate")
     names = {"y": -100.0, "y_rate": -2.0, "y^3": -40.0, "u": 100.0}
     assert {name: coefficient(model, "y_rate", name) for name in names} == pytest.approx(names, rel=0.02)
+
+
+def test_the_law_of_a_fan_is_found_where_nobody_named_it():
+    """y'' = -9 sin(y) - y' + 20 u |u| of an angle alone, read with noise: thrust turns its sign with the input."""
+    u, dt = steps(3, 100, 15), 0.02
+    x, angles = np.zeros(2), [0.0]
+    for held in u:
+        thrust = 20 * held * abs(held)
+        x = solve_ivp(lambda t, x: (x[1], -9 * np.sin(x[0]) - x[1] + thrust), (0, dt), x, rtol=1e-8).y[:, -1]  # noqa: B023
+        angles.append(x[0])
+    y = np.array(angles) + np.random.default_rng(4).normal(0, 0.002, len(angles))
+    model = fitted(source_of(y, u, dt, ("angle",), ("rad",))).model
+    names = {"angle_rate": -1.0, "sin(angle)": -9.0, "u |u|": 20.0}
+    assert {name: coefficient(model, "angle_rate", name) for name in names} == pytest.approx(names, rel=0.1)
+
+
+def test_every_place_has_its_rate_where_one_lacks_it():
+    """Two masses, a'' = -4 a + 3 u and b'' = -25 b + a, of which the places alone are measured."""
+    u, dt = steps(5, 30, 12), 0.05
+    rates = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-4, 0, -0.4, 0], [1, -25, 0, -1.0]])
+    a, b, *_ = cont2discrete((rates, np.array([[0], [0], [3.0], [0]]), np.eye(4), 0), dt)
+    x = [np.zeros(4)]
+    for held in u:
+        x.append(a @ x[-1] + b[:, 0] * held)
+    y = np.stack(x)[:, :2] + np.random.default_rng(6).normal(0, 0.001, (len(x), 2))
+    source, known = source_of(y, u, dt, ("a", "b"), ("m", "m")), {"b": "b_rate"}
+    found = fitted(source.with_rates(known), known=known, seconds=4)
+    assert set(found.model.signature.state_names) == {"a", "b", "a_rate", "b_rate"}
+    assert source.with_states_of(found.model).signature.state_names == found.source.signature.state_names
+    names = {("a_rate", "a"): -4.0, ("a_rate", "u"): 3.0, ("b_rate", "a"): 1.0, ("b_rate", "b"): -25.0}
+    assert {key: coefficient(found.model, *key) for key in names} == pytest.approx(names, rel=0.1)
 
 
 def test_what_pushes_the_plant_does_not_bias_its_equations():
