@@ -269,7 +269,9 @@ def evaluate(
     return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
 
-def fly_for(env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None, seconds: float) -> Evaluation:
+def evaluate_for(
+    env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None, seconds: float
+) -> Evaluation:
     """Run a policy in a scenario of another length [s], to see whether swings die away; see `evaluate`."""
     return evaluate(env, policy, replace(scenario, seconds=seconds), sensing, "whether swings die away")
 
