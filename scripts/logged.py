@@ -110,20 +110,21 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         say(*lines([period.why] if period.why else []))
     say(*lines(filter(None, [refit_shortage(model, source)])))
     within = cfg.evaluation.get("within", WITHIN)
-    controller = None
+    saved = False
     try:
         controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **begun.planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
+        saved = True
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes
         prediction = forecast(controller, model, source, scenario, cfg.seed, within)
     except (KeyboardInterrupt, Exception) as stop:
-        if controller is not None:
+        if saved:
             say(f"Controller: {folder / NAME}, of which nothing is promised")
         if not isinstance(stop, KeyboardInterrupt):
             raise
         file = folder / "model.json"
         again = command_line("train", [*without(words, "model"), f"model={file}"])
-        without_it = ", but no controller yet" if controller is None else ""
+        without_it = "" if saved else ", but no controller yet"
         line = f"stopped; the equations are kept in {file}{without_it}; plan on them without a new fit: {again}"
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})

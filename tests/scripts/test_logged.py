@@ -98,16 +98,20 @@ def test_a_model_that_swings_fast_is_controlled_in_shorter_periods_unless_one_is
     assert "the control period" not in train(*words, "env.dt=0.05").stdout
 
 
-@pytest.mark.slow
-def test_the_command_of_the_page_plans_on_a_model_alone(tmp_path):
-    """theta'' = -9.81 sin(theta) - 0.5 theta' + 12 u, of a file that `identify` might have written."""
-    page = (ROOT / "docs" / "own_log.md").read_text()
-    (line,) = [line for line in page.splitlines() if "model=runs/DATE_TIME/model.json" in line]
+def arm():
+    """Return theta'' = -9.81 sin(theta) - 0.5 theta' + 12 u, as `identify` might have found it."""
     model = SindyModel(Pendulum().signature, library=["theta", "Omega", "u", "sin(theta)"])
     rows = {"theta": (0, 0), "Omega": (1.0, -0.5), "u": (0, 12.0), "sin(theta)": (0, -9.81)}
     model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
+    return model
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_plans_on_a_model_alone(tmp_path):
+    page = (ROOT / "docs" / "own_log.md").read_text()
+    (line,) = [line for line in page.splitlines() if "model=runs/DATE_TIME/model.json" in line]
     (tmp_path / "runs" / "DATE_TIME").mkdir(parents=True)
-    model.save(tmp_path / "runs" / "DATE_TIME" / "model.json")
+    arm().save(tmp_path / "runs" / "DATE_TIME" / "model.json")
     (program, script, *words) = shlex.split(line.replace("angle", "theta"))
     assert (program, script) == ("python", "scripts/train.py") and not any(w.startswith("system=") for w in words)
     done = train(*words, *SHORT, "evaluation.must_control=false", cwd=tmp_path)
@@ -131,6 +135,15 @@ def test_a_plan_that_fails_leaves_the_model(log, tmp_path):
     kept = [*given[:-2], "plant.library=['sinh(theta)']", given[-1], f"model={tmp_path}/run/model.json"]
     again = train("data=csv", *kept, f"folder={tmp_path}/again")  # the model has a library: another one is not read
     assert "sinh" not in again.stderr and (tmp_path / "again" / "model.json").exists()
+
+
+def test_a_controller_that_cannot_be_written_is_not_said_to_be_there(tmp_path):
+    arm().save(tmp_path / "model.json")
+    (tmp_path / "run" / "controller.json").mkdir(parents=True)
+    words = [*TASK, *SHORT, "planning.updates=1", "planning.window=5"]
+    done = train("model=model.json", *words, "folder=run", cwd=tmp_path)
+    assert done.returncode == 2 and "controller.json" in done.stderr
+    assert "Run folder" in done.stdout and "Controller" not in done.stdout
 
 
 @pytest.mark.slow
