@@ -137,10 +137,14 @@ def _require_plant_settings(plant: Any, text: str) -> None:
         plant: The settings.
         text: The whole config, as it was written, in which a plant of the user's own may read some of its own.
     """
-    names = {"plant": {*plant_settings(), *re.findall(r"\bplant\.(\w+)", text)}}
+    names = {"plant": set(plant_settings())}
     for key in PLANT:
         group, _, name = key.rpartition(".")
         names.setdefault(group, set()).add(name)
+    for own in re.findall(r"\bplant(?:\.\w+)+", text):
+        for group in names:
+            if own.startswith(f"{group}."):
+                names[group].add(own.removeprefix(f"{group}.").partition(".")[0])
     for group, allowed in names.items():
         node = plant if group == "plant" else plant.get(group.partition(".")[2]) if isinstance(plant, dict) else None
         for name in () if not isinstance(node, dict) else node:

@@ -159,8 +159,9 @@ def test_a_setting_of_a_plant_that_nothing_reads_is_refused(word, meant):
     check(cfg, "run/config.yaml")  # what another version wrote is looked at by what it builds
 
 
-def test_a_plant_may_read_settings_of_its_own():
-    check(composed("train", "system=pendulum", "+plant.mass=2", "+system.mass=${plant.mass}"))
+@pytest.mark.parametrize("key", ["plant.mass", "plant.signals.ramp"])
+def test_a_plant_may_read_settings_of_its_own(key):
+    check(composed("train", "system=pendulum", f"+{key}=2", f"+system.mass=${{{key}}}"))
 
 
 def test_what_is_not_given_is_missed():
