@@ -97,8 +97,9 @@ class Simulated(DataSource):
         """
         if system is None or excitation is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
-        ends = state_limits(system.signature, self.bounds or {})
-        require_start_within(system.signature, start_ranges(system.signature, self.start or {}), ends)
+        ends = state_limits(system.signature, self.bounds or {}, "data.bounds")
+        start = start_ranges(system.signature, self.start or {}, "data.start")
+        require_start_within(system.signature, start, ends, group="data")
         require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)

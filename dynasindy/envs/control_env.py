@@ -280,7 +280,7 @@ class ControlEnv(EnvBase):
     def _require_start_within(self) -> None:
         """Refuse bounds that exclude where episodes begin."""
         if isinstance(self.task, Tracking):
-            require_start_within(self.system.signature, self.task.start_ends, self.task.bounds)
+            require_start_within(self.system.signature, self.task.start_ends, self.task.bounds, group="task")
 
     def _begins(self, batch: torch.Size) -> Tensor:
         """Return states in which episodes begin, `(*batch, n_x)`, the same ones each time."""

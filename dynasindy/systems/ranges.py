@@ -46,7 +46,11 @@ def start_ranges(signature: Signature, given: Mapping[str, Ends], key: str = "pl
 
 
 def require_start_within(
-    signature: Signature, start: Tensor, bounds: Tensor, names: Collection[str] | None = None
+    signature: Signature,
+    start: Tensor,
+    bounds: Tensor,
+    names: Collection[str] | None = None,
+    group: str = "plant",
 ) -> None:
     """Refuse limits that exclude where a plant begins: it would leave them with the first period of every try.
 
@@ -55,6 +59,7 @@ def require_start_within(
         start: Ends of the range in which they begin, `(2, n_x)`.
         bounds: Their limits, `(2, n_x)`, infinite where there is none.
         names: States that are looked at; all if omitted.
+        group: Group of settings in which `start` and `bounds` were given.
 
     Raises:
         ValueError: A state begins outside of its limits.
@@ -64,8 +69,8 @@ def require_start_within(
     for name, out, begin, ends in zip(signature.state_names, outside, start.T.tolist(), bounds.T.tolist(), strict=True):
         if out and (names is None or name in names):
             raise ValueError(
-                f"task.start has {name} at {' to '.join(f'{value:g}' for value in dict.fromkeys(begin))}, and "
-                f"task.bounds are {ends[0]:g} to {ends[1]:g}; allowed is a start within the bounds: correct one of them"
+                f"{group}.start has {name} at {' to '.join(f'{value:g}' for value in dict.fromkeys(begin))}, and "
+                f"{group}.bounds are {ends[0]:g} to {ends[1]:g}; allowed is a start within the bounds: correct either"
             )
 
 

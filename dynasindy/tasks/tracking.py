@@ -117,7 +117,7 @@ class Tracking(Task):
         self.start = ranges.start_ranges(signature, start or {}, "task.start")
         self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
         # Where a state begins of which nothing is said, a log or the plant itself may say.
-        ranges.require_start_within(signature, self.start, self.bounds, start or {})
+        ranges.require_start_within(signature, self.start, self.bounds, start or {}, "task")
         for place, name, *ends in zip(self.outputs, outputs, *(self.ends or ((), ())), strict=False):
             least, most = self.bounds[:, place].tolist()
             if not least <= ends[0] <= ends[1] <= most:

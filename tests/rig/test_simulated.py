@@ -89,6 +89,14 @@ def test_a_rehearsal_begins_where_its_user_says_and_asks_the_plant_about_nothing
     assert samples == pytest.approx([0.25] * 3, abs=1e-9)  # where 0.1 flows in and 0.2 sqrt(0.25) out
 
 
+def test_bounds_that_exclude_where_a_rehearsal_begins_are_refused_by_their_settings():
+    with (
+        pytest.raises(ValueError, match=r"^plant\.start has theta .*plant\.bounds"),
+        rehearsal(Pendulum(), 0.05, bounds={"theta": [0.5, 1.0]}),
+    ):
+        pass
+
+
 @pytest.mark.slow
 def test_a_rehearsal_without_bounds_warns_of_where_the_plant_cannot_be():
     words = r"not finite, of h, where h is -0\.98 m"
