@@ -15,7 +15,7 @@ def main(cfg: Any) -> None:
 
     from dynasindy.control.integral import IntegralAction
     from dynasindy.dyna.verdict import judge_control
-    from dynasindy.evaluation.scenarios import evaluate, evaluate_for
+    from dynasindy.evaluation.scenarios import evaluate
     from dynasindy.evaluation.summary import beyond_targets, evaluation_title, save_evaluation, summarise, to_text
     from dynasindy.evaluation.tracking_criteria import WITHIN, judge_tracking
     from dynasindy.progress import say, width
@@ -47,8 +47,8 @@ def main(cfg: Any) -> None:
         table = to_text(summarise(result), evaluation_title(result), result.units, result.told_steady_seconds, width())
         say(table, *lines(beyond_targets(result)), "")
         matter = states_that_matter(system, result.columns, result.trajectory["state"][0, 0])
-        fly = partial(evaluate_for, env, policy, scenario, sensing) if env.system.known else None
-        _, verdict = judge_control(asdict(judge_tracking(result, matter, fly)), within, usable=None)
+        rerun = partial(evaluate, env, policy, scenario, sensing) if env.system.known else None
+        _, verdict = judge_control(asdict(judge_tracking(result, matter, rerun)), within, usable=None)
         verdicts.append(f"  {scenario.name}: {verdict}")
     say("Verdict, against the error that was asked for:", *verdicts)
     say(f"Figures, tables and trajectories: {out}")

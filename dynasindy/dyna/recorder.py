@@ -8,8 +8,7 @@ import math
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -119,8 +118,8 @@ class Recorder(Callback):
             phase: What is under way, in words.
             seconds: Length of the runs [s]; that of the scenario if omitted.
         """
-        scenario = self.scenario if seconds is None else replace(self.scenario, seconds=seconds)
-        evaluation = evaluate(self.plant, self.parts.agent.deployed, scenario, self.parts.sensing, phase)
+        parts = self.parts
+        evaluation = evaluate(self.plant, parts.agent.deployed, self.scenario, parts.sensing, phase, seconds)
         moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
         self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation
@@ -179,8 +178,13 @@ class Recorder(Callback):
             What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
-        held = asdict(self._held(final))
         shown = representative_episode(final)
+        self._write_rollout("step_response", final.trajectory[shown.row], last=True)
+        self.parts.world_model.save(self.folder / "model.json")
+        with replace_file(self.folder / "policy.pt") as file:
+            torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), file)
+        self._write_controller()
+        held = asdict(self._held(final))  # which may take longer runs
         metrics = {
             **settings,
             "episodes": len(self.rows),
@@ -206,11 +210,6 @@ class Recorder(Callback):
         findings = [*beyond_targets(final), *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
-        self._write_rollout("step_response", final.trajectory[shown.row], last=True)
-        self.parts.world_model.save(self.folder / "model.json")
-        with replace_file(self.folder / "policy.pt") as file:
-            torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), file)
-        self._write_controller()
         write_json(self.folder / "metrics.json", metrics)
         return metrics
 
@@ -225,10 +224,10 @@ class Recorder(Callback):
 
     def _held(self, final: Evaluation) -> TrackingCriteria:
         start = final.trajectory["state"][0, 0]
-        known = self.plant.system.known  # another simulator, or a rig, is not flown for longer than was asked for
+        known = self.plant.system.known  # another simulator, or a rig, does not run for longer than was asked for
         system = self.plant.system if known else self.parts.model_env.system
-        fly = partial(self.evaluate, "whether swings die away") if known else None
-        return judge_tracking(final, states_that_matter(system, final.columns, start), fly)
+        rerun = self.evaluate if known else None
+        return judge_tracking(final, states_that_matter(system, final.columns, start), rerun)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

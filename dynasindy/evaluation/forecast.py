@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from dynasindy.envs import ControlEnv, DelayedEnv
-from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, evaluate_for
+from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate
 from dynasindy.evaluation.tracking_criteria import LOST, WITHIN, TrackingCriteria, judge_tracking
 from dynasindy.findings import Finding, note, records, weak, wrong
 from dynasindy.sensing import Sensing
@@ -209,11 +209,8 @@ def predict(
             continue
         shown = shown or result
         start = result.trajectory["state"][0, 0]
-        matter, fly = (
-            states_that_matter(model, result.columns, start),
-            partial(evaluate_for, env, policy, scenario, seen),
-        )
-        flights.append(judge_tracking(result, matter, fly))
+        matter, rerun = states_that_matter(model, result.columns, start), partial(evaluate, env, policy, scenario, seen)
+        flights.append(judge_tracking(result, matter, rerun))
         errors.append(_whole(result))
         over = result.metrics["overshoot"].nanmedian(0).values.nan_to_num(0.0).tolist() if result.columns else []
         overshoot = {

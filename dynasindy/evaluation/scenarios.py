@@ -228,7 +228,12 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
 
 @torch.no_grad()
 def evaluate(
-    env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None = None, phase: str = ""
+    env: ControlEnv,
+    policy: Policy,
+    scenario: Scenario,
+    sensing: Sensing | None = None,
+    phase: str = "",
+    seconds: float | None = None,
 ) -> Evaluation:
     """Run a policy, without exploration, in a scenario.
 
@@ -241,6 +246,7 @@ def evaluate(
         sensing: Sensors and observer through which the policy sees the plant; the metrics see it as it is. Noise of the
             scenario is then added to the measurements.
         phase: What is under way, in words; the scenario's name says it by default.
+        seconds: Length of the run [s]; that of the scenario if omitted.
 
     Raises:
         TypeError: The scenario has a reference and the task tracks none.
@@ -248,7 +254,7 @@ def evaluate(
         Diverged: The policy gives an action that is not finite, the plant moves to no number, or the task gives a
             reward that is not finite. A plant that runs away is left at the end of `FARTHEST` ranges.
     """
-    scenario = replace(scenario, seconds=scenario.length(env))
+    scenario = replace(scenario, seconds=scenario.length(env) if seconds is None else seconds)
     calm, task = _prepare(env, scenario, 0 if sensing is None else sensing.observer.width)
     wrapped = policy if sensing is None else sensing.on(calm, sensing.rng).controller(policy)
     disturbing: list[object] = [scenario.plant(calm.system)] if scenario.plant else []
@@ -267,13 +273,6 @@ def evaluate(
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
     words = tuple(each.summary() for each in disturbing if isinstance(each, SizedDisturbance))
     return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
-
-
-def evaluate_for(
-    env: ControlEnv, policy: Policy, scenario: Scenario, sensing: Sensing | None, seconds: float
-) -> Evaluation:
-    """Run a policy in a scenario of another length [s], to see whether swings die away; see `evaluate`."""
-    return evaluate(env, policy, replace(scenario, seconds=seconds), sensing, "whether swings die away")
 
 
 def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEnv, Task]:

@@ -51,15 +51,15 @@ class TrackingCriteria:
 
 
 def judge_tracking(
-    evaluation: Evaluation, matter: Tensor, fly: Callable[[float], Evaluation] | None = None
+    evaluation: Evaluation, matter: Tensor, rerun: Callable[[str, float], Evaluation] | None = None
 ) -> TrackingCriteria:
     """Judge the final part of an evaluation.
 
     Args:
         evaluation: Runs of a policy.
         matter: States that are tracked or that a rate of change depends on, bool `(n_x,)`.
-        fly: Returns the same runs in another length [s], by which swings that die away are known; if omitted, all
-            swings count alike.
+        rerun: Makes the same runs in another length [s], of which it gets the phase in words, too. By them swings that
+            die away are known; if it is omitted, or fails, as where memory is short, all swings count alike.
     """
     last = evaluation.steady_periods
     errors = evaluation.errors[:, -last:].mean(1)
@@ -76,10 +76,11 @@ def judge_tracking(
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}
     near = (~far.any(0)).tolist()
     swinging = [i for i in gone if bool(matter[i]) and near[i]]
-    decaying: set[int] = set()
-    if swinging and evaluation.columns and fly is not None and bool((errors.mean(0) <= LOST * WITHIN).all()):
-        with suppress(Diverged):
-            decaying = set(swinging) & _decaying(evaluation, fly(LONGER * evaluation.seconds))
+    longer = None
+    if swinging and evaluation.columns and rerun is not None and bool((errors.mean(0) <= LOST * WITHIN).all()):
+        with suppress(Diverged, ValueError, MemoryError, RuntimeError):  # torch's own where memory runs out
+            longer = rerun("whether swings die away", LONGER * evaluation.seconds)
+    decaying = set() if longer is None else _decaying(evaluation, longer)
     ringing = {names[i]: gone.pop(i) for i in swinging if i in decaying}
     return TrackingCriteria(
         share=_named(evaluation, errors.mean(0)),
@@ -97,14 +98,21 @@ def judge_tracking(
 
 
 def _decaying(evaluation: Evaluation, longer: Evaluation) -> set[int]:
-    """Return the states that move less at the end of longer runs, wherever references rest in both."""
+    """Return the states that move less in longer runs than at the end of the others, wherever references rest there.
+
+    The longer runs are looked at until the reference leaves that rest, as its next jump starts new swings; where that
+    is within less than a run's length, nothing more is known than before.
+    """
     scale = torch.tensor(evaluation.signature.x_scale, dtype=torch.float64)
-    parts = [(evaluation, evaluation.steady_periods), (longer, len(evaluation.time))]
-    states = [each.trajectory["state"][:, -last:].double() / scale for each, last in parts]
-    now, later = (x.amax(1) - x.amin(1) for x in states)
-    rest = (evaluation.resting & longer.resting).unsqueeze(-1)
-    calm = (later <= (DECAYED * now).clamp_min(UNREST)) | ~rest
-    return set(calm.all(0).nonzero().flatten().tolist())
+    n, calm = len(evaluation.time), torch.ones(len(scale), dtype=torch.bool)
+    for row in evaluation.resting.nonzero().flatten().tolist():
+        reference, until = longer.references[row], n
+        until += int((reference[n:] == reference[n - 1]).all(-1).int().cumprod(0).sum())
+        ends = [(evaluation, n - evaluation.steady_periods, n), (longer, until - n, until)]
+        states = [run.trajectory["state"][row, first:last].double() / scale for run, first, last in ends]
+        now, later = (x.amax(0) - x.amin(0) for x in states)
+        calm &= later <= (DECAYED * now).clamp_min(UNREST) if until >= 2 * n else now <= UNREST
+    return set(calm.nonzero().flatten().tolist())
 
 
 def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:

@@ -54,31 +54,50 @@ def test_a_state_that_swings_has_not_come_to_rest():
     assert not judge(states(theta=torch.where(TIME < 14.9, 3.0, 0.0))).away
 
 
-def ringing(damping, amplitude=0.2, period=6.0):
-    """Return runs in which theta swings about its rest, and what makes the same runs in another length [s]."""
+def ringing(damping, half=math.inf, amplitude=0.2, period=6.0):
+    """Return runs in which theta swings about its rest, and what makes the same runs in another length [s].
 
-    def fly(seconds):
-        time = torch.arange(0, seconds, 0.05)
-        theta = amplitude * torch.exp(-damping * time) * torch.sin(2 * math.pi / period * time)
-        x = torch.stack([0 * theta, theta, 0 * theta], -1).expand(2, -1, -1).double()
-        rows = {"state": x, "reference": torch.zeros(2, len(time), 1, dtype=torch.float64)}
+    The swings begin anew with every jump of the reference, which is a square wave of a half period [s].
+    """
+
+    def rerun(phase, seconds):
+        time = torch.arange(0, seconds, 0.05, dtype=torch.float64)
+        since, sign = time % half, 1.0 - 2.0 * (time // half % 2)
+        theta = amplitude * torch.exp(-damping * since) * torch.sin(2 * math.pi / period * since)
+        x = torch.stack([sign, theta, 0 * theta], -1).expand(2, -1, -1)
+        rows = {"state": x, "reference": x[..., :1]}
         return Evaluation("step", SIGNATURE, (0,), time, TensorDict(rows, x.shape[:2]), {}, (), (4.0,))
 
-    return fly(20.0), fly
+    return rerun("", 20.0), rerun
 
 
-@pytest.mark.parametrize(("damping", "decaying"), [(0.02, True), (0.0, False), (-0.001, False)])
-def test_a_state_whose_swings_die_away_rings_and_is_not_restless(damping, decaying):
-    short, fly = ringing(damping)
-    matter = torch.tensor([True, True, False])
-    found = judge_tracking(short, matter, fly)
+MATTER = torch.tensor([True, True, False])
+
+
+@pytest.mark.parametrize(
+    ("damping", "half", "decaying"),
+    [
+        (0.02, math.inf, True),
+        (0.0, math.inf, False),
+        (-0.001, math.inf, False),
+        (0.0, 7.0, False),  # it rests from 14 s to 21 s, and for 2 s at the end of the longer run
+        (0.02, 45.0, True),
+        (0.02, 30.0, False),  # 10 s more say too little
+    ],
+)
+def test_a_state_whose_swings_die_away_rings_and_is_not_restless(damping, half, decaying):
+    short, rerun = ringing(damping, half)
+    found = judge_tracking(short, MATTER, rerun)
     assert bool(found.ringing) == decaying and bool(found.away) == bool(found.swings) == (not decaying)
-    assert judge_tracking(short, matter).away == {"theta": 1.0}  # as no longer run says more
+    assert judge_tracking(short, MATTER).away == {"theta": 1.0}  # as no longer run says more
 
-    def ends(seconds):
-        raise Diverged("it runs away")
 
-    assert judge_tracking(short, matter, ends).away == {"theta": 1.0}
+@pytest.mark.parametrize("error", [Diverged, ValueError, MemoryError, RuntimeError])
+def test_a_longer_run_that_fails_says_nothing(error):
+    def rerun(phase, seconds):
+        raise error("of five times the length")
+
+    assert judge_tracking(ringing(0.02)[0], MATTER, rerun).away == {"theta": 1.0}
 
 
 def test_under_a_moving_reference_states_may_move_too_but_not_run_away():
