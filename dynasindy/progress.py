@@ -35,7 +35,7 @@ VERDICT = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?
 
 
 class TimeIsUp(RuntimeError):
-    """What hears of progress raises it where no time is left; work that can ends with what it has."""
+    """Raised by a listener whose time limit is reached; a fit to trajectories then returns its present estimate."""
 
 
 @dataclass(frozen=True)

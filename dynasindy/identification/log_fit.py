@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -39,7 +39,7 @@ from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, with_lag_state
-from dynasindy.sindy.library import Constraints, Feature, Library, variable
+from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_speed, polynomial
@@ -72,7 +72,7 @@ SHORTEST, LONGEST, WORSE = 50, 800, 2
 before; and how many of them in turn may be worse than the best before longer ones are given up."""
 PER_TERM = 0.01
 """Part by which errors have to be lower for a coefficient more; of functions that are not linear, and for a state more
-that follows a signal, twice as much."""
+that follows a signal, twice as much; for inputs that move evenly once."""
 FARTHEST, LIMIT = 200, 10_000
 """Samples ahead up to which candidates are judged at least, where there are so many, and at most."""
 BEHIND = 1.0
@@ -330,24 +330,34 @@ class _Search:
     rates: bool
     tried: list[Candidate] = field(default_factory=list)
     began: float = field(default_factory=time.process_time)
+    lag_seconds: float = 0.0
 
     @property
     def best(self) -> Candidate:
         return min(self.tried, key=lambda each: each.score)
 
     @property
-    def expired(self) -> bool:
-        """Whether the time is used up, but for that of the last fit."""
-        return time.process_time() > self.until
-
-    @property
     def until(self) -> float:
+        """CPU time at which the last fit has to begin [s]."""
         return self.began + (1 - LAST_SHARE) * self.refinement.seconds
 
-    def _stop_in_time(self, event: Event, until: float) -> None:
-        """End a fit where no time is left, or too little for others, and there is a candidate."""
-        if self.tried and time.process_time() > until:
-            raise TimeIsUp(event.phase)
+    @property
+    def expired(self) -> bool:
+        """Whether it is as late as that."""
+        return time.process_time() > self.until
+
+    @contextmanager
+    def _time_limit(self, until: float) -> Iterator[list[Event]]:
+        """End a fit by trajectories at some CPU time [s], if there is a candidate, and list where that happened."""
+        ended = list[Event]()
+
+        def _stop(event: Event) -> None:
+            if self.tried and time.process_time() > until:
+                ended.append(event)
+                raise TimeIsUp(event.phase)
+
+        with listening(_stop):
+            yield ended
 
     @cached_property
     def builder(self) -> LibraryBuilder | None:
@@ -453,19 +463,20 @@ class _Search:
         fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
         with _attempt(), reporting_as(what):
             for model, fold in zip(models, self.folds, strict=True):
+                if errors and self.tried and self.expired:
+                    return None  # by other parts alone it cannot be compared
                 fitted.append(copy.deepcopy(model))
                 fitted[-1].refinement = settings
                 most = self.refinement.seconds * LARGEST_SHARE / len(self.folds)
-                until = min(self.until, time.process_time() + most)
-                with listening(partial(self._stop_in_time, until=until)):
+                with self._time_limit(min(self.until, time.process_time() + most)):
                     fitted[-1].fit(source.training.select(fold.fit_rows(settings.window)))
                 sought = model.constraints.free.any(0)
                 if not bool((fitted[-1].coefficients[:, sought] != 0).any(0).all()):
                     return None  # what moves by nothing is no equation
                 errors.append(fold.errors(fitted[-1], source))
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
-                if fold.exact(errors[-1]) or hopeless or self.expired:
-                    break  # the other parts would tell the same, or there is no time for them
+                if fold.exact(errors[-1]) or hopeless:
+                    break  # the other parts would tell the same
             score, models = (
                 self._score(fitted[0], source, errors),
                 fitted + fitted[:1] * (len(self.folds) - len(fitted)),
@@ -560,7 +571,7 @@ class _Search:
 
     def _with_lag_states(self, of: Candidate) -> Candidate:
         """Try states that no sensor sees and that follow a signal, one after the other, and return the best one."""
-        best, began = of, time.process_time()
+        best, began = of, time.process_time() - self.lag_seconds
         for _ in range(of.source.signature.n_u):
             last = best
             with _attempt():
@@ -571,21 +582,26 @@ class _Search:
                     what, models = f"{last.what}, a state that follows {trial.signal}", self._each(trial.model)
                     data = last.source.with_unmeasured(trial.model.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
-                    best = _better(best, found)
+                    best, self.lag_seconds = _better(best, found), time.process_time() - began
             if best is last:
                 break
         return best
 
     def _select(self, of: Candidate) -> None:
-        """Let functions come in and go, at two prices: of a large library first those of one factor."""
+        """Let functions come in and go, at two prices.
+
+        Of those that suit any plant quotients of inertias are left to regressions; of many those of one factor come
+        first, and of more than the samples can tell none.
+        """
         if of.structure is None or len(of.structure.library) == len(of.model.library):
             return
-        full = _with_functions(of.structure, lambda each: not _is_quotient(each))
-        small = _with_functions(full, lambda each: len(each.factors) <= 1)
-        rows = int(self.folds[0].fit_rows().sum())
-        for library in (small, full) if len(full.library) > MANY else (full,):
-            if len(library.library) * SAMPLES_EACH > rows:
-                return
+        stages, rows = [of.structure], int(self.folds[0].fit_rows().sum())
+        if self.builder is not None:
+            stages = [_with_functions(of.structure, lambda each: not _is_quotient(each))]
+            if len(stages[0].library) > MANY:
+                stages.insert(0, _with_functions(stages[0], lambda each: len(each.factors) <= 1))
+            stages = [each for each in stages if len(each.library) * SAMPLES_EACH <= rows]
+        for library in stages:
             for signal in of.model.followed.values():
                 library = with_lag_state(library, signal)
             begun = replace(of, models=[_with_coefficients(library, model) for model in of.models], structure=None)
@@ -604,7 +620,7 @@ class _Search:
 
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
-        if len(model.library) > MANY:
+        if len(model.library) > MANY and self.builder is not None:
             model = _with_functions(model, lambda each: not _is_quotient(each))
         if len(model.library) > MANY:
             return
@@ -618,7 +634,9 @@ class _Search:
         """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
         for what in ("signed squares", "cubic functions", "square roots"):
             of, model = self.best, self.best.model
-            more = [f for f in self._functions(what, model) if f.name() not in model.library.names]
+            more = [
+                f for f in self._functions(what, model) if f.key not in {each.key for each in model.library.features}
+            ]
             if not more:
                 continue
             library = Library(model.signature, [*model.library.features, *more], step=model.step)
@@ -681,7 +699,7 @@ class _Search:
 
         Of a long log it is fitted to stretches: what chance leaves of the coefficients is small then.
         """
-        model, settings = _warm_started(best.model), best.settings
+        model, settings, late = _warm_started(best.model), best.settings, self.expired
         if settings.method == "one_step":
             model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         else:
@@ -695,9 +713,9 @@ class _Search:
                 if stopped
                 else choose_stretches(len(data), FINAL_ROWS, settings.window)
             )
-            until = time.process_time() + LAST_SHARE * self.refinement.seconds
-            limited = settings.method == "trajectory"
-            with listening(partial(self._stop_in_time, until=until if limited else math.inf)):
+            seconds = self.refinement.seconds
+            until = max(self.began + seconds, time.process_time() + LAST_SHARE * seconds)
+            with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
                 report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
         seconds = self.folds[0].steps[-1] * data.dt
@@ -706,7 +724,7 @@ class _Search:
             stretches = int((rows.long().diff(prepend=torch.zeros(1, dtype=torch.long)) > 0).sum())
             findings.append(note("fit.fitted_to", rows=count, total=len(data), stretches=stretches))
             report = replace(report, findings=tuple(f for f in report.findings if f.code != "fit.chosen_on"))
-        if stopped or self.expired:
+        if stopped or late or ended:
             findings.append(weak("fit.budget", seconds=time.process_time() - self.began, stopped=stopped))
         return LogFit(model, best.source, replace(report, findings=(*findings, *report.findings)))
 
@@ -777,8 +795,10 @@ def _with_library(model: SindyModel, library: Library, free: Tensor) -> SindyMod
 
 
 def _with_coefficients(model: SindyModel, of: SindyModel) -> SindyModel:
-    """Return a copy of a model with the coefficients and the delay of another one, of the functions that both have."""
-    other = copy.deepcopy(model)
+    """Return a copy of a model with the delay of another one, and what that has of the functions of both."""
+    other, numbers = copy.deepcopy(model), {_unfitted(shape): shape.frequency for shape in of.library.shapes}
+    shapes = other.library.shapes
+    other.library = other.library.with_shapes([numbers.get(_unfitted(each), each.frequency) for each in shapes])
     other.set_coefficients(_moved_to(other.library, of, of.coefficients))
     other.delay = of.delay
     return other
@@ -786,12 +806,17 @@ def _with_coefficients(model: SindyModel, of: SindyModel) -> SindyModel:
 
 def _moved_to(library: Library, model: SindyModel, values: Tensor) -> Tensor:
     """Return values of a model's functions, `(n_features, n_x)`, as those of another library; 0 of its other ones."""
-    places = {name: k for k, name in enumerate(library.names)}
+    places = {frozenset(map(_unfitted, feature.factors)): k for k, feature in enumerate(library.features)}
     found = torch.zeros(len(library), library.signature.n_x, dtype=torch.float64)
-    for name, row in zip(model.library.names, values, strict=True):
-        if name in places:
-            found[places[name], : len(row)] = row
+    for feature, row in zip(model.library.features, values, strict=True):
+        if (place := places.get(frozenset(map(_unfitted, feature.factors)))) is not None:
+            found[place, : len(row)] = row
     return found
+
+
+def _unfitted(factor: Factor) -> Factor:
+    """Return a factor with the first guess of the number inside it."""
+    return replace(factor, frequency=factor.fitted) if factor.fitted else factor
 
 
 def _better(first: Candidate, second: Candidate | None) -> Candidate:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal
@@ -251,13 +250,9 @@ class _Fit:
         def _cost(trial: float) -> float:
             return unexplained(self.constraints.free, *brief.seen(trial).rows(found[0], field))
 
-        fine = self._refined_delay(rough, found, brief.data, _cost)
+        worth, whole = math.log(max(len(brief.data), 2)), found[0].step is not None
+        fine = refine_delay(rough, brief.data.dt, self.longest, worth, _cost, whole)
         return rough if abs(fine - rough) < ALIKE * brief.data.dt else fine
-
-    def _refined_delay(self, rough: float, found: Model, data: Transitions, cost: Callable[[float], float]) -> float:
-        """Return the delay of least cost in fractions of a sample, in whole ones of a difference equation [s]."""
-        worth, whole = math.log(max(len(data), 2)), found[0].step is not None
-        return refine_delay(rough, data.dt, self.longest, worth, cost, whole)
 
     def _by_trajectories(self, first: Model, rough: float) -> Refined:
         """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""

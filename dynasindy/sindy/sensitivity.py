@@ -302,7 +302,7 @@ class Propagator:
         if self._code:
             return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end, update)
         ends, slopes, before = [], list[Tensor](), x
-        fitted = None if update is None else update.fitted
+        fitted = None if update is None else update.free
         for k in range(u.shape[1]):
             x, moved = self.transfer(x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
             if fitted is not None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.optimize import lsq_linear
 from torch import Tensor
 
 from dynasindy.sentences import setting
@@ -157,7 +158,6 @@ class Descent:
         window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
         joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
             chosen where small errors grow along the trajectory, as in chaos.
-        max_rounds: limit on Gauss-Newton steps between two changes of the equations.
         correlated: whether a coefficient must be worth the more, the longer errors last.
         price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
         select: whether functions come in and go; if not, those of the first estimate stay.
@@ -167,7 +167,6 @@ class Descent:
 
     window: int
     joined: bool | None = None
-    max_rounds: int = 30
     correlated: bool = False
     price: float = 0.0
     select: bool = True
@@ -182,8 +181,8 @@ EXACT = 1e-100
 ROUNDING = 1e-12
 """Part of a state below which errors are those of arithmetic, which differ from processor to processor."""
 FINE, COARSE, STABLE, MOST_STEPS = 0.1, 0.3, 1.5, 10
-"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions and
-delays are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
+"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions
+are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
 
 
 @dataclass
@@ -419,9 +418,9 @@ def _scale_constraints(exponents: Tensor, xi: Tensor, norms: Tensor, places: tup
     return held
 
 
-LEAP = 2.0
+TRUST = 2.0
 """Factor by which a step may change the number inside a function."""
-UNTOLD = 1e-300
+UNOBSERVABLE = 1e-300
 """Weight of an unknown that nothing measured depends on."""
 FAINT = 0.01
 """Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
@@ -478,7 +477,7 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
     parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
     errors, cost = weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
-    scale = rows[:, :-1].norm(dim=0).clamp_min(UNTOLD)
+    scale = rows[:, :-1].norm(dim=0).clamp_min(UNOBSERVABLE)
     target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
     return Linearised(triangle, scale, cost, moves, sigma, errors, _unlikely(flow))
@@ -693,11 +692,10 @@ def _gaps(flow: Flow) -> Tensor:
 
 
 def _limits(flow: Flow, n_fixed: int) -> Tensor:
-    """Return how far each of the fixed unknowns may move at least and at most, `(2, F)`; shapes, delay, gain are last.
+    """Return how far each of the fixed unknowns may move at least and at most, `(2, F)`; gain, delay, shapes are last.
 
     What a function is by its number is far from a straight line, and at the ends of its limits nothing tells the way
-    back, so a step goes no further than to some multiple. No observer goes away from what was measured: where that
-    would fit best, it is a simulation.
+    back, so a step goes no further than to some multiple. No observer goes away from what was measured.
     """
     estimate, windows, limits = flow.estimate, flow.windows, list[tuple[float, float]]()
     if estimate.gain is not None and windows.gain_mask is not None:
@@ -707,23 +705,21 @@ def _limits(flow: Flow, n_fixed: int) -> Tensor:
         limits.append((-estimate.delay, windows.longest - estimate.delay))
     for shape in estimate.library.shapes:
         (low, high), number = shape.limits, shape.frequency
-        near, far = sorted((number / LEAP, number * LEAP))
+        near, far = sorted((number / TRUST, number * TRUST))
         limits.append((max(low, near) - number, min(high, far) - number))
     free = [(-math.inf, math.inf)] * (n_fixed - len(limits))
     return torch.tensor([*free, *limits], dtype=torch.float64).reshape(-1, 2).mT
 
 
 def _solve_within(square: Tensor, target: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return the least squares solution within limits: what would leave them stops there, one after the other."""
+    """Return the least squares solution within limits; what has none to move in stays zero."""
     free, solution = low < high, torch.zeros_like(low)
-    while bool(free.any()):
-        rest = target - square[:, ~free] @ solution[~free]
-        solution[free] = torch.linalg.lstsq(square[:, free], rest.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
-        beyond = torch.maximum(low - solution, solution - high)
-        worst = int(beyond.argmax())
-        if not float(beyond[worst]) > 0:
-            break
-        solution[worst], free[worst] = solution[worst].clamp(low[worst], high[worst]), False
+    square, low, high = square[:, free], low[free], high[free]
+    found = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+    if bool(((found < low) | (found > high)).any()):
+        bounds = low.numpy(), high.numpy()
+        found = torch.from_numpy(lsq_linear(square.numpy(), target.numpy(), bounds, method="bvls").x)
+    solution[free] = found
     return solution
 
 
@@ -750,7 +746,9 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         )
     low, high = torch.full_like(old, -math.inf), torch.full_like(old, math.inf)
     limits = _limits(flow, n_fixed) * model.scale[:n_fixed]
-    low[:n_fixed], high[:n_fixed] = torch.where(model.scale[:n_fixed] > UNTOLD, limits, 0.0)  # else any step is chance
+    low[:n_fixed], high[:n_fixed] = torch.where(
+        model.scale[:n_fixed] > UNOBSERVABLE, limits, 0.0
+    )  # else any step is chance
     values = (
         torch.zeros_like(old).index_copy(0, kept, _solve_within(square, target, low[kept], high[kept])) / model.scale
     )

@@ -72,6 +72,8 @@ SHORTEST_DELAY = 0.01
 SLIGHT = 0.05
 """Squared error, in units of its variance, below which a step tells nothing of a fit to innovations: an observer that
 hardly corrects moves on and on."""
+STEPS = 30
+"""Steps of Levenberg and Marquardt's method at most between two changes of the equations."""
 TRIES = 10
 """Sets of functions that are tried at most."""
 
@@ -203,14 +205,14 @@ def _descended(flow: Flow, descent: Descent) -> tuple[Flow, Linearised | None]:
     left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
     while len(flow.parameters):
         try:
-            flow, model = _settle(flow, descent.max_rounds, enough, model)
+            flow, model = _settle(flow, enough, model)
         except RunsAway:
             if before is None:
                 raise
             return before
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
-            return _settle(before[0], descent.max_rounds, MOVES_LITTLE, before[1])
+            return _settle(before[0], MOVES_LITTLE, before[1])
         limit, n_fixed = _worth(descent, model.errors, windows), len(model.scale) - len(flow.parameters)
         kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
         if len(kept) == len(model.scale):
@@ -241,9 +243,7 @@ def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
     return next((trial for trial in trials if not (len(chosen) and bool(trial.lost().any()))), None)
 
 
-def _settle(
-    flow: Flow, max_rounds: int, enough: float = MOVES_LITTLE, model: Linearised | None = None
-) -> tuple[Flow, Linearised]:
+def _settle(flow: Flow, enough: float = MOVES_LITTLE, model: Linearised | None = None) -> tuple[Flow, Linearised]:
     """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`.
 
     Returns:
@@ -252,9 +252,9 @@ def _settle(
     damping, parameters, windows = 0.0, flow.parameters, flow.windows
     model = model or linearise_windows(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
-    for k in range(0 if model.least else max_rounds):
+    for k in range(0 if model.least else STEPS):
         try:
-            report_progress("fit", note=f"step {k + 1} of at most {max_rounds} for {what}")
+            report_progress("fit", note=f"step {k + 1} of at most {STEPS} for {what}")
         except TimeIsUp:
             break
         candidate = move(flow, model, torch.arange(len(model.scale)), damping)
@@ -361,7 +361,7 @@ def _without_delay(found: Estimate, free: Tensor, windows: Windows, descent: Des
     with suppress(RunsAway):
         prompt = replace(windows.delayed(0.0), history=None)
         flow, parameters = Flow.of(found, Parameters.where(support), windows), Parameters.where(support)
-        simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt), descent.max_rounds)
+        simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt))
         worth = _worth(replace(descent, price=_price(int(windows.mask.sum()), free)), model.errors, windows)
         told = found.delay > SHORTEST_DELAY * windows.dt
         if not told or 2 * (left_over(model, prompt) - left_over(linearise_windows(flow), windows)) <= worth:
@@ -421,7 +421,7 @@ def trajectory_error_ratio(
     windows, joined = first.windows, first.windows.joined
     if not bool(data.x_next.isnan().any()):
         joined = _grows(first)[1]
-    ends = (_settle(first.rejoined(j), descent.max_rounds)[0] for j in (joined, torch.zeros_like(joined)))
+    ends = (_settle(first.rejoined(j))[0] for j in (joined, torch.zeros_like(joined)))
     error, own = (end.sigma() for end in ends)
     told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
     nodes = first.estimate.nodes
@@ -458,7 +458,7 @@ def _grown(
         length = max(SHORTEST, length // LEAPS[0])
         flow, lost = _cut(estimate, length)
     while length < descent.window:
-        flow = _settle(flow, descent.max_rounds)[0]
+        flow = _settle(flow)[0]
         guess = guess.index_copy(0, flow.windows.rows, flow.estimate.nodes)
         longer = [min(leap * length, descent.window) for leap in LEAPS]
         cuts = ((*_cut(flow.estimate, wanted), wanted) for wanted in dict.fromkeys(longer))

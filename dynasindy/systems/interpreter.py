@@ -76,12 +76,12 @@ class MeasurementUpdate(NamedTuple):
     Attributes:
         measured: what was measured at the end of each period, `(rows, T, n_x)`, NaN where nothing was.
         gain: of what an end misses of it, `(n_x, n_x)`, which is added before the next period.
-        fitted: row and column of each element of the gain by which to differentiate, too, `(2, G)`; None of none.
+        free: row and column of each element of the gain by which to differentiate, too, `(2, G)`; None of none.
     """
 
     measured: Tensor
     gain: Tensor
-    fitted: Tensor | None = None
+    free: Tensor | None = None
 
     def corrected(self, x: Tensor, period: int) -> Tensor:
         """Return states after a period, `(rows, n_x)`, as the next one begins with them."""
@@ -166,7 +166,7 @@ class Slopes:
         sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
         sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
         constants = torch.tensor([*self.program.constants, *listing.numbers], dtype=torch.float64)
-        fitted = torch.zeros(2, 0) if update is None or update.fitted is None else update.fitted
+        fitted = torch.zeros(2, 0) if update is None or update.free is None else update.free
         own, columns = torch.stack(parameters).int(), n_x + fitted.shape[1] + self.n_shapes + len(parameters[0])
         sizes = (n_x, n_u, len(constants), listing.values, len(xi), self.n_shapes, own.shape[1])
         stages = 4 * (len(xi) + state_places.shape[1] + shape_places.shape[1] + 2 * n_x)

@@ -270,9 +270,10 @@ static void chain(int n_x, long columns, double (*own)[W], double (*before)[W], 
 
 /* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x), and their
    derivatives by the states x, elements of the gain, the numbers inside functions and the coefficients, slopes:
-   (rows, periods, n_x, n_x + n_g + n_s + n_p). The first `n_values` instructions compute functions, the others their slopes. A step k1 .. k4 of h
-   moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and a1 = h/6 + h/2 a2 J2 times the
-   errors of its four rates, where J are the slopes of the rates by the states: so each function is weighed once. */
+   (rows, periods, n_x, n_x + n_g + n_s + n_p). The first `n_values` instructions compute functions, the others their
+   slopes. A step k1 .. k4 of h moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and
+   a1 = h/6 + h/2 a2 J2 times the errors of its four rates, where J are the slopes of the rates by the states: so each
+   function is weighed once. */
 void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n_f, int n_s, int n_p,
                    long n_values, long n, const int *code, const int *features, int n_rates, const int *rates,
                    const double *rates_by, int n_states, const int *states, const double *states_by, int n_shapes,
@@ -341,7 +342,8 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                 }
             long row = (first * periods + t) * n_x;
             double (*last)[W] = f.at + steps * n_x;
-            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns, n_g, places);
+            if (gain)
+                correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns, n_g, places);
         }
     }
 }
