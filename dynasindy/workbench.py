@@ -150,10 +150,8 @@ def _refits(model: SindyModel, data: Transitions, stretches: int, name: str) -> 
     late, places = delay_inputs(data, model.delay), torch.arange(len(data))
     length, found = len(data) // stretches, []
     library, coefficients, rows = model.library, model.coefficients, (model.coefficients != 0).any(-1)
-    used, given = (
-        model.constraints.free & (coefficients != 0),
-        torch.where(model.constraints.free, 0.0, model.constraints.offset),
-    )
+    used = model.constraints.free & (coefficients != 0)
+    given = torch.where(model.constraints.free, 0.0, model.constraints.offset)
     if length < int(rows.sum()):
         return []
     if length < len(library):  # too few to fit those, too, that the model does not use

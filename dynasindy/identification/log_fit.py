@@ -37,7 +37,6 @@ from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
-from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, with_lag_state
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
@@ -46,6 +45,7 @@ from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_s
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.shape_parameters import is_quotient
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
 from dynasindy.systems.base import TURNS
@@ -477,10 +477,8 @@ class _Search:
                 hopeless = bool(self.tried) and fold.score(errors[-1]) > self.best.score + 2 * HOPELESS
                 if fold.exact(errors[-1]) or hopeless:
                     break  # the other parts would tell the same
-            score, models = (
-                self._score(fitted[0], source, errors),
-                fitted + fitted[:1] * (len(self.folds) - len(fitted)),
-            )
+            score = self._score(fitted[0], source, errors)
+            models = fitted + fitted[:1] * (len(self.folds) - len(fitted))
             candidate = Candidate(models, source, settings, errors, score, what, structure)
         if candidate is not None:
             self.tried.append(candidate)
@@ -597,7 +595,7 @@ class _Search:
             return
         stages, rows = [of.structure], int(self.folds[0].fit_rows().sum())
         if self.builder is not None:
-            stages = [_with_functions(of.structure, lambda each: not _is_quotient(each))]
+            stages = [_with_functions(of.structure, lambda each: not is_quotient(each))]
             if len(stages[0].library) > MANY:
                 stages.insert(0, _with_functions(stages[0], lambda each: len(each.factors) <= 1))
             stages = [each for each in stages if len(each.library) * SAMPLES_EACH <= rows]
@@ -621,7 +619,7 @@ class _Search:
     def _regressed(self, model: SindyModel, source: Source) -> None:
         """Begin at the equations that regressions of rates of change choose, as of a library without linear ones."""
         if len(model.library) > MANY and self.builder is not None:
-            model = _with_functions(model, lambda each: not _is_quotient(each))
+            model = _with_functions(model, lambda each: not is_quotient(each))
         if len(model.library) > MANY:
             return
         names = ", ".join(source.signature.state_names)
@@ -634,9 +632,8 @@ class _Search:
         """Try signed squares, cubic functions, and roots of what is never negative, beside the best ones so far."""
         for what in ("signed squares", "cubic functions", "square roots"):
             of, model = self.best, self.best.model
-            more = [
-                f for f in self._functions(what, model) if f.key not in {each.key for each in model.library.features}
-            ]
+            known = {each.key for each in model.library.features}
+            more = [each for each in self._functions(what, model) if each.key not in known]
             if not more:
                 continue
             library = Library(model.signature, [*model.library.features, *more], step=model.step)
@@ -713,8 +710,8 @@ class _Search:
                 if stopped
                 else choose_stretches(len(data), FINAL_ROWS, settings.window)
             )
-            seconds = self.refinement.seconds
-            until = max(self.began + seconds, time.process_time() + LAST_SHARE * seconds)
+            budget = self.refinement.seconds
+            until = max(self.began + budget, time.process_time() + LAST_SHARE * budget)
             with self._time_limit(until if settings.method == "trajectory" else math.inf) as ended:
                 report = model.fit(data.select(rows))
         model.initial, model.initial_delay = self.given.initial, self.given.initial_delay
@@ -752,11 +749,6 @@ def _is_linear(feature: Feature) -> bool:
     """Tell whether a function is the constant, a state or an input, or what one is ahead of another."""
     own = feature.factors
     return len(own) <= 1 and all(factor.function in ("id", "ahead") and factor.power == 1 for factor in own)
-
-
-def _is_quotient(feature: Feature) -> bool:
-    """Tell whether a function is divided by a moment of inertia."""
-    return any(factor.function in QUOTIENTS for factor in feature.factors)
 
 
 def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> SindyModel:

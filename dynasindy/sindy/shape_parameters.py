@@ -147,14 +147,15 @@ def of_one_angle(library: Library) -> dict[tuple[str, ...], Tensor]:
     if not angles:
         return {}
     owners = [_owner(feature, angles) for feature in library.features]
-    pulls = [len(feature.factors) < 2 and not _divided(feature) for feature in library.features]
+    pulls = [len(feature.factors) < 2 and not is_quotient(feature) for feature in library.features]
     return {
         angle: torch.tensor([pull or own in (None, angle) for pull, own in zip(pulls, owners, strict=True)])
         for angle in angles
     }
 
 
-def _divided(feature: Feature) -> bool:
+def is_quotient(feature: Feature) -> bool:
+    """Tell whether a function is divided by a moment of inertia."""
     return any(factor.function in QUOTIENTS for factor in feature.factors)
 
 

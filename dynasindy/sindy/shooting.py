@@ -746,12 +746,10 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
         )
     low, high = torch.full_like(old, -math.inf), torch.full_like(old, math.inf)
     limits = _limits(flow, n_fixed) * model.scale[:n_fixed]
-    low[:n_fixed], high[:n_fixed] = torch.where(
-        model.scale[:n_fixed] > UNOBSERVABLE, limits, 0.0
-    )  # else any step is chance
-    values = (
-        torch.zeros_like(old).index_copy(0, kept, _solve_within(square, target, low[kept], high[kept])) / model.scale
-    )
+    # What nothing measured depends on would go anywhere by chance.
+    low[:n_fixed], high[:n_fixed] = torch.where(model.scale[:n_fixed] > UNOBSERVABLE, limits, 0.0)
+    solution = _solve_within(square, target, low[kept], high[kept])
+    values = torch.zeros_like(old).index_copy(0, kept, solution) / model.scale
     step = values.clone()
     step[n_fixed:] -= parameters.read(estimate.xi)
     nodes = estimate.nodes + model.moves[..., :-1] @ step + model.moves[..., -1]
