@@ -58,29 +58,6 @@ def test_a_fit_that_fails_leaves_the_model_as_it_was(method):
     assert torch.equal(model.sums.r, r) and torch.equal(model.predict(data.x, data.u, DT), moved)
 
 
-def test_samples_that_are_refused_leave_a_model_without_a_step():
-    """What is added next may be of any other step."""
-    model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")
-    data = steps_of_the_map(30)
-    with pytest.raises(ValueError, match="1 of 30 samples"):
-        model.absorb(replace(data, u=data.u.index_fill(0, torch.tensor(2), torch.inf)))
-    assert model.step == 0.0 and model.sums.count == 0
-    model.absorb(replace(data, dt=2 * DT))
-    assert model.step == 2 * DT and model.sums.count == 30
-
-
-@pytest.mark.parametrize("gaps", [True, False])
-def test_samples_are_counted_when_those_that_tell_nothing_are_left_out(gaps):
-    model = SindyModel(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0)), ["a", "b", "u", "b^2"], time="discrete")
-    data = steps_of_the_map(12)
-    if gaps:
-        data.x[3:, 1] = torch.nan
-    else:
-        data = replace(data, segment=torch.arange(12) // 4, substeps=4)
-    with pytest.raises(ValueError, match=r"3 whole steps.* 4 "):
-        model.fit(data)
-
-
 def flown(controller, target, seen=lambda a, b: [a, b]):
     """What the map does under a controller from rest, the last of forty steps."""
     a = b = 0.0

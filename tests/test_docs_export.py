@@ -60,7 +60,3 @@ def test_the_command_writes_what_the_page_says(controller, tmp_path):
     names = {name for _, files in table for name in re.findall(r"`([\w.]+)`", files)}
     assert {path.name for path in (tmp_path / "run" / "export").iterdir()} == names
     assert "us per call on this computer" in done.stdout and "Files: run/export" in done.stdout
-
-
-def test_the_program_of_the_page_is_short():
-    assert len([line for line in PROGRAM.splitlines() if len(line.strip()) > 1]) <= 15

@@ -115,27 +115,6 @@ def test_a_short_phase_and_the_loading_say_nothing_to_a_file(clock, file):
     assert written.getvalue() == ""
 
 
-def test_a_sweep_and_the_run_of_its_job_stand_side_by_side_in_a_file(clock, file):
-    shown, written = file
-    report_progress("sweep", 3, 8, "jobs", outer=True)
-    clock.now[0] = 10.0
-    report_progress("run", 4, 5, "episodes", outer=True)
-    report_progress("sweep", 3, 8, "jobs", outer=True)
-    shown.tick()
-    clock.now[0] = 30.0
-    report_progress("run", 0, 5, "episodes", outer=True)  # the run of the next job
-    clock.now[0] = 35.0
-    shown.tick()
-    report_progress("fit")
-    clock.now[0] = 40.0
-    shown.__exit__(None, None, None)
-    assert written.getvalue().splitlines() == [
-        "3 of 8 jobs, run: 4 of 5 episodes, 0 s...",
-        "3 of 8 jobs, run: 0 of 5 episodes, 5 s...",
-        "3 of 8 jobs, 0 of 5 episodes, fit: 5 s",
-    ]
-
-
 @pytest.mark.parametrize("front", [False, True])
 def test_a_terminal_that_is_closed_does_not_end_the_work(monkeypatch, front):
     monkeypatch.setenv("TERM", "xterm")
@@ -156,18 +135,6 @@ def test_a_terminal_that_is_closed_does_not_end_the_work(monkeypatch, front):
     assert dead.tried == 1  # then it is left alone
     assert front or out.getvalue() == "text\n" * 3
     assert Progress.active is None
-
-
-def test_lines_that_cannot_be_shown_leave_nothing_behind(monkeypatch):
-    in_front(monkeypatch)
-
-    def broken(file, clock):
-        raise ImportError("no rich")
-
-    monkeypatch.setattr("dynasindy.progress._display", broken)
-    with pytest.raises(ImportError), Progress():
-        pass
-    assert Progress.active is None and Progress.OWNER not in os.environ
 
 
 @pytest.mark.parametrize("columns", [30, 100])
@@ -204,31 +171,6 @@ def test_a_file_sees_no_control_characters_and_the_inner_of_two_shows_nothing(ca
     assert Progress.OWNER not in os.environ
 
 
-def test_a_worker_of_a_sweep_shows_nothing(capsys, monkeypatch):
-    monkeypatch.setattr("dynasindy.progress.SHORT", 0.0)
-    monkeypatch.setenv(Progress.OWNER, str(os.getppid()))
-    with Progress():
-        report_progress("fit")
-    assert capsys.readouterr().err == ""
-
-
-def test_a_terminal_sees_phases_and_what_is_printed_and_keeps_its_cursor(monkeypatch):
-    screen = in_front(monkeypatch)
-    monkeypatch.setattr("dynasindy.progress.SHORT", 0.0)
-    with Progress() as shown:
-        report_progress("run", 1, 2, "episodes", outer=True)
-        report_progress("planning", 3, 50, "updates", "score -0.5")
-        shown.display.refresh()
-        print("a line")
-        report_progress("figures")
-    raw = screen.getvalue()
-    seen = ESCAPE.sub("", raw)
-    assert "planning" in seen and "3 of 50 updates, score -0.5" in seen and "1 of 2 episodes" in seen
-    assert "a line\n" in seen
-    assert "planning: 3 of 50 updates, score -0.5, 0 s\n" in seen  # what is left of the phase
-    assert "\x1b[?25l" not in raw
-
-
 def test_a_text_is_whole_in_a_file_and_within_the_width_of_a_terminal(capsys, monkeypatch):
     text = "NOT CONTROLLED: " + " ".join(["word"] * 20)
     say(text)
@@ -240,14 +182,6 @@ def test_a_text_is_whole_in_a_file_and_within_the_width_of_a_terminal(capsys, mo
     seen = ESCAPE.sub("", screen.getvalue())
     assert max(map(len, seen.splitlines())) <= 40 and seen.split() == text.split()
     assert "\x1b[1;31mNOT CONTROLLED\x1b[0m" in screen.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(599, "599 s"), (768, "12.8 min"), (889, "14.8 min"), (1009, "16.8 min"), (7130, "119 min"), (7500, "2.08 h")],
-)
-def test_the_unit_of_the_time_so_far_only_grows(seconds, words):
-    assert Event("fit", 1, 2, "steps").line(seconds).endswith(f", {words}")
 
 
 def test_what_is_told_is_heard_inside_and_nobody_misses_it_outside():

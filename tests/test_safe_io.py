@@ -1,6 +1,5 @@
 """Files and words of others: what is read, what is refused, and that pages hold no HTML of theirs."""
 
-import json
 import os
 
 import pytest
@@ -15,13 +14,9 @@ from dynasindy.safe_io import (
     read_json,
     read_rows,
     read_text,
-    reading,
     remove_leftovers,
-    write_csv,
     write_json,
-    write_rows,
 )
-from dynasindy.sindy.functions import FunctionError, function
 
 
 def test_text_records_and_tables_are_read_as_they_stand(tmp_path):
@@ -65,34 +60,6 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
     (tmp_path / "long").write_text("abc")
     with pytest.raises(DamagedFileError, match="3 bytes; at most 2"):
         read_text(tmp_path / "long", 2)
-
-
-@pytest.mark.parametrize(
-    ("read", "said"),
-    [
-        (lambda: {}["cost"], "it lacks 'cost'"),
-        (lambda: f"{None:g}", "unsupported format string"),
-        (lambda: [][0], "list index out of range"),
-        (lambda: float("x\ny"), "could not convert string to float"),
-        (lambda: json.loads("["), "Expecting value"),
-    ],
-)
-def test_what_a_reader_stumbles_over_is_one_line(read, said):
-    with pytest.raises(DamagedFileError, match=f"f is damaged .*{said}") as error, reading("f"):
-        read()
-    assert "\n" not in str(error.value)
-
-
-def test_the_file_that_is_damaged_is_named_once():
-    with pytest.raises(DamagedFileError, match=r"^inner is damaged"), reading("outer"), reading("inner"):
-        raise ValueError("why")
-    with pytest.raises(FileNotFoundError), reading("outer"):
-        raise FileNotFoundError
-
-
-def test_a_file_that_needs_a_function_is_not_called_damaged():
-    with pytest.raises(FunctionError, match="'nowhere'"), reading("file"):
-        function("nowhere")
 
 
 @pytest.mark.parametrize(
@@ -150,23 +117,6 @@ def test_headings_stand_once_above_what_is_appended(tmp_path):
     append_rows(path, COLUMNS, [{"name": "c", "value": ""}])
     assert path.read_bytes() == b'name,value\n"a, b",0.1\nc,\n'
     assert read_rows(path) == [{"name": "a, b", "value": "0.1"}, {"name": "c", "value": ""}]
-
-
-def test_a_failure_leaves_the_file_as_it_was(tmp_path):
-    path = tmp_path / "table.csv"
-    path.write_text("name,value\na,1\n")
-    for write in (write_rows, append_rows):
-        with pytest.raises(ValueError, match="colour"):
-            write(path, COLUMNS, [{"name": "b", "value": 2}, {"colour": "red"}])
-    assert path.read_text() == "name,value\na,1\n"
-
-
-def test_a_table_of_numbers_replaces_the_old_one_whole(tmp_path):
-    path = tmp_path / "deep" / "table.csv"
-    write_csv(path, ["a", "b"], [[1.0, None]])
-    write_csv(path, ["a", "b"], [[1.0, None], [2.5, 3.0]])
-    assert path.read_bytes() == b"a,b\r\n1,\r\n2.5,3\r\n"
-    assert [file.name for file in path.parent.iterdir()] == ["table.csv"]
 
 
 def test_files_have_the_rights_that_the_user_gives_new_ones(tmp_path):

@@ -102,16 +102,6 @@ def test_a_comment_is_the_sentence_of_the_key_below_it_and_an_argument_that_of_i
     assert settings.heading(file) == "What the file is for."
 
 
-def test_pages_show_values_and_what_is_allowed(settings):
-    agent, commands = settings.page("agent"), settings.page("commands")
-    assert "| `agent.critics` | `2` | a whole number (2 to 100" in agent
-    assert re.search(r"\| `formats` \| `\[c, onnx, fmu, model\]` \| a list, each c, onnx, fmu, model \|", commands)
-    assert re.search(r"\| `threads` \| `1` \| a whole number \(up to eight for each core", commands)
-    assert set(settings.titles()) == {"commands"} | {
-        folder.name for folder in CONF.iterdir() if folder.is_dir() and folder.name != "hydra"
-    }
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in NEEDED),

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dynasindy.text import did_you_mean, format_duration, wrap
+from dynasindy.text import format_duration, wrap
 
 TABLE = [
     "| setting | seeds | return | commit |",
@@ -13,10 +13,6 @@ TABLE = [
     r"| a\|b | 12 | 7 | def |",
     "| oracle |  | never | abc or def |",
 ]
-
-
-def test_a_table_that_fits_stays_markdown():
-    assert wrap("\n".join(TABLE), 40).splitlines() == TABLE
 
 
 def test_a_wider_one_has_its_rows_side_by_side_as_far_as_they_fit():
@@ -94,17 +90,3 @@ def test_equations_end_between_terms_and_sentences_between_words():
 )
 def test_a_length_of_time_is_told_in_the_unit_that_suits_it(seconds, words):
     assert format_duration(seconds) == words
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [
-        ("thta", "; did you mean 'theta'?"),
-        ("omega", "; did you mean 'Omega'?"),
-        ("THETA_RATE", "; did you mean 'theta_rate'?"),
-        ("pressure", ""),
-        (1, ""),
-    ],
-)
-def test_the_nearest_name_is_offered_and_none_that_is_far(name, hint):
-    assert did_you_mean(name, ("theta", "Omega", "theta_rate")) == hint

@@ -3,7 +3,6 @@
 import copy
 import math
 import re
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -18,12 +17,10 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
-from dynasindy.findings import FindingError, LogError, note, weak, wrong
+from dynasindy.findings import FindingError, note, weak, wrong
 from dynasindy.identification.source import Source
 from dynasindy.progress import listening
-from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, Signature
-from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 from dynasindy.workbench import _sensors_of, forecast, refit_shortage
 
@@ -47,13 +44,6 @@ def log(path):
 @pytest.fixture(scope="module")
 def model(log):
     return dynasindy.identify(log, WORDS, {"theta": "Omega"}, "trajectory", longest_delay=0.0)
-
-
-def test_a_log_is_read_with_its_units_and_gaps(log):
-    assert log.signature.state_units == ("rad", "rad/s")
-    assert log.signature.input_names == ("u",)
-    assert log.training.dt == pytest.approx(0.01)
-    assert log.training.x[:, 1].isnan().all()
 
 
 def test_what_the_equations_hold_is_found(write_log, tmp_path):
@@ -129,19 +119,6 @@ def test_a_task_of_ones_own_is_taken_as_it_is(model):
     assert dynasindy.plan(model, own, dt=0.1, updates=1, rollouts=4, window=5).setup.task is own
 
 
-def test_the_seed_decides(model):
-    def act(seed):
-        controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, seed=seed, updates=1, rollouts=4, window=5)
-        return float(controller.act([0.1, 0.0], [0.3])[0])
-
-    assert act(1) == act(1) != act(2)
-
-
-def test_sensors_need_a_log(model):
-    with pytest.raises(ValueError, match="give log="):
-        dynasindy.plan(model, {"theta": (-0.6, 0.6)}, sensors=Sensors({"theta": {}}))
-
-
 def test_an_output_that_no_input_moves_is_refused(model):
     """The pendulum's equations without their input swing on, whatever is commanded."""
     still = copy.deepcopy(model)
@@ -149,11 +126,6 @@ def test_an_output_that_no_input_moves_is_refused(model):
     with pytest.raises(FindingError) as error:
         dynasindy.plan(still, {"theta": (-0.5, 0.5)})
     assert error.value.finding == wrong("model.uncontrolled", outputs=["theta"])
-
-
-def test_a_control_period_fits_the_log(log, model):
-    with pytest.raises(ValueError, match=r"sampling time 0.01 s"):
-        dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, dt=0.025)
 
 
 SHORT = {"updates": 1, "rollouts": 4, "window": 5}
@@ -218,11 +190,6 @@ def test_exact_states_need_an_observer_where_inputs_are_late(exact, late):
     assert _sensors_of(smooth, prompt) is None
 
 
-def test_a_delay_needs_a_log(late):
-    with pytest.raises(ValueError, match=r"0.08 s late.* log="):
-        dynasindy.plan(late, {"theta": (-0.6, 0.6)}, **SHORT)
-
-
 def held_with(integral, model):
     """Return where the pendulum rests that is driven by a constant input for 0.19 rad, though 0.2 rad are asked for."""
 
@@ -252,17 +219,6 @@ def test_nothing_is_promised_by_a_log_of_which_nothing_was_kept(exact):
     found = forecast(controller, model, alone)
     assert found.in_sample and not found.promised
     assert found.evaluation.trajectory.batch_size[0] == 64  # steps over the range of the targets
-
-
-def test_a_part_of_the_log_that_is_shorter_than_the_library_is_fitted_by_what_the_model_uses():
-    log = brief(250)
-    words = [*WORDS, *(f"cos({k} theta)" for k in range(2, len(log.validation) // 2))]
-    model = dynasindy.identify(log, words, {"theta": "Omega"}, "one_step")
-    assert len(model.library) > len(log.validation) // 2
-    controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, **SHORT)
-    found = forecast(controller, model, log)
-    assert len(found.flights) == 3 and not found.in_sample
-    assert "forecast.short_log" not in {each.code for each in found.findings}
 
 
 def test_nothing_is_promised_where_what_the_log_keeps_is_shorter_than_the_equations():
@@ -303,23 +259,6 @@ def test_a_controller_stays_where_the_log_has_tried_its_input_if_the_equations_b
     assert said.values["input"] == "u" and ends == pytest.approx([1, 1, *wanted])
 
 
-def test_a_task_without_a_range_of_targets_needs_a_scenario(model):
-    task = Tracking(model.signature, RandomStep([0.0], [0.2]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    controller = Controller(lambda tensordict: tensordict, ControlSetup(task, 0.05))
-    with pytest.raises(ValueError, match=r"low and high.* scenario"):
-        forecast(controller, model)
-
-
-def test_a_rate_that_is_known_needs_no_column(path, log, model):
-    """The encoder's angle alone gives the model of the log that names its rate."""
-    alone = dynasindy.read(path)
-    assert alone.signature.state_names == ("theta",)
-    words = [word.replace("Omega", "theta_rate") for word in WORDS]
-    found = dynasindy.identify(alone, words, {"theta": "theta_rate"}, "trajectory", longest_delay=0.0)
-    assert found.signature.state_units == ("rad", "rad/s")
-    assert torch.equal(found.coefficients, model.coefficients)
-
-
 def test_volts_stay_volts_from_a_log_without_rates_to_a_controller(tmp_path, write_log):
     """6 V rest, and 6 V more turn the pendulum with 12 rad/s^2, which is what 1 does in [-1, 1]."""
     data = record_plant(Pendulum(), Multisine(1, duration=8, dt=0.05, amplitude=[0.8], seed=0).samples(0.01), 0.01)
@@ -347,11 +286,6 @@ def test_targets_that_no_input_holds_are_told(model):
     assert -float(span[1]) == pytest.approx(math.asin(4 / 9.81), abs=0.03) and float(span[2]) < 0.45
 
 
-def test_the_package_says_what_it_has():
-    with pytest.raises(AttributeError, match=r"Controller, .*, plan, read"):
-        dynasindy.train  # noqa: B018
-
-
 def angle_alone(source):
     """Return the pendulum's angle without its rate."""
     t = source.training
@@ -371,28 +305,6 @@ def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
     torch.testing.assert_close(found, wanted.double(), rtol=0, atol=1e-4)  # rad/s and rad/s^2, of 2 and 7
 
 
-def lossy(source, share, seed=0):
-    """Return a log of which this part of all samples was lost, each by itself."""
-    t = source.whole
-    x = torch.cat([t.x, t.x_next[-1:]])
-    x[torch.rand(x.shape, generator=torch.Generator().manual_seed(seed)) < share] = torch.nan
-    return Source.of(Recording(Transitions.from_trajectory(x, t.u, t.dt), source.signature))
-
-
-@pytest.mark.parametrize(("only", "share"), [(False, 0.02), (True, 0.1)], ids=["all states", "an angle alone"])
-def test_lost_samples_change_no_equation(exact, only, share):
-    """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, where samples are missing."""
-    log = lossy(angle_alone(exact) if only else exact, share)
-    assert bool(log.training.x.isnan().any())
-    model = dynasindy.identify(log, known=None if only else {"theta": "Omega"}, method="trajectory")
-    theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
-    with torch.no_grad():
-        found = model(exact.training.x, exact.training.u)
-    wanted = torch.stack([rate, 12 * u - 9.81 * theta.sin() - 0.5 * rate], 1)
-    torch.testing.assert_close(found, wanted.double(), rtol=0, atol=1e-3)  # rad/s and rad/s^2, of 2 and 7
-    assert model.delay == pytest.approx(0.0, abs=1e-4)
-
-
 def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exact):
     alone, told = angle_alone(exact), weak("fit.rates_missing", states=["theta"], known={"theta": "theta_rate"})
     for words in ({"known": {}}, {"library": ["1", "theta", "u", "sin(theta)"]}):
@@ -400,38 +312,3 @@ def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exac
             model = dynasindy.identify(alone, **words, method="one_step")
         assert [warning.filename for warning in warned] == [__file__]  # where the user called it
         assert "theta_rate" not in model.signature.state_names and model.findings[0] == told
-
-
-def test_a_rate_in_other_units_is_refused_where_it_is_known_and_else_told(exact):
-    """The pendulum's angle in degrees, beside its rate in rad/s; neither is told of in one unit."""
-    t, degrees = exact.training, torch.tensor([180 / math.pi, 1.0])
-    mixed = Source.of(Recording(replace(t, x=t.x * degrees, x_next=t.x_next * degrees), exact.signature))
-    with pytest.warns(UserWarning, match=r"degrees beside rad/s\?"):
-        told = dynasindy.identify(mixed, WORDS, {}, "one_step").findings[0]
-    assert (told.code, told.severity) == ("log.rate_units", "weak")
-    assert told.values["factor"] == pytest.approx(180 / math.pi, rel=1e-3)
-    with pytest.raises(LogError) as error:
-        dynasindy.identify(mixed, WORDS, {"theta": "Omega"}, "one_step")
-    told = error.value.finding
-    assert (told.code, told.values["cause"]) == ("log.rate_units", "degrees beside rad/s")
-    assert told.values["states"]["Omega"]["scale"] == pytest.approx(180 / math.pi)
-    turned = Source.of(Recording(t, replace(exact.signature, state_names=("Omega", "theta"))))
-    with pytest.raises(LogError) as error:
-        dynasindy.identify(turned, WORDS, {"theta": "Omega"}, "one_step")
-    told = error.value.finding
-    assert (told.code, told.values["known"]) == ("log.rate_exchanged", {"Omega": "theta"})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        dynasindy.identify(exact, WORDS, {"theta": "Omega"}, "one_step")
-
-
-def test_errors_of_logs_name_arguments_and_no_settings_of_scripts(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"correct path$"):
-        dynasindy.read(tmp_path / "data.csv")
-    (tmp_path / "data.csv").write_text("time,angle,torque\n0,1,5\n1,2,6\n")
-    with pytest.raises(LogError, match=r"inputs and states\.") as error:
-        dynasindy.read(tmp_path / "data.csv")
-    assert error.value.finding.code == "log.no_roles"
-    with pytest.raises(LogError, match=r"^inputs names 'force'") as error:
-        dynasindy.read(tmp_path / "data.csv", inputs=["force"])
-    assert error.value.finding.values["columns"] == ["angle", "torque"]

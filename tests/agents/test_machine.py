@@ -7,13 +7,11 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.agents import machine as module
 from dynasindy.agents.loss import GradientSteps
 from dynasindy.agents.machine import _MachineSteps
 from dynasindy.agents.td3 import TD3
 from dynasindy.systems import Diverged
-from dynasindy.systems import compiler as compiling
-from dynasindy.systems.compiler import compiler, load_library
+from dynasindy.systems.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
 pytestmark = pytest.mark.filterwarnings("error")
@@ -75,27 +73,6 @@ def test_a_batch_that_is_not_in_one_piece_counts_as_its_copy():
 
 @needs_compiler
 @pytest.mark.parametrize(
-    ("key", "value", "words"),
-    [
-        ("action", torch.zeros(10, 1), r"'action' as \(10, 1\), torch.float32, on cpu; give \(10, 2\)"),
-        ("observation", torch.zeros(10, 3).double(), r"'observation' as \(10, 3\), torch.float64"),
-        (("next", "terminated"), torch.zeros(10, 1), "'terminated' .* give .* torch.bool"),
-        (("next", "reward"), torch.zeros(10, 2), r"'reward' as \(10, 2\)"),
-        (("next", "observation"), torch.zeros(10, 4), r"'observation' as \(10, 4\)"),
-    ],
-)
-def test_a_batch_of_another_shape_or_kind_is_refused(key, value, words):
-    batch = transitions(10)
-    batch[key] = value
-    agent = pair()[0]
-    before = {name: value.clone() for name, value in weights(agent).items()}
-    with pytest.raises(ValueError, match=words):
-        agent.update(batch)
-    assert all(torch.equal(before[name], value) for name, value in weights(agent).items())
-
-
-@needs_compiler
-@pytest.mark.parametrize(
     "replace",
     [
         lambda agent: agent.critic_optimizer.load_state_dict(copy.deepcopy(agent.critic_optimizer.state_dict())),
@@ -113,34 +90,6 @@ def test_a_tensor_that_was_replaced_is_the_one_that_learns(replace):
         one.update(transitions(10, seed=2))
         one.update(transitions(10, seed=3))
     assert all(torch.equal(a, b) for a, b in zip(weights(agent).values(), weights(whole).values(), strict=True))
-
-
-@needs_compiler
-def test_moments_that_were_forgotten_begin_anew_as_those_of_torch():
-    ours, torchs = pair()
-    for agent in (ours, torchs):
-        agent.update(transitions(10))
-        agent.critic_optimizer.state.clear()
-        agent.update(transitions(10, seed=1))
-    for name, value in weights(torchs).items():
-        torch.testing.assert_close(weights(ours)[name], value, rtol=1e-4, atol=1e-6)
-    assert len(ours.critic_optimizer.state) == len(torchs.critic_optimizer.state)
-
-
-@needs_compiler
-@pytest.mark.parametrize("lanes", ["-mno-avx", "-mno-avx512f", "-march=native"])
-def test_the_room_holds_many_layers_of_odd_width_on_any_processor(monkeypatch, lanes):
-    run = compiling._run
-    monkeypatch.setattr(compiling, "_run", lambda words, *files: run([*words, *([lanes] * ("-c" in words))], *files))
-    load_library.cache_clear()
-    agent = TD3(1, 1, hidden=(1,) * 40, policy_delay=1)
-    agent._steps._place(1)
-    size = len(agent._steps._room)
-    guarded = torch.full((size + 2048,), 7.0)
-    agent._steps._room = guarded
-    agent.update(transitions(1, 1, 1))
-    assert (guarded[size:] == 7.0).all()
-    load_library.cache_clear()
 
 
 @needs_compiler
@@ -181,24 +130,3 @@ def test_a_target_that_is_no_number_is_not_taken_for_the_larger_one(net):
         agent.loss.target_critic_layers[1].weight[net] = math.nan
     with pytest.raises(Diverged, match="update"):
         agent.update(transitions(10))
-
-
-def test_without_a_compiler_torch_learns_without_a_word(monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.delenv("CC", raising=False)
-    load_library.cache_clear()
-    agent = pair()[0]
-    assert math.isfinite(agent.update(transitions(10))["critic_loss"]) and type(agent._steps) is GradientSteps
-
-
-@needs_compiler
-@pytest.mark.parametrize("error", [ValueError("refused it"), OSError("cannot be loaded")])
-def test_a_compiler_that_fails_costs_one_warning(monkeypatch, error):
-    def fail(*_, **__):
-        raise error
-
-    monkeypatch.setattr(module, "load_library", fail)
-    agent = pair()[0]
-    with pytest.warns(UserWarning, match="learns"):
-        agent.update(transitions(10))
-    agent.update(transitions(10))  # and none at the next update

@@ -5,7 +5,6 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.transforms import Transform
 
-from dynasindy.agents import replay as module
 from dynasindy.agents.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
 from dynasindy.systems import Diverged
 
@@ -55,22 +54,6 @@ def test_real_rollouts_are_flattened_and_reduced_to_their_keys():
     assert set(replay.real[:].keys(True, True)) - {"index"} == set(REAL_KEYS)
 
 
-@pytest.mark.parametrize("which", ["real", "model"])
-def test_missing_and_extra_keys_are_refused_and_leave_no_trace(which):
-    replay = filled()
-    buffer, keys = getattr(replay, which), REAL_KEYS if which == "real" else LEARN_KEYS
-    before = buffer[:].clone()
-    with pytest.raises(KeyError, match=r"missing: next.reward;"):
-        buffer.extend(rows(5, keys=keys).exclude(("next", "reward")))
-    with pytest.raises(KeyError, match="not allowed: colour"):
-        buffer.extend(rows(5, keys=keys).set("colour", torch.zeros(5, 1)))
-    with pytest.raises(KeyError, match="not allowed: colour"):
-        buffer.add(rows(5, keys=keys).set("colour", torch.zeros(5, 1))[0])
-    buffer.extend(rows(5, value=77.0, keys=keys))
-    assert torch.equal(buffer[: len(before)]["action"], before["action"])
-    assert torch.equal(buffer[len(before) :]["action"], rows(5, value=77.0)["action"])
-
-
 def test_a_transform_may_turn_what_is_written_into_rows():
     class Imagine(Transform):
         def _inv_call(self, tensordict):
@@ -104,31 +87,6 @@ def test_resumed_replay_equals_an_uninterrupted_one(tmp_path, model):
         for each in (replay, resumed):  # the ring wraps at the same row
             each.model.extend(rows(100, value=30_000))
     assert torch.equal(replay.model[:]["action"], resumed.model[:]["action"])
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"capacity": 0}, "give positive numbers"),
-        ({"batch_size": -1}, "give positive numbers"),
-        ({"model_capacity": 0}, "positive"),
-        ({"real_ratio": -0.1}, "share"),
-        ({"real_ratio": 1.2}, "share"),
-        ({"keys": ("observation", "action")}, "Replay keys lack next.done"),
-    ],
-)
-def test_impossible_settings_are_refused(wrong, message):
-    with pytest.raises(ValueError, match=message):
-        DynaReplay(**{"capacity": 10, "batch_size": 4} | wrong)
-
-
-@pytest.mark.parametrize("written", [3, 5, 7, 10])
-def test_rows_as_stored_are_those_in_order(written):
-    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
-    for number in range(written):
-        replay.extend_real(rows(1, number))
-    expected = [*range(written)][-5:]
-    assert replay.real_as_stored()["next", "reward"].flatten().tolist() == expected
 
 
 def test_large_numbers_whose_sum_is_none_are_finite():
@@ -169,22 +127,6 @@ def test_a_real_rollout_that_is_not_finite_leaves_no_row():
     with pytest.raises(Diverged, match="period"):
         replay.extend_real(bad)
     assert not len(replay.real)
-
-
-def test_capacities_beyond_the_physical_memory_are_refused_at_the_first_row(monkeypatch):
-    # A real row of `rows`: five vectors of 3 floats, samples of 30, a reward, a count and an index of 8 bytes each,
-    # four flags: 4 * (5 * 3 + 30 + 1) + 8 + 8 + 4 bytes; a model row: three vectors, 4 * (3 * 3 + 1) + 8 + 3.
-    real, model = 204, 51
-    for spare, fits in ((0, True), (-1, False)):
-        replay = DynaReplay(1000, 2, model_capacity=500)
-        monkeypatch.setattr(module, "_memory", lambda device, spare=spare: 1000 * real + 500 * model + spare)
-        if fits:
-            replay.extend_real(rows(3, keys=REAL_KEYS))
-            assert len(replay.real) == 3
-            continue
-        with pytest.raises(ValueError, match="model_capacity=500"):
-            replay.extend_real(rows(3, keys=REAL_KEYS))
-        assert not replay.real.storage.initialized
 
 
 def marked(n, first, keys=LEARN_KEYS):

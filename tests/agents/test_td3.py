@@ -63,20 +63,6 @@ def test_resumed_agent_equals_an_uninterrupted_one(tmp_path):
     assert torch.equal(*[a.deployed(explored.clone())["action"] for a in (agent, resumed)])
 
 
-@pytest.mark.parametrize("machine_code", [True, False])
-def test_a_copy_learns_for_itself_and_as_the_agent_would(machine_code):
-    agent = small(machine_code=machine_code, policy_average=0.1)
-    first, second = batches(2)
-    agent.update(first)
-    copied, before = copy.deepcopy(agent), tensors(agent)
-    copied.update(second)
-    assert torch.equal(tensors(agent), before) and not torch.equal(tensors(copied), before)
-    agent.update(second)
-    assert torch.equal(tensors(agent), tensors(copied))
-    for a, b in zip(agent.deployed.parameters(), copied.deployed.parameters(), strict=True):
-        assert torch.equal(a, b)
-
-
 @pytest.mark.parametrize("reward", [math.nan, math.inf])
 def test_a_reward_that_is_not_finite_stops_the_update_before_any_weight_moves(reward):
     agent = small()
@@ -88,15 +74,6 @@ def test_a_reward_that_is_not_finite_stops_the_update_before_any_weight_moves(re
         agent.update(second)
     assert torch.equal(tensors(agent), before)
     with pytest.raises(Diverged, match="update 3"):
-        agent.update(second)
-
-
-def test_an_exploding_critic_is_told_at_the_update_whose_loss_overflows():
-    # An immense learning rate: the first step is finite, the values that follow from it are not.
-    agent = small(critic_lr=1e19)
-    first, second = batches(2)
-    agent.update(first)
-    with pytest.raises(Diverged, match="critic_lr=1e"):
         agent.update(second)
 
 

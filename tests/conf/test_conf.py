@@ -14,7 +14,6 @@ from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from dynasindy.agents import REAL_KEYS
 from dynasindy.dyna.excite import excite
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.planning import Gate
@@ -24,7 +23,6 @@ GROUPS = ("system", "task", "excitation", "world_model", "planning", "agent", "s
 OPTIONS = [f"{group}={file.stem}" for group in GROUPS for file in sorted((CONF / group).glob("[a-z]*.yaml"))]
 PLANTS = sorted({file.stem for file in (CONF / "system").glob("[a-z]*.yaml")} - {"logged", "black_box"})
 """The plants of the folder, to which whoever uses the package may have added some of their own."""
-SHIPPED = ("pendulum", "tras", "trms33", "xi")
 """Plants of the package with equations of its own; of these more is asked than of a plant that was added."""
 
 
@@ -75,12 +73,6 @@ def test_plants_that_stay_are_excited_by_the_whole_signal_at_once():
         wanted = again.env.rollout(200, again.excitation)  # the bare signal, from the first period to the last
     for key in ("state", "action", ("next", "state")):
         assert torch.equal(rows[key], wanted[key])
-
-
-@pytest.mark.parametrize("system", SHIPPED)
-def test_plants_of_the_package_are_known_to_stay(system):
-    _, parts = build(f"system={system}", "sensors=bench", "experiment=smoke")
-    assert parts.excitation.first == 1.0 and parts.excitation.gain is None
 
 
 def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
@@ -152,16 +144,6 @@ def test_a_bench_measures_what_the_file_of_the_plant_says(system):
     assert observer.sensors.actuator_delay
 
 
-@pytest.mark.parametrize("system", SHIPPED)
-def test_the_plants_of_the_package_have_encoders_and_no_sensors_of_rates(system):
-    cfg, parts = build(f"system={system}", "sensors=bench", "experiment=smoke")
-    assert not set(cfg.plant.sensors) & set(cfg.plant.rates)
-    observer = parts.sensing.observer
-    assert observer.first.rates  # known from the plant's file
-    for name in cfg.plant.outputs:
-        assert observer.sensors.channels[name].resolution == pytest.approx(2 * math.pi / 4096, rel=1e-6)
-
-
 @pytest.mark.parametrize("system", ["tras", "trms33", "xi"])
 def test_the_twin_rotors_have_the_bench_of_a_real_one(system):
     # Encoders of 4096 counts per turn, noise of 20 rpm on the speeds.
@@ -172,12 +154,6 @@ def test_the_twin_rotors_have_the_bench_of_a_real_one(system):
         **{angle: {"resolution": count, "noise": 0.0} for angle in ("alpha_a", "alpha_p")},
         **{speed: {"resolution": 0.0, "noise": 20.0} for speed in ("omega_a", "omega_p")},
     }
-
-
-def test_without_sensors_there_is_no_transform_and_no_more_to_keep():
-    parts = build("experiment=smoke")[1]
-    assert parts.sensing is None and parts.env.base_env is parts.plant
-    assert set(parts.replay.real.writer.keys) == set(REAL_KEYS)
 
 
 def test_a_plant_without_a_bench_is_told_how_to_give_one():
@@ -227,12 +203,6 @@ def test_the_paper_experiment_holds_every_row_of_its_table():
     assert parts.planner.rollouts in (400, 800)
 
 
-def test_an_ablation_of_the_paper_s_experiment_has_the_paper_s_budget():
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        assert compose("ablation", overrides=["experiment=paper"]).train.episodes == 1200
-        assert compose("ablation").train.episodes == 20
-
-
 def test_the_excitation_of_the_default_is_a_thousand_samples():
     cfg, parts = build()
     assert parts.excitation.n_steps * cfg.env.substeps == 1000
@@ -245,23 +215,6 @@ def test_runs_over_seeds_do_not_share_their_random_excitation(signal):
         build.__wrapped__(f"excitation={signal}", f"seed={s}")[1].excitation.samples() for s in (1, 1, 2)
     )
     assert (one == again).all() and not (one == other).all()
-
-
-def test_every_key_of_the_main_config_is_explained():
-    lines = (CONF / "train.yaml").read_text().splitlines()
-    for above, line in zip(lines, lines[1:], strict=False):
-        key = line.strip().partition(":")[0]
-        if line.startswith("  ") and ":" in line and not key.startswith(("-", "_", "path")) and "hydra" not in line:
-            if key in ("job", "config", "run", "sweep", "dir", "subdir", "chdir", "output_subdir"):
-                continue
-            assert above.strip().startswith("#"), f"{line.strip()} has no sentence above it"
-
-
-@pytest.mark.parametrize("config", ["train", "ablation"])
-def test_the_folders_of_a_sweep_need_no_quotes_on_a_command_line(config):
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose(config, ["planning.rollouts=400", "agent.tau=1e-3", "seed=1"], return_hydra_config=True)
-    assert cfg.hydra.job.override_dirname.startswith("agent.tau-1e-3__planning.rollouts-400")
 
 
 def test_the_gate_of_the_library_is_that_of_the_default():

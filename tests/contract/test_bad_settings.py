@@ -53,7 +53,7 @@ def test_a_misspelt_option_of_any_group(refused, tmp_path, group):
     ],
 )
 def test_a_bad_value_of_any_part(refused, tmp_path, key, given):
-    """One of each kind; tests/scripts/test_settings.py has more of them."""
+    """One of each kind."""
     line = refused("train", "experiment=smoke", "planning=dyna", f"{key}={given}", cwd=tmp_path)
     assert key.rpartition(".")[2].strip("_+") in line or given.strip("[]") in line
 

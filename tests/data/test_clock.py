@@ -85,18 +85,6 @@ def test_a_counter_gets_a_hint_and_what_the_hint_says_mends_it(tmp_path):
     assert named.transitions.dt == pytest.approx(1e-3) and named.findings[0].values["unit"] == "ms"
 
 
-def test_dates_with_points_are_read_with_the_day_first(tmp_path):
-    """Four samples a second over the end of a leap February."""
-    days = [
-        ("28.02.2024 23:59", 60 - 12.5 + 0.25 * k) if k < 50 else ("29.02.2024 00:00", 0.25 * (k - 50))
-        for k in range(100)
-    ]
-    times = [f"{day}:{second:05.2f}" for day, second in days]
-    found = LoggedData(written(tmp_path / "log.csv", "t", times)).recording(None)
-    assert found.transitions.dt == pytest.approx(0.25) and found.transitions.segment.unique().tolist() == [0]
-    assert found.findings == (note("log.time", column="t", unit="", dates=True, dt=pytest.approx(0.25)),)
-
-
 @pytest.mark.parametrize("heading", ["Time [ms]", "Time (ms)"])
 @pytest.mark.parametrize("named", ["Time", "Time [ms]", "Time (ms)", "Time[ms]"])
 def test_a_time_is_named_with_its_unit_or_without(heading, named):

@@ -118,14 +118,6 @@ def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
     assert found.findings[1] == note("log.other_lengths", length=300, names=["trigger (7)"])
 
 
-def test_cells_of_a_spreadsheet_may_have_line_breaks(tmp_path):
-    pytest.importorskip("openpyxl")
-    frame = pd.DataFrame({"time\n[s]": T, "angle\n[rad]": ANGLE, "u": COMMAND})
-    frame.to_excel(tmp_path / "log.xlsx", index=False)
-    found = LoggedData(str(tmp_path / "log.xlsx")).recording(None)
-    assert found.signature.state_units == ("rad",) and len(found.transitions) == ROWS - 1
-
-
 def test_a_damaged_file_and_a_format_without_its_package_cost_one_line(tmp_path, monkeypatch):
     for ending in ("mat", "npz", "parquet", "h5", "xlsx"):
         (tmp_path / f"log.{ending}").write_bytes(b"neither \x00 nor")

@@ -1,7 +1,6 @@
 """A guess at the columns of a log without names, read back by what it is for."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,15 +82,6 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     assert guess["time"] == guess["counter"] == "row"
 
 
-def test_a_log_without_a_command_does_not_propose_its_state_as_one(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join(["time,angle", *(f"{0.1 * k},{math.sin(k)}" for k in range(80))]))
-    told = refused(lambda: infer(str(path)))
-    assert told.code == "log.nothing_moves" and told.values["moving"] == "angle" and not told.values["driven"]
-    path.write_text("\n".join(["time,a,b", *(f"{0.1 * k},{math.sin(k)},{math.cos(k)}" for k in range(80))]))
-    assert not refused(lambda: infer(str(path))).values["guess"]["held"]
-
-
 def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k},{math.sin(k)},{'ON' if k % 9 < 4 else 'OFF'}" for k in range(80)]
@@ -101,21 +91,6 @@ def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
             infer(str(path), inputs=named)
         assert error.value.finding == wrong("log.worded_input", file=str(path), column=heading, text="ON")
     assert note("log.text_columns", columns={"heater": "ON"}) in refused(lambda: infer(str(path))).values["left_out"]
-
-
-def test_dates_that_are_the_time_are_no_words_and_a_counter_asks_for_the_seconds(tmp_path):
-    path = tmp_path / "log.csv"
-    rows = [f"31.05.2024 12:00:{k // 10:02d}.{k % 10},{math.sin(k)},{k // 4 % 2},{k}" for k in range(80)]
-    path.write_text("\n".join(["Uhr,Winkel,Motor,row", *rows]))
-    told = refused(lambda: infer(str(path))).values
-    assert told["left_out"] == [note("log.counters", columns=["row"])] and told["guess"]["time"] == "Uhr"
-    path.write_text("\n".join(["when,angle,u,time", *(f"{row}.5" for row in rows)]))
-    infer(str(path), findings=(found := []))
-    assert found == [note("log.date_columns", columns=["when"])]
-    path.write_text("\n".join(["row,angle,motor", *(f"{k},{math.sin(k)},{k // 4 % 2}" for k in range(80))]))
-    guess = guess_columns(summarise_columns(path), None, [])
-    assert roles(guess) == {"time": "row", "inputs": ["motor"], "states": ["angle"]}
-    assert guess["counter"] == "row" and not guess["clock_known"]
 
 
 def rows_of_a_swing(path, headings, columns):
@@ -132,12 +107,6 @@ def test_with_a_sampling_time_a_counter_is_the_time_and_nothing_more_is_asked_fo
     assert found.transitions.dt == 0.02 and len(found.transitions) == 79
     assert found.signature.state_names == ("angle",) and found.signature.input_names == ("u",)
     assert found.findings[0] == note("log.row_counter", column="row", dt=0.02)
-
-
-def test_a_counter_with_rows_lost_leaves_a_gap_in_time(tmp_path):
-    path = rows_of_a_swing(tmp_path / "log.csv", "n,angle,u", lambda k: (k + 7 * (k > 39), math.sin(k), k // 4 % 2))
-    found = LoggedData(path, dt=0.1).recording(None)
-    assert sorted(found.transitions.segment.unique().tolist()) == [0, 1] and len(found.transitions) == 78
 
 
 def test_a_counter_is_not_the_time_where_something_else_may_be(tmp_path):
@@ -169,17 +138,6 @@ def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path
         table = np.stack([u, np.cumsum(steps), np.sin(np.arange(300))], -1)
         path.write_text("\n".join([f"u,{name},speed", *(",".join(map(repr, row)) for row in table.tolist())]))
         assert row_counter(path, "time", []) == ("row" if name == "row" else "time")
-
-
-def write(folder: Path, text: str) -> Path:
-    (folder / "log.csv").write_text(text, newline="")
-    return folder / "log.csv"
-
-
-def test_an_index_needs_no_heading_but_other_numbers_do(tmp_path):
-    assert summarise_columns(write(tmp_path, ",a,b\n0,1,2\n")).numeric == ("a", "b")
-    with pytest.raises(ValueError, match="heading"):
-        summarise_columns(write(tmp_path, "a,,b\n0,1,2\n"))
 
 
 def closed_loop(rows=1500):

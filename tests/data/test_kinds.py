@@ -59,11 +59,6 @@ def test_whole_numbers_that_are_hardly_seconds_ask_for_their_unit(tmp_path):
     assert found.transitions.dt == pytest.approx(0.01)
 
 
-def test_places_in_arrays_and_paths_are_names(tmp_path):
-    found = recording(tmp_path / "l.csv", "__time,/joint/q[0],/joint/q[1],/cmd/u", T, ANGLE, COMMAND**2, COMMAND)
-    assert found.signature.state_names == ("joint_q_0", "joint_q_1") and found.signature.input_names == ("cmd_u",)
-
-
 def test_names_of_a_pair_get_the_same_role(tmp_path):
     held = np.arange(ROWS) // 20 % 3 - 1.0
     found = recording(tmp_path / "l.csv", "time,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
@@ -98,19 +93,6 @@ def test_an_input_that_is_lost_at_random_costs_its_rows(tmp_path):
     assert len(found.transitions) == (~lost[1:] & ~lost[:-1]).sum()
 
 
-def test_a_target_beside_an_input_is_no_input(tmp_path):
-    found = recording(tmp_path / "l.csv", "time,angle,angle_cmd,u", T, ANGLE, COMMAND**2, COMMAND)
-    assert found.signature.input_names == ("u",)
-
-
-def test_rows_in_disorder_are_no_recording_that_begins_anew(tmp_path):
-    stamps = T.copy()
-    stamps[[30, 52]] = stamps[[52, 30]]
-    with pytest.raises(LogError) as error:
-        recording(tmp_path / "l.csv", "time,angle,u", stamps, ANGLE, COMMAND)
-    assert error.value.finding.code == "log.time_order"
-
-
 def test_rates_are_known_by_their_headings(tmp_path):
     known = {"a_rad": "w_rad_s"}
     found = recording(tmp_path / "l.csv", "time,a_rad,w_rad_s,u", T, ANGLE, COMMAND**2, COMMAND)
@@ -119,23 +101,6 @@ def test_rates_are_known_by_their_headings(tmp_path):
     assert bool(source.training.x.isfinite().all())
     mapped = LoggedData(str(tmp_path / "l.csv"), {"q": "a_rad", "v": "w_rad_s"}, {"u": "u"}).recording(None)
     assert mapped.signature.state_units == ("rad", "rad/s")
-
-
-def test_a_time_that_is_misspelt_is_refused_also_where_the_sampling_time_is_given(tmp_path):
-    recording(tmp_path / "l.csv", "clock,angle,u", T, ANGLE, COMMAND, time="clock")
-    with pytest.raises(ValueError, match="clok"):
-        LoggedData(str(tmp_path / "l.csv"), {"a": "angle"}, {"u": "u"}, time="clok", dt=0.5).recording(None)
-
-
-def test_an_input_that_is_lost_for_long_is_not_hold_inputs(tmp_path):
-    command = np.where(np.arange(ROWS) < 200, COMMAND, np.nan)
-    found = recording(tmp_path / "l.csv", "time,angle,u", T, ANGLE, command)
-    assert len(found.transitions) == 199
-
-
-def test_columns_that_only_end_like_a_time_have_no_clock(tmp_path):
-    found = recording(tmp_path / "l.csv", "millis,heat,left,u", 1e3 * T, T**2 + T, T**3 + T, COMMAND)
-    assert found.signature.state_names == ("heat", "left")
 
 
 def test_columns_with_a_clock_of_their_own_stand_at_the_times_of_the_first(tmp_path):

@@ -1,7 +1,6 @@
 """Files are read as they are written, and every kind of bad file costs one line that says what to mend."""
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,7 @@ import torch
 
 from dynasindy.data.columns import Column, infer
 from dynasindy.data.recording import LogReader
-from dynasindy.findings import Finding, LogError, note, weak, wrong
-from dynasindy.systems.base import Signature
+from dynasindy.findings import Finding, LogError, note, wrong
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -85,20 +83,6 @@ def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the
     assert refused(path, missing="refuse").values == {"file": path, "refused": True, **skipped}
 
 
-def test_text_and_short_rows_are_missing_values(tmp_path):
-    path = tmp_path / "log.csv"
-    write(path, log())
-    lines = path.read_text().splitlines()
-    lines[10], lines[30] = re.sub(",[^,]*", ",off", lines[10], count=1), "0.29"
-    path.write_text("\n".join(lines))
-    assert LogReader(str(path), STATES, INPUTS).recording().findings[1:] == (
-        note("log.words", line=11, column="angle", text="off", count=1),
-        note("log.missing", rows=1, total=80, counts={"angle": 1, "rate": 1, "volt": 1}, line=31, skipped=True),
-        note("log.missing", rows=1, total=80, counts={"angle": 1}, line=11, skipped=False),
-        note("log.gaps", count=1),
-    )
-
-
 def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
     table = log(300)
     table[np.arange(300) % 5 > 0, 1] = np.nan
@@ -106,32 +90,6 @@ def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
     assert len(data) == 299 and data.segment.unique().tolist() == [0]
     assert torch.equal(data.x[:, 1], torch.from_numpy(table[:-1, 2]))
     assert data.x[:, 0].isfinite().nonzero().flatten().tolist() == list(range(0, 299, 5))
-
-
-def test_a_rate_beside_lost_samples_is_that_of_the_others(tmp_path):
-    """Of a cubic a local cubic is exact, whichever five samples it has."""
-    t = 0.01 * np.arange(100)
-    table = np.stack([t, 1 + 2 * t - 3 * t**2 + 4 * t**3, np.sign(np.sin(40 * t + 0.1))], -1)
-    table[[0, 30, 32, 98], 1] = np.nan
-    states = {"q": "angle", "v": {"derivative_of": "q"}}
-    data = (
-        LogReader(write(tmp_path / "l.csv", table, ("time", "angle", "volt")), states, INPUTS).recording().transitions
-    )
-    times = t[1 : 1 + len(data)]  # nothing was measured in the first row
-    assert np.allclose(data.x[:, 1], 2 - 6 * times + 12 * times**2, atol=1e-6)
-
-
-def test_uneven_samples_with_lost_ones_are_resampled_by_the_others(tmp_path):
-    rng = np.random.default_rng(0)
-    t = 0.01 * np.arange(400) + 0.002 * rng.uniform(-1, 1, 400)
-    table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.where(t < 1.0, -1.0, 1.0)], -1)
-    lost = rng.random(400) < 0.1
-    table[lost, 1] = np.nan
-    data = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
-    grid = t[0] + 0.01 * np.arange(len(data))
-    seen = data.x[:, 0].isfinite().numpy()
-    assert len(data) >= 395 and 0.05 < 1 - seen.mean() < 0.15 and bool(data.x[:, 1].isfinite().all())
-    assert np.allclose(data.x[seen, 0], np.sin(3 * grid[seen]), atol=1e-5)
 
 
 def test_time_that_does_not_increase_is_refused_at_its_row(tmp_path):
@@ -193,44 +151,6 @@ def test_stretches_too_short_for_a_rate_are_left_out_not_given_rate_zero(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("states", "inputs"),
-    [
-        ({"q": "angle", "v": Column(derivative_of="w")}, INPUTS),
-        ({"q": Column(), "v": Column()}, INPUTS),
-        ({"q": "angle"}, {"u": "volt", "w": Column()}),
-        ({"q": "angle", "v": Column(derivative_of="q"), "a": Column(derivative_of="v")}, INPUTS),
-        ({"q": "angle"}, {"u": "volt", "w": Column(derivative_of="u")}),
-    ],
-)
-def test_a_rate_of_nothing_logged_is_refused(tmp_path, states, inputs):
-    assert "derivative" in refusal(write(tmp_path / "log.csv", log()), states, inputs)
-
-
-def test_text_in_the_first_row_costs_that_row_and_no_state(tmp_path):
-    path = Path(write(tmp_path / "log.csv", log(), ("time", "angle", "rate", "u")))
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([lines[0], "0,off,nan,", *lines[2:]]))
-    states, inputs = infer(str(path))
-    assert list(states) == ["angle", "rate"] and list(inputs) == ["u"]
-    found = LogReader(str(path), states, inputs).recording()
-    assert np.array_equal(found.transitions.x.numpy(), log()[1:-1, 1:3])
-    assert found.findings[1:] == (
-        note("log.words", line=2, column="angle", text="off", count=1),
-        note("log.missing", rows=1, total=80, counts={"angle": 1, "rate": 1, "u": 1}, line=2, skipped=True),
-    )
-
-
-def test_a_stray_quote_is_refused_at_its_line(tmp_path):
-    path = Path(write(tmp_path / "log.csv", log()))
-    lines = path.read_text().splitlines()
-    lines[9] = lines[9].replace(",", ',"', 1)
-    path.write_text("\n".join(lines))
-    assert "opens" in refusal(str(path))
-    path.write_text("\n".join([*lines, "0," + '"' + 200_000 * "1"]))
-    assert "log.csv, " in refusal(str(path))
-
-
-@pytest.mark.parametrize(
     ("heading", "unit", "factor"),
     [
         ("time [{}]", "ms", 1000),
@@ -248,22 +168,11 @@ def test_time_is_read_in_its_unit(tmp_path, unit, factor, heading):
     assert data.dt == pytest.approx(0.01) and len(data) == 79
 
 
-def test_an_unknown_unit_of_time_is_refused(tmp_path):
-    path = write(tmp_path / "log.csv", log(), ("time [samples]", *HEADINGS[1:]))
-    assert refused(path).code == "log.time_unit"
-
-
 def test_a_heading_that_stands_twice_is_refused(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time", "angle", "angle", "volt"))
     assert "2 columns 'angle'" in refusal(path, states={"q": "angle"})
     with pytest.raises(ValueError, match="once"):
         infer(write(tmp_path / "units.csv", log(), ("time", "angle [rad]", "angle [deg]", "u")))
-
-
-def test_a_state_is_not_called_like_a_function_of_the_library(tmp_path):
-    path = write(tmp_path / "log.csv", log(), ("time", "1", "rate", "u"))
-    assert refused(path, *infer(path)).values == {"file": path, "name": "1"}
-    assert len(LogReader(path, {"q": "1", "v": "rate"}, {"u": "u"}).recording().transitions) == 79
 
 
 def test_decimal_commas_between_semicolons_are_numbers(tmp_path):
@@ -280,23 +189,6 @@ def test_the_encodings_of_spreadsheets_are_read(tmp_path, encoding):
     path.write_text(path.read_text(), encoding=encoding)
     data = LogReader(str(path), STATES, INPUTS).recording().transitions
     assert data.x[:, 0].numpy() == pytest.approx(np.radians(log()[:-1, 1]))
-
-
-def test_inputs_beyond_those_of_a_plant_are_read_and_said(tmp_path):
-    table = log()
-    table[:, 3] *= 12
-    plant = Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-    found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording(plant)
-    assert np.array_equal(found.transitions.u[:, 0].numpy(), table[:-1, 3])
-    assert found.findings[1:] == (weak("log.beyond_ends", input="u", least=-12, most=12),)
-
-
-@pytest.mark.parametrize(
-    "column", [{"name": "angle", "scale": "x"}, {"heading": "angle"}, 3, {"name": "angle", "scale": 0}]
-)
-def test_a_column_that_says_something_else_is_refused(tmp_path, column):
-    path = write(tmp_path / "log.csv", log())
-    assert "keys" in refusal(path, {"q": column})
 
 
 def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
@@ -348,23 +240,6 @@ def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_p
         assert (not found.findings[1:]) is even
 
 
-def test_stretches_are_resampled_apart_each_from_its_own_start(tmp_path):
-    t = 0.01 * np.arange(160) + 0.003 * (np.arange(160) % 2)
-    t[80:] += 0.5
-    table = np.stack([t, np.sin(3 * t), 3 * np.cos(3 * t), np.arange(160) // 5 % 3 - 1.0], -1)
-    data = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS, dt=0.01).recording().transitions
-    assert data.segment.unique().tolist() == [0, 1]
-    for label, start in ((0, t[0]), (1, t[80])):
-        rows = data.segment == label
-        grid = start + 0.01 * np.arange(int(rows.sum()))
-        assert len(grid) == 79  # 0.793 s hold 79 whole steps: nothing is extrapolated
-        assert np.allclose(data.x[rows, 0], np.sin(3 * grid), atol=1e-6)
-        assert np.allclose(data.x[rows, 1], 3 * np.cos(3 * grid), atol=1e-5)
-        fine = grid[:, None] + np.linspace(1e-6, 0.01 - 1e-6, 1000)
-        held = table[np.searchsorted(t, fine, side="right") - 1, 3].mean(1)
-        assert np.allclose(data.u[rows, 0], held, atol=5e-3)
-
-
 @pytest.mark.parametrize(("resting", "masked"), [(4, 0), (5, 5), (9, 9)])
 def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, resting, masked):
     table = log(100)
@@ -373,14 +248,6 @@ def test_five_equal_samples_at_an_end_are_a_stop_and_four_are_not(tmp_path, rest
     found = LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording()
     assert found.findings[1:] == (note("log.stop", count=masked, state="q", value=-0.5),) * bool(masked)
     assert len(found.transitions) == 99 - (masked + 1 if masked else 0)
-
-
-def test_a_state_that_rests_all_the_time_is_no_stop_and_has_range_one_where_it_is_zero(tmp_path):
-    table = np.concatenate([log(), np.zeros((80, 1)), np.full((80, 1), -3.0)], -1)
-    path = write(tmp_path / "log.csv", table, (*HEADINGS, "still", "low"))
-    found = LogReader(path, {"q": "angle", "z": "still", "w": "low"}, INPUTS).recording()
-    assert found.findings[1:] == () and len(found.transitions) == 79
-    assert found.signature.x_scale[1:] == (1.0, 3.0)
 
 
 def starts(path: Path, code: str, t=None, **states: np.ndarray) -> tuple[list[int], list[Finding]]:
@@ -397,16 +264,6 @@ def starts(path: Path, code: str, t=None, **states: np.ndarray) -> tuple[list[in
 def beside(n: int, out) -> list[int]:
     """Return the rows at which a transition starts without those that are left out."""
     return [k for k in range(n - 1) if k not in out and k + 1 not in out]
-
-
-def test_rest_at_the_start_is_no_stop_but_rest_at_the_same_end_later_is(tmp_path):
-    away, rest = [3.0, 6.0, 9.0, 9.5, 6.0, 3.0] * 10, [0.0] * 6
-    assert starts(tmp_path, "log.stop", q=np.array([*rest, *away])) == (beside(66, []), [])
-    told = [note("log.stop", count=12, state="q", value=0)]
-    assert starts(tmp_path, "log.stop", q=np.array([*rest, *away, *rest])) == (
-        beside(72, [*range(6), *range(66, 72)]),
-        told,
-    )
 
 
 @pytest.mark.parametrize(("step", "phase"), [(0.0015, 0.3), (0.02, 0.77)])
@@ -477,25 +334,6 @@ def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none(tmp_path):
     gap = note("log.long_gap", rows=10, longest=10, state="a")
     found = starts(tmp_path, "log.long_gap", a=lacking(100, slice(20, 29), slice(60, 70)), b=lacking(100))
     assert found == (beside(100, range(60, 70)), [gap])
-
-
-def test_what_is_long_depends_on_how_often_a_sensor_is_read(tmp_path):
-    column = np.full(400, np.nan)
-    column[::5] = 1.0
-    column[101:149] = np.nan  # 50 rows from one sample to the next are ten usual distances
-    assert starts(tmp_path, "log.long_gap", a=column, b=lacking(400)) == (beside(400, []), [])
-    column[150] = np.nan
-    assert starts(tmp_path, "log.long_gap", a=column, b=lacking(400))[0] == beside(400, range(101, 155))
-
-
-def test_without_a_map_the_headings_say_what_is_a_state_and_what_an_input(tmp_path):
-    table = np.concatenate([log(), log()[:, 1:2], log()[:, 1:2] * math.nan], -1)
-    headings = ("time [s]", "angle [rad]", "rate", "u_1 [V]", "reference_angle", "comment")
-    path = write(tmp_path / "log.csv", table, headings)
-    data = LogReader(path).recording()
-    assert data.signature.state_names == ("angle", "rate") and data.signature.input_names == ("u_1",)
-    assert data.signature.input_units == ("V",)
-    assert np.array_equal(data.transitions.x.numpy(), table[:-1, 1:3]) and data.signature.state_units == ("rad", "-")
 
 
 def test_inputs_may_be_named_and_all_others_are_states(tmp_path):

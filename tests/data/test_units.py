@@ -7,10 +7,8 @@ import pytest
 
 from dynasindy.data.columns import Column, with_units
 from dynasindy.data.headings import in_radians
-from dynasindy.data.recording import LogReader
 from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
-from dynasindy.systems import Pendulum
 
 TURN = 2 * math.pi
 
@@ -51,22 +49,6 @@ def test_turns_per_minute_are_those_of_an_angle_or_stay():
     }
 
 
-def test_what_is_given_of_a_column_stays():
-    given = {
-        "kept": Column("a", "deg"),
-        "scaled": Column("a", "rad", 0.5),
-        "named": Column("a", "rad"),
-        "free": Column("a"),
-        "other": Column("a", "m"),
-    }
-    found = with_units(given, ["a [deg]"], states=True)
-    units = {name: (column.unit, column.scale) for name, column in found.items()}
-    degree = ("rad", pytest.approx(math.radians(1)))
-    assert units == {"kept": ("deg", 1), "scaled": ("rad", 0.5), "named": degree, "free": degree, "other": ("m", 1)}
-    assert with_units(found, ["a [deg]"], states=True) == found
-    assert with_units({"rudder": Column("a")}, ["a [deg]"], states=False) == {"rudder": Column("a", "deg")}
-
-
 def written(path, headings):
     """Write an angle of 1 rad/s of which each column has 1 deg/s for a degree, and an input."""
     t = 0.01 * np.arange(200)
@@ -96,14 +78,6 @@ def test_a_rate_that_is_known_or_differentiated_is_one_of_radians(tmp_path):
     slope = LoggedData(path, states).recording(None)
     assert slope.signature.state_units == ("rad", "rad/s")
     assert slope.transitions.x[:, 1].numpy() == pytest.approx(np.cos(t)[:-1], abs=1e-4)
-
-
-def test_a_plant_that_is_named_reads_degrees_too(tmp_path):
-    path, t = written(tmp_path / "log.csv", "time [s],theta [°],Omega [°/s],u")
-    found = LoggedData(path).recording(Pendulum().signature)
-    assert found.transitions.x[:, 0].numpy() == pytest.approx(np.sin(t)[:-1])
-    (_, told) = found.findings
-    assert told.code == "log.converted" and set(told.values["units"]) == {"theta", "Omega"}
 
 
 def swinging(path, headings, speed=30 / math.pi, noise=0.0):
@@ -140,23 +114,6 @@ def test_turns_per_minute_that_are_the_slope_of_an_angle_are_read_in_radians(tmp
     assert told["units"] == {"angle": ("deg", "rad"), "speed": ("rpm", "rad/s")}
     kept = LoggedData(path, told["kept"]).recording(None)
     assert kept.signature.state_units == ("deg", "rpm", "rpm")
-
-
-def test_a_known_rate_is_named_as_its_heading_is(tmp_path):
-    """A speed behind a gear of 50 is the slope of nothing, unless somebody says so."""
-    path, _ = swinging(tmp_path / "log.csv", "time [s],angle_deg,speed_rpm,rotor [rpm],u", 50 * 30 / math.pi)
-    assert LogReader(path).recording().signature.state_units == ("rad", "rpm", "rpm")
-    with pytest.raises(LogError) as error:
-        LogReader(path, known={"angle_deg": "speed_rpm"}).recording()
-    assert error.value.finding.code == "log.rate_units" and error.value.finding.values["rate"] == "speed"
-
-
-def test_a_rough_speed_is_that_of_its_angle_and_a_rotor_with_a_gear_is_not(tmp_path):
-    headings = "time [s],angle [deg],speed [rpm],rotor [rpm],u"
-    path, _ = swinging(tmp_path / "log.csv", headings, noise=0.3)
-    assert LoggedData(path).recording(None).signature.state_units == ("rad", "rad/s", "rpm")
-    path, _ = swinging(tmp_path / "log.csv", headings, speed=50 * 30 / math.pi)
-    assert LoggedData(path).recording(None).signature.state_units == ("rad", "rpm", "rpm")
 
 
 @pytest.mark.parametrize(

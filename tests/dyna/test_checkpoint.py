@@ -3,8 +3,7 @@ import os
 import pytest
 import torch
 
-from dynasindy.dyna.callback import Place
-from dynasindy.dyna.checkpoint import Checkpoints, Saver
+from dynasindy.dyna.checkpoint import Checkpoints
 
 
 def test_the_newest_two_are_kept_and_the_newest_is_read(tmp_path):
@@ -55,18 +54,6 @@ def test_what_is_removed_is_what_was_made(tmp_path):
     (checkpoints.folder / "mine.txt").write_text("keep")
     checkpoints.remove()
     assert [file.name for file in checkpoints.folder.iterdir()] == ["mine.txt"]
-
-
-@pytest.mark.parametrize(("every", "saved"), [(1, [1, 2, 3, 4, 5]), (2, [1, 2, 4]), (0, [])])
-def test_checkpoints_come_every_so_many_episodes_and_before_the_first(tmp_path, every, saved):
-    written = []
-    checkpoints = Checkpoints(tmp_path)
-    checkpoints.save = lambda number, state: written.append(number) or tmp_path
-    saver = Saver(checkpoints, every, dict)
-    place = Place()
-    for move in (place.past_excitation, place.past_planning, *(lambda n=n: place.past_episode(n) for n in (1, 2, 3))):
-        saver.reached(move())
-    assert written == saved
 
 
 def test_a_disk_that_cannot_be_read_is_no_reason_to_begin_anew(tmp_path, monkeypatch):

@@ -17,24 +17,8 @@ from dynasindy.envs import DelayedEnv
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.systems import Diverged, Pendulum
+from dynasindy.systems import Pendulum
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"episodes": -1}, "episodes >= 0"),
-        ({"updates_per_step": -0.5}, "updates_per_step >= 0"),
-        ({"updates_per_step": math.nan}, "updates_per_step >= 0"),
-        ({"held_out": 1}, "held_out is 1; give 0 for no test, or 2 or more"),
-        ({"held_out": -2}, "held_out is -2"),
-    ],
-)
-def test_settings_that_no_loop_can_run_with_are_refused(wrong, said):
-    with pytest.raises(ValueError, match=said) as error:
-        LoopSettings(**({"episodes": 1} | wrong))
-    assert "\n" not in str(error.value)
 
 
 class Goal:
@@ -96,15 +80,6 @@ def test_every_part_goes_on_where_it_was(behind_sensors):
     assert other.gate.is_open == one.gate.is_open
     now = [getattr(other, name).rng.get_state() for name in ("plant", "model_env")]
     assert all(torch.equal(a, b) for a, b in zip(now, drawn, strict=True))
-
-
-def test_weights_that_are_not_finite_are_in_no_state_to_go_on_from():
-    agent = TD3(n_obs=2, n_u=1, hidden=(4,))
-    with torch.no_grad():
-        next(agent.policy.parameters()).fill_(torch.nan)
-    parts = Components(**dict.fromkeys([f.name for f in fields(Components)]) | {"agent": agent})
-    with pytest.raises(Diverged):
-        parts.state_dict()
 
 
 def test_what_a_task_has_learnt_goes_on_with_the_run():

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
@@ -103,28 +102,6 @@ def test_where_nobody_knows_whether_a_plant_stays_it_is_moved_little_at_first_an
     share = torch.tensor([min(1.0, 0.1 * 2 ** (k / 10)) for k in range(60)], dtype=torch.float64)
     assert share[33] < 1.0 == share[34]
     torch.testing.assert_close(little, share.unsqueeze(-1) * all_of_it, atol=1e-6, rtol=0.0)
-
-
-def test_a_plant_that_falls_leaves_more_slowly_and_is_moved_less_again_after_each_fall():
-    bold, careful = (parts(Inverted(), bounds={"theta": 0.5}, careful={"first": first}) for first in (1.0, 0.1))
-    careful.plant.system.pull = bold.plant.system.pull = 0.0  # else its pull alone makes it fall
-    rows = excite(careful)
-    begins = (rows["step_count"].flatten() == 0).nonzero().flatten().tolist()
-    first_fall = [int((excite(each)["step_count"].flatten() == 0).nonzero()[1]) for each in (bold, careful)]
-    assert first_fall[0] < first_fall[1]
-    signal = careful.excitation(TensorDict({"step_count": torch.tensor([[begins[1]]])}, [1]))["action"].item()
-    pilot_mean = rows["action"][begins[1]].item() - 0.1 * signal  # it begins at its home, where the regulator is still
-    assert abs(pilot_mean) < 0.02
-
-
-@pytest.mark.parametrize(("first", "far"), [(1.0, (10.0, 30.0)), (0.5, (3.0, 9.0))])
-def test_a_plant_that_may_not_stay_is_followed_three_ranges_from_its_start_without_bounds(first, far):
-    low, high = _excitation_limits(parts(Inverted(), careful={"first": first}))
-    assert low.tolist() == [-far[0], -far[1]] and high.tolist() == [*far]
-    begun = parts(Inverted(), careful={"first": first}, start={"theta": [0.5, 0.7]}, bounds={"Omega": 5.0})
-    low, high = _excitation_limits(begun)
-    assert low.tolist() == pytest.approx([0.5 - far[0], -5.0])
-    assert high.tolist() == pytest.approx([0.7 + far[0], 5.0])
 
 
 def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_bounds():

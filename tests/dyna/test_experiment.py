@@ -50,22 +50,6 @@ def test_imagined_and_real_environment_share_task_and_stops():
     assert parts.model_env.float_type == torch.float32 and parts.plant.float_type == torch.float64
 
 
-def test_a_part_that_refuses_its_settings_stops_the_build():
-    with pytest.raises(ValueError, match="need dt > 0 s"):
-        replace(recipe(), env=partial(ControlEnv, dt=-1.0)).build()
-
-
-@pytest.mark.parametrize("sizes", [(10**15, 16), (10**15, 10**15)])
-def test_storages_that_memory_cannot_hold_stop_the_build(sizes):
-    with pytest.raises(ValueError, match=rf"replay\.capacity={sizes[0]}, .*batch_size={sizes[1]} .* GB; allowed is"):
-        replace(recipe(), replay=partial(DynaReplay, *sizes)).build()
-
-
-def test_networks_that_memory_cannot_hold_stop_the_build():
-    with pytest.raises(ValueError, match="critics=2"):
-        replace(recipe(), agent=partial(TD3, hidden=(10**9,))).build()
-
-
 def test_every_part_draws_from_a_seed_of_its_own():
     given = {}
 
@@ -82,13 +66,6 @@ def test_every_part_draws_from_a_seed_of_its_own():
     seeds += [given["seed"], given["agent_seed"]]
     assert len(set(seeds)) == 5
     assert given["env"] is parts.model_env and given["agent"] is parts.agent and given["replay"] is parts.replay
-
-
-def test_the_excitation_may_be_as_long_as_an_episode_and_no_longer():
-    exact = replace(recipe(), excitation=partial(Chirp, duration=20.0))
-    assert exact.build().excitation.n_steps == 400
-    with pytest.raises(ValueError, match="into"):
-        replace(recipe(), excitation=partial(Chirp, duration=20.05)).build()
 
 
 def test_the_real_environment_says_what_the_model_predicts():

@@ -13,7 +13,7 @@ from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note
 from dynasindy.identification.source import Source
-from dynasindy.sindy import Oracle, Regression, SindyModel
+from dynasindy.sindy import Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.tasks import Step
 from dynasindy.workbench import tracking_task
@@ -65,11 +65,6 @@ def test_a_model_of_other_volts_is_refused(source, tmp_path):
     assert model_of(replace(source, signature=volts), build, tmp_path / "model.json").signature == volts
     with pytest.raises(ValueError, match="taken"):
         model_of(source, build, tmp_path / "model.json")
-
-
-def test_a_model_that_is_not_sparse_is_refused(source):
-    with pytest.raises(TypeError, match="leave world_model=sindy"):
-        model_of(source, lambda signature: Oracle(signature, Pendulum()))
 
 
 def test_what_is_flown_is_said_in_one_voice(source, tmp_path):

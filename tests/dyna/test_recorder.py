@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control import load
@@ -119,41 +118,12 @@ def test_the_end_leaves_policy_model_and_metrics(recorded):
     assert metrics["drawn"]["row"] == 0 and metrics["drawn"]["words"].startswith("episode 1 of 2, ")
 
 
-def test_what_the_fit_leaves_out_stands_on_the_clock_of_the_table(recorded):
-    _, _, recorder = recorded
-    touched = torch.tensor([0, 1, 1, 0, 0, 1, 0, 1], dtype=torch.bool).unsqueeze(-1)
-    # A second try begins with row 5: the table has an empty row before it, so that all later ones are a period later.
-    counts = torch.tensor([0, 1, 2, 3, 4, 0, 1, 2]).unsqueeze(-1)
-    excited = TensorDict({"step_count": counts, "next": {"at_stop": touched}}, [8])
-    assert recorder._left_out(excited) == [[0.05, 0.15], [0.3, 0.35], [0.4, 0.45]]
-
-
 def test_steps_of_evaluation_are_counted_apart(tmp_path):
     _, _, recorder = record(tmp_path)
     cost = recorder.finish({})["cost"]
     assert cost["real_steps"] == 80
     # The untrained policy, after episodes 2 and 3, and at the end: two references of 120 periods each.
     assert cost["evaluation_steps"] == 4 * 2 * 120
-
-
-def test_a_restored_recorder_writes_its_logs_again(recorded, tmp_path):
-    folder, parts, recorder = recorded
-    again = Recorder(tmp_path, parts, recorder.scenario, every=2, episodes=3)
-    again.load_state_dict(recorder.state_dict())
-    logs = [*(folder / "scalars").rglob("*.csv"), folder / "progress.csv", folder / "gate.csv"]
-    assert len(logs) > 10
-    for log in logs:
-        assert (tmp_path / log.relative_to(folder)).read_text() == log.read_text()
-
-
-@pytest.mark.parametrize("name", ["../escaped", "/tmp/escaped", "a/../../../escaped"])
-def test_no_logged_figure_has_a_file_outside_its_folder(recorded, tmp_path, name):
-    _, parts, recorder = recorded
-    again, state = Recorder(tmp_path / "run", parts, recorder.scenario, 2, 3), recorder.state_dict()
-    state["rows"] = [{"episode": 1, name: 2.0}]
-    with pytest.raises(ValueError, match="figure"):
-        again.load_state_dict(state)
-    assert not list(tmp_path.iterdir())
 
 
 def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):

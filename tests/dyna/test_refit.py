@@ -123,13 +123,6 @@ def test_a_fit_that_is_not_finite_is_told_with_the_model(factor):
         fit(parts)
 
 
-def test_without_a_test_a_refit_that_is_not_finite_ends_the_phase():
-    parts, rollout = setting(1.0, math.nan)
-    fit(parts)
-    with pytest.raises(Diverged, match="model learning"):
-        refit(parts, LoopSettings(1, held_out=0), rollout)
-
-
 def samples_of(rollout, steps):
     """Ends of all logged samples of the given control periods, and the inputs held in them."""
     rows = rollout[torch.tensor(steps)]
@@ -152,26 +145,6 @@ def test_a_refit_reads_all_periods_but_the_held_out_ones(held_out, used):
     ends, inputs = samples_of(rollout, used)
     assert torch.equal(seen.x_next, ends) and torch.equal(seen.u, inputs)
     assert seen.dt == 0.01  # five samples per period of 0.05 s
-
-
-def test_earlier_episodes_are_read_whole():
-    parts, first = setting(1.0)
-    parts.plant.rng.manual_seed(5)  # other references than those of the first episode
-    parts.replay.extend_real(second := interact(parts.env, parts.agent.explore, 80))
-    refit(parts, LoopSettings(1, held_out=2), second)
-    ends = [samples_of(first, [*range(80)])[0], samples_of(second, [*range(20), *range(40, 60)])[0]]
-    assert torch.equal(parts.world_model.seen[0].x_next, torch.cat(ends))
-
-
-def test_the_errors_are_those_of_the_held_out_seconds_before_and_after():
-    parts, rollout = setting(1.5, 1.2)
-    fit(parts)
-    windows = torch.tensor([20, 60])  # every second of four
-    before = replay_error(parts.model_env, rollout, windows, 20)
-    result = refit(parts, LoopSettings(1, held_out=2), rollout)
-    after = replay_error(parts.model_env, rollout, windows, 20)
-    assert (result.error_before, result.error_after) == (before.state_error, after.state_error)
-    assert result.error.reward_error == after.reward_error and result.report == "report"
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 import csv
 import dataclasses
 import json
-import pickle
 import re
 from functools import partial
 
@@ -131,12 +130,6 @@ def test_a_stopped_run_can_be_ended_and_then_gone_on_with(tmp_path):
     assert ours == theirs
 
 
-def test_nothing_can_be_ended_of_which_nothing_is_kept(tmp_path):
-    with pytest.raises(ValueError, match="nothing to finish"):
-        go(tmp_path, "none", finish=True)
-    assert not any(tmp_path.iterdir())
-
-
 def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_path):
     class Loose(Plug):
         def forward(self, x, u):
@@ -193,9 +186,3 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     assert float(rows[0]["evaluated_return"]) == pytest.approx(metrics["evaluation"]["return"], rel=1e-6)
     names = next(csv.reader((tmp_path / "run" / "data" / "step_response.csv").open()))
     assert names[-1] == "u_p [-]" and not (tmp_path / "run" / "controller.json").exists()
-
-
-def test_what_a_worker_was_stopped_by_reaches_the_process_that_started_it():
-    stopped = pickle.loads(pickle.dumps(Stopped("kept in runs/a", 15)))
-    assert isinstance(stopped, KeyboardInterrupt) and not isinstance(stopped, Exception)
-    assert (str(stopped), stopped.signal) == ("kept in runs/a", 15)

@@ -47,13 +47,6 @@ def test_a_recording_follows_the_control_period_of_its_plant():
     torch.testing.assert_close(unseen.u, held)  # levels for ten control periods
 
 
-def test_without_a_period_it_is_that_of_the_twin_rotor_and_samples_divide_it():
-    source = Simulated().load(Lag(), CHIRP)
-    assert (source.training.dt, len(source.training), len(source.validation)) == (0.01, 1000, 2000)
-    finer = Simulated(period=0.1, samples=4, validation_seconds=3.0).load(Lag(), CHIRP)
-    assert (finer.training.dt, len(finer.training), len(finer.validation)) == (pytest.approx(0.025), 800, 120)
-
-
 def test_noise_may_be_what_a_sensor_has_in_the_unit_of_its_state():
     clean, noisy = (Simulated(noise=n, validation_seconds=1.0).load(Lag(), CHIRP).training for n in (0.0, {"x": 0.03}))
     error = noisy.x_next - clean.x_next
@@ -127,21 +120,6 @@ def test_a_gain_that_is_given_holds_the_recording_and_its_validation():
         Simulated().load(Inverted(), partial(CHIRP, gain=[[1.0]]))
 
 
-@pytest.mark.parametrize(
-    "settings", [{"dt": -1.0}, {"period": 0.0}, {"samples": 0}, {"noise": {"x": -1.0}}, {"noise": {"x": float("nan")}}]
-)
-def test_settings_that_make_no_sense_are_refused(settings):
-    with pytest.raises(ValueError, match="data=simulated"):
-        Simulated(**settings)
-
-
-@pytest.mark.parametrize(("delay", "actuator_delay"), [(0, 1), (3, 0)])
-def test_sensors_and_actuators_that_are_late_are_refused(delay, actuator_delay):
-    words = rf"sensors\.delay is {delay} and sensors\.actuator_delay is {actuator_delay}; allowed is 0 for both"
-    with pytest.raises(ValueError, match=words):
-        Simulated(sensors=Sensors({"x": {}}, delay=delay, actuator_delay=actuator_delay))
-
-
 class Oscillator(System):
     """A mass on a spring, of 2 rad/s, pushed by u."""
 
@@ -164,12 +142,3 @@ def test_a_plant_that_is_excited_as_in_training_has_the_samples_and_the_steps_th
         before, after = (torch.stack((2 * x[:, 0] - data.u[:, 0] / 2, x[:, 1]), -1) for x in (data.x, data.x_next))
         missed = (after - before @ turn).norm(dim=-1) / before.norm(dim=-1)
         torch.testing.assert_close(missed, torch.full_like(missed, substeps**-4 / 120), rtol=0.02, atol=0.0)
-
-
-@pytest.mark.parametrize(("dt", "parts"), [(0.02, 3), (0.1, 1)])
-def test_a_time_between_samples_that_does_not_divide_the_control_period_is_refused(dt, parts):
-    words = rf"data\.dt is {dt:g} s, .*periods of 0\.05 s; allowed is .* data\.samples={parts}$"
-    with pytest.raises(ValueError, match=words):
-        Simulated(dt=dt).load(Inverted(), partial(CHIRP, first=0.1))
-    kept = Simulated(dt=0.05 / parts, validation_seconds=1.0).load(Lag(), CHIRP)
-    assert kept.training.dt == pytest.approx(0.05 / parts)

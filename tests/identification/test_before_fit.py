@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 
 import pytest
 import torch
@@ -11,7 +10,7 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
-from dynasindy.identification.before_fit import PLANTS, before_fit, review_rates, with_missing_rates
+from dynasindy.identification.before_fit import before_fit, review_rates, with_missing_rates
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
@@ -104,15 +103,6 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     assert before_fit(model, known).missing == review_rates(model, known)
 
 
-def test_a_missing_rate_is_named_so_that_words_can_hold_it_and_nothing_else_has_it(tmp_path, write_log):
-    data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
-    path = str(write_log(tmp_path / "log.csv", ["arm angle [rad]", "arm_angle_rate"], data.x[:, :1], data.u))
-    source = LoggedData(path, inputs=["arm_angle_rate"]).load(None, EXCITATION)
-    found, rates, _ = with_missing_rates(partial(SindyModel, library="auto"), source, None)
-    assert rates == {"arm angle": "arm_angle_rate_"} and found.signature.state_names == tuple(*rates.items())
-    assert SindyModel(found.signature, "auto", known=rates).signature == found.signature
-
-
 def test_few_rows_are_told_with_what_was_left_out(tmp_path):
     heading = "time,theta [rad],Omega [rad/s],u"
     few = told(log(tmp_path / "log.csv", heading, rows=61), ["theta", "Omega", "u", "sin(theta)"])[0]
@@ -146,9 +136,3 @@ def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_pat
         (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
         found = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION))
         assert [each.values["plants"] for each in found if each.code == "fit.many_functions"] == [[]] * many
-
-
-def test_every_plant_that_is_named_is_an_option():
-    options = Path(__file__).parents[2] / "conf" / "system"
-    for name, plant in PLANTS.items():
-        assert f"dynasindy.systems.{plant.__name__}" in (options / f"{name}.yaml").read_text()

@@ -67,17 +67,6 @@ def test_noise_of_the_sensor_is_averaged_over_the_fit():
     assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.01 * 2 / math.sqrt(26) * 1.3
 
 
-def test_a_poor_sensor_does_not_spoil_what_a_good_one_sees():
-    data, x = recording(noise=0.001)
-    noise = torch.from_numpy(np.random.default_rng(5).normal(size=(1501, 1)))
-    both = torch.cat([data.x[:, :1], torch.from_numpy(x[:-1, 1:]) + 3 * noise[:-1]], -1)
-    after = torch.cat([data.x_next[:, :1], torch.from_numpy(x[1:, 1:]) + 3 * noise[1:]], -1)
-    rows = torch.arange(50, 1400, 50)
-    begin, _ = estimate(oscillator(), Transitions(both, data.u, after, DT, data.segment), rows, 25)
-    # The angle alone gives the state to some 2 / sqrt(26) of its noise; the rate's is three thousand times larger.
-    assert float((begin[:, 0] - torch.tensor(x[rows, 0])).std()) < 0.001 * 2 / math.sqrt(26) * 1.5
-
-
 @pytest.mark.parametrize("delay", [0, 3])
 def test_the_right_model_has_the_noise_for_its_error_over_all_horizons(delay):
     data, _ = recording(noise=0.01, delay=delay)
@@ -139,16 +128,6 @@ def test_a_model_that_runs_away_has_an_infinite_error():
     assert found is not None and float(found.model[1, 0]) > 1e6
 
 
-def test_a_model_that_runs_away_at_once_is_judged_over_shorter_times_too():
-    """An error grows by e^8 in 0.04 s, the shortest time that is looked at otherwise, and by e^4 in a sample."""
-    model, (data, _) = oscillator(), recording(600)
-    usual = forecast_errors(model, data, data)
-    model.set_coefficients(torch.tensor([[0.0, 4e4], [1.0, 0.0], [0.0, 1.0]]))
-    found = forecast_errors(model, data, data)
-    assert usual is not None and found is not None
-    assert found.horizons == (0.02, *usual.horizons)
-
-
 def test_a_sine_changes_by_its_spread_in_a_sixth_of_its_period():
     t = DT * torch.arange(3001, dtype=torch.float64)
     x = torch.stack([torch.sin(t), torch.sin(7 * t)], -1)
@@ -167,31 +146,6 @@ def test_a_second_order_plant_is_met_exactly_by_a_linear_model_on_two_past_sampl
         assert model.weights[:2, 0].tolist() == pytest.approx([2 * math.cos(OMEGA * DT), -1.0], abs=1e-6)
 
 
-def test_starts_are_estimated_from_fewer_samples_where_the_data_are_short():
-    data, _ = recording()
-    found = forecast_errors(oscillator(), data, data.select(torch.arange(1500) < 15), [8 * DT])
-    assert found is not None and found.starts == 3  # five rows before, eight from it on: rows 5, 6 and 7 of 15
-    assert float(found.model[0, 0]) < 1e-3
-
-
-def test_too_short_validation_data_are_not_judged():
-    data, _ = recording(300)
-    assert forecast_errors(oscillator(), data, data.select(torch.arange(300) < 8), [5.0]) is None
-
-
-def test_starts_are_estimated_on_as_many_samples_as_predict_best():
-    """What walks at random is where it was last.
-
-    The mean of n samples of a walk is about the root of n / 3 steps from where it goes next: 13 samples miss it by two
-    steps, 200 by eight.
-    """
-    x = torch.from_numpy(np.random.default_rng(0).normal(size=(3001, 1)).cumsum(0))
-    data = Transitions.from_trajectory(x, torch.zeros(3000, 1).double(), DT)
-    model = SindyModel(Signature(("x",), ("m",), ("u",), (10.0,)), ["1"])
-    model.set_coefficients(torch.zeros(1, 1))
-    assert float(forecast_errors(model, data, data, [DT, 400 * DT]).model[0]) < 3
-
-
 def second_order(n: int = 300) -> Transitions:
     """y[k+1] = 1.2 y[k] - 0.5 y[k-1] + 0.7 u[k] - 0.2 u[k-1] + 0.1, and a state that nobody measured."""
     u = np.random.default_rng(0).normal(size=n)
@@ -201,21 +155,6 @@ def second_order(n: int = 300) -> Transitions:
     x = torch.full((n + 1, 2), torch.nan, dtype=torch.float64)
     x[:, 0] = torch.tensor(y)
     return Transitions.from_trajectory(x, torch.from_numpy(u)[:, None], 0.1)
-
-
-def test_it_predicts_as_far_as_it_is_asked():
-    data = second_order()
-    model, starts = LinearModel.fit(data, 10, 4), torch.tensor([20, 50])
-    later = starts.unsqueeze(-1) + torch.arange(10)
-    predicted = model.predict(data, starts, later)
-    assert torch.allclose(predicted[..., 0], data.x_next[later][..., 0], atol=1e-6)
-    assert bool(predicted[..., 1].isnan().all())
-
-
-@pytest.mark.parametrize("most", [1, 3])
-def test_no_order_is_beyond_the_largest(most):
-    found = LinearModel.fit(second_order(), 10, most)
-    assert found.order <= most and (most == 1 or found.order > 1)  # one past sample does not do
 
 
 def lossy(share: float = 0.1) -> Transitions:
@@ -237,16 +176,6 @@ def test_lost_samples_cost_their_rows_and_nothing_else():
     real = second_order().x_next[starts.unsqueeze(-1) + torch.arange(10), 0]
     assert lost.any() and bool(predicted[torch.from_numpy(lost)].isnan().all())
     assert torch.allclose(predicted[torch.from_numpy(~lost)], real[torch.from_numpy(~lost)], atol=1e-6)
-
-
-def test_without_a_complete_row_there_is_no_linear_model():
-    data = second_order()
-    every = torch.cat([data.x, data.x_next[-1:]])
-    every[1::2] = torch.nan  # of no interval both ends were measured
-    model = LinearModel.fit(Transitions.from_trajectory(every, data.u, data.dt), 10, 4)
-    starts = torch.tensor([20])
-    assert not len(model.weights) and not bool(model.seen.any())
-    assert bool(model.predict(data, starts, starts.unsqueeze(-1) + torch.arange(3)).isnan().all())
 
 
 def test_a_fast_oscillation_is_predicted_as_exactly_as_its_equations_are():

@@ -14,7 +14,6 @@ from dynasindy.excitation import Multisine
 from dynasindy.identification import log_fit as module
 from dynasindy.identification.log_fit import HoldOut, fit_log
 from dynasindy.identification.source import Source
-from dynasindy.progress import listening
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
@@ -189,34 +188,6 @@ def test_a_search_that_is_interrupted_keeps_the_best_candidate(monkeypatch):
     assert codes["fit.budget"]["stopped"] is True and bool(found.model.coefficients.any())
 
 
-def test_an_interrupt_of_the_last_fit_keeps_the_best_candidate():
-    """What is reported last is of the fit to all training data; the search has time for one candidate."""
-    events: list[object] = []
-    with listening(events.append):
-        fitted(noisy_tank(), seconds=1e-9)
-    count = []
-
-    def _interrupt(event):
-        count.append(event)
-        if len(count) == len(events):
-            raise KeyboardInterrupt
-
-    with listening(_interrupt):
-        found = fitted(noisy_tank(), seconds=1e-9)
-    codes = {each.code: each.values for each in found.report.findings}
-    assert len(count) > len(events) and codes["fit.budget"]["stopped"] is True
-    assert coefficient(found.model, "y", "u") == pytest.approx(0.5, rel=0.3)
-
-
-def test_an_interrupt_before_any_candidate_is_passed_on(monkeypatch):
-    def _errors(*given):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module.HoldOut, "errors", _errors)
-    with pytest.raises(KeyboardInterrupt):
-        fitted(noisy_tank())
-
-
 def test_what_was_chosen_by_hand_is_fitted_as_it_is():
     source = noisy_tank()
     for refinement in (None, Refinement("integral"), Refinement("trajectory", window=20)):
@@ -226,13 +197,6 @@ def test_what_was_chosen_by_hand_is_fitted_as_it_is():
     simulated = Source(source.signature, source.training, source.validation)
     model = SindyModel(source.signature, ["1", "y", "u"], Regression("bic"), AUTO)
     assert fit_log(model, simulated).model is model
-
-
-def test_no_rate_is_added_where_that_is_forbidden():
-    y, u = oscillator(0, 400, 0.05)
-    source = source_of(y, u, 0.05)
-    model = SindyModel(source.signature, "auto_rig", Regression("bic"), Refinement("auto", seconds=3.0))
-    assert fit_log(model, source, rates=False).model.signature.state_names == ("y",)
 
 
 def test_candidates_are_judged_on_rows_that_none_was_fitted_to():
@@ -245,12 +209,6 @@ def test_candidates_are_judged_on_rows_that_none_was_fitted_to():
     assert int(torch.stack([~fold.early for fold in folds]).sum(0).max()) == 1, "each row is kept once at most"
     long = noisy_tank(8000)
     assert len(HoldOut.folds(long.training)) == 1
-
-
-def test_a_recording_that_is_too_short_to_be_judged_is_fitted_as_a_whole():
-    source = noisy_tank(20)
-    assert HoldOut.folds(source.training) == []
-    assert fitted(source, ["1", "y", "u"]).model.signature.state_names == ("y",)
 
 
 def test_a_score_tells_how_far_errors_are_beyond_those_of_the_best_simple_model():

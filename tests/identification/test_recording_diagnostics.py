@@ -76,13 +76,6 @@ def test_a_controller_is_seen_and_random_levels_are_none():
     assert closed_loop(plant(lambda k, y, old, g: np.sin(2 * T[k]))) == [False]
 
 
-def test_lost_samples_do_not_hide_a_controller():
-    reference = np.repeat(np.random.default_rng(2).uniform(-1, 1, 10), 300)
-    loop = plant(lambda k, y, old, g: 2 * (reference[k] - y[0]) - 0.3 * y[1])
-    loop.x[np.random.default_rng(4).random(len(loop)) < 0.02] = torch.nan
-    assert closed_loop(loop) == [True]
-
-
 def test_an_input_that_comes_to_an_end_of_its_range_again_and_again_is_saturated_and_one_of_two_levels_is_not():
     x = torch.zeros(3001, 1)
     clipped = torch.tensor(np.clip(2 * np.sin(3 * T), -1, 1))[:, None]
@@ -90,11 +83,6 @@ def test_an_input_that_comes_to_an_end_of_its_range_again_and_again_is_saturated
     assert share == pytest.approx(2 / 3, abs=0.03)  # |sin| > 1/2 in two thirds of the time
     assert float(saturated(Transitions.from_trajectory(x, torch.sign(clipped), 0.01))[0]) == 0
     assert float(saturated(Transitions.from_trajectory(x, torch.sin(torch.tensor(T))[:, None], 0.01))[0]) == 0
-
-
-def test_an_input_that_stays_at_its_end_once_is_not_saturated():
-    ramp = torch.linspace(-1, 3, 3000, dtype=torch.float64).clamp(max=1)[:, None]
-    assert float(saturated(Transitions.from_trajectory(torch.zeros(3001, 1), ramp, 0.01))[0]) == 0
 
 
 def test_the_noise_of_what_jumps_is_told_by_a_difference_equation():

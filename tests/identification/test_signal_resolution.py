@@ -62,15 +62,6 @@ def in_stretches(x, length):
     return rows.select(torch.arange(n) % (length + 1) < length)
 
 
-def test_few_samples_that_do_not_repeat_are_no_steps_of_a_sensor():
-    t = 0.02 * torch.arange(9).double()
-    assert not low_signal_states(
-        Transitions.from_trajectory(torch.stack([t.sin(), t.exp()], -1), torch.zeros(8, 1), 0.02)
-    )
-    rest_and_jump = torch.cat([torch.zeros(300).double(), t.exp()[:8]])[:, None]  # each value of the jump once
-    assert not low_signal_states(Transitions.from_trajectory(rest_and_jump, torch.zeros(307, 1), 0.02))
-
-
 def test_a_log_in_short_stretches_is_judged_by_all_of_them():
     t = 0.02 * torch.arange(361).double()
     swing = torch.stack([t.sin(), (1.7 * t).cos()], -1)
@@ -78,16 +69,6 @@ def test_a_log_in_short_stretches_is_judged_by_all_of_them():
     # By two steps to either side, so by four.
     moved = low_signal_states(in_stretches(STEP * (2.4 * swing).round(), 8))
     assert moved == pytest.approx({0: 4.0, 1: 4.0})
-
-
-def test_a_state_that_rests_in_the_longest_stretch_and_moves_in_another_is_not_quiet():
-    rest, move = torch.zeros(301), torch.linspace(0.0, 2 * math.pi, 201).sin()
-    stretches = [
-        Transitions.from_trajectory(x[:, None].double(), torch.zeros(len(x) - 1, 1).double(), 0.02)
-        for x in (STEP * (rest + torch.arange(301) % 2), STEP * (100 * move).round())
-    ]
-    assert low_signal_states(stretches[0]) == pytest.approx({0: 1.0})
-    assert not low_signal_states(Transitions.cat(stretches))  # 200 steps from end to end
 
 
 def test_it_is_told_which_input_to_move_and_how_much_further():

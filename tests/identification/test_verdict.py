@@ -13,13 +13,11 @@ from dynasindy.identification.report import table
 from dynasindy.identification.verdict import (
     errors,
     inputs_beyond_log,
-    linear_better,
     logged_input_ranges,
     model_findings,
     recording_findings,
     require_controlled,
     targets_beyond_log,
-    unresolved,
 )
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Library, of, variable
@@ -61,15 +59,6 @@ def test_a_model_predicts_if_it_halves_the_error_of_the_last_value_held_or_meets
     assert model_findings(forecasts(q), SIGNATURE) == [told]
 
 
-def test_the_horizons_of_a_slow_plant_are_told_in_hours():
-    shown = forecasts(0.002)
-    hours = tuple(3600 * horizon for horizon in shown.horizons)
-    slow = replace(shown, horizons=hours, characteristic=3600 * shown.characteristic)
-    (told,) = model_findings(slow, SIGNATURE)
-    assert told.values["seconds"] == 7200 and "2 h ahead" in str(told)
-    assert table(slow, SIGNATURE)[1].split() == ["12", "min", "2", "h", "5", "h"]
-
-
 def better(error, linear):
     """Return what is known of q over 2 s."""
     errors_ = {"error": pytest.approx(error), "linear": pytest.approx(linear)}
@@ -89,13 +78,6 @@ def test_a_linear_model_that_is_better_is_said_to_be():
     ]
 
 
-@pytest.mark.parametrize("q", [0.06, math.inf])
-def test_what_a_linear_model_knows_better_is_said_of_the_worst_models_too(q):
-    short, why = model_findings(forecasts(q, linear=0.02), SIGNATURE)
-    assert short.code in ("model.misses", "model.runs_away") and short.severity == "wrong"
-    assert why == wrong("model.linear_better", **better(q, 0.02), far=True)
-
-
 @pytest.mark.parametrize(("first", "seconds"), [(0.01, 0.2), (0.09, 0.0)])
 def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_so_too(first, seconds):
     """Of a range of 1 rad errors of more than 10 rad are lost; the last value held misses 0.1 rad."""
@@ -109,11 +91,6 @@ def test_a_plant_that_runs_away_by_itself_is_said_to_where_a_linear_model_does_s
     assert staying == [lost]
 
 
-def test_a_sensor_without_noise_is_said_to_be_one():
-    found = replace(forecasts(0.002), resolution=torch.tensor([1e-9, math.nan, 21.0]))
-    assert table(found, SIGNATURE)[2] == "  q [rad], whose sensor shows no noise"
-
-
 def test_the_table_and_the_file_hold_measured_states_alone():
     lines = table(forecasts(0.002), SIGNATURE)
     assert lines[1].split() == ["0.2", "s", "2", "s", "5", "s"]
@@ -122,60 +99,6 @@ def test_the_table_and_the_file_hold_measured_states_alone():
     assert [line.split("  ")[2] for line in lines[3:6]] == ["model", "linear model", "last value held"]
     assert "past" in lines[0]
     assert errors(forecasts(0.002), SIGNATURE)["rmse_2_s"] == pytest.approx({"q": 0.002, "w": 20.0})
-
-
-def test_an_error_beyond_ten_ranges_has_run_away_and_the_table_fits_a_terminal():
-    found = replace(forecasts(0.002, linear=10.1), horizons=(0.2, 2.0, 5.0))
-    lines = table(found, Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 49.0)))
-    linear_q, linear_w = (line for line in lines[1:] if "linear" in line)
-    assert "runs away" in linear_q and "runs away" in linear_w  # 10.1 of 1 rad, 500 of 49 rpm
-    kept = table(found, Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.1, 1.0, 51.0)))
-    assert not any("runs away" in line for line in kept if "linear" in line)
-    five = replace(
-        found, horizons=(0.1, 0.2, 0.5, 1.0, 2.0), **dict.fromkeys(("model", "linear", "held"), torch.ones(5, 3))
-    )
-    assert max(map(len, table(five, SIGNATURE)[1:])) <= 80  # five horizons, the columns of a terminal
-
-
-def test_horizons_that_do_not_fit_beside_each_other_stand_in_a_table_below():
-    five = replace(
-        forecasts(0.002),
-        horizons=(0.1, 0.2, 0.5, 1.0, 2.0),
-        **dict.fromkeys(("model", "linear", "held"), torch.arange(1.0, 6.0)[:, None].expand(5, 3)),
-    )
-    wide, narrow = table(five, SIGNATURE), table(five, SIGNATURE, 60)
-    assert max(map(len, narrow[1:])) <= 60 and narrow[0] == wide[0]
-    heads = [line.split() for line in narrow if line.endswith(" s")]
-    assert heads == [["0.1", "s", "0.2", "s", "0.5", "s"], ["1", "s", "2", "s"]]
-    numbers = [line.split()[1:] for line in narrow if line.startswith("    model")]
-    assert numbers[0] == ["1", "2", "3"] and numbers[-1] == ["4", "5"]
-    assert table(five, SIGNATURE, 80) == wide
-
-
-def test_a_linear_model_that_knows_the_past_far_better_raises_doubts():
-    """What is within twice the resolution is as good as a sensor can tell, however near a linear model comes."""
-    near, far = torch.tensor([[0.001], [0.002]]), torch.tensor([[0.001], [0.05]])
-    found = replace(
-        forecasts(0.002),
-        horizons=(0.1, 0.2),
-        resolution=torch.tensor([0.001]),
-        held=torch.ones(2, 1),
-        model=far,
-        linear=torch.tensor([[1e-5], [0.02]]),
-    )
-    one = Signature(("q",), ("rad",), ("u",), (1.0,))
-
-    def doubts(errors_, signature=one):
-        return [each for each in linear_better(errors_, signature) if each.severity == "wrong"]
-
-    (told,) = doubts(found)
-    assert told.values["seconds"] == 0.2 and told.values["far"]
-    assert doubts(replace(found, model=near)) == []
-    assert doubts(replace(found, linear=torch.tensor([[1.0], [0.03]]))) == []
-    wide = Signature(("q",), ("rad",), ("u",), (51.0,))
-    assert doubts(found, wide) == []  # 0.05 of 51 rad is as good as nothing
-    unseen = replace(found, model=torch.full((2, 1), torch.nan), linear=torch.full((2, 1), torch.nan))
-    assert doubts(unseen) == []
 
 
 def test_an_input_is_known_between_the_ends_of_a_log_where_the_equations_bend_in_it():
@@ -215,27 +138,6 @@ def test_only_the_sine_of_an_angle_is_known_beyond_the_log(word, unit, free):
     coefficients[0, 1], coefficients[1, 1], coefficients[2, 0] = -5.0, 10.0, 3.0
     model.set_coefficients(coefficients)
     assert (logged_input_ranges(model, torch.tensor([[0.1], [0.9]])) == {}) == free
-
-
-def test_an_input_is_known_as_far_as_a_measured_actuator_if_the_equations_bend_in_that():
-    """A blade's angle settles at 2 u; one that u turns on and on does not, and one that q moves is no actuator."""
-    signature = Signature(("q", "blade"), ("rad/s", "rad"), ("u",), (1.0, 1.0))
-    model = SindyModel(signature, ["q", "blade", "u", "blade^2", "u q", "sin(blade)", "u sin(blade)"])
-
-    def known(bend, **terms):
-        coefficients = torch.zeros_like(model.coefficients)
-        coefficients[model.library.index(bend), 0] = 3.0
-        for word, size in terms.items():
-            coefficients[model.library.index(word.replace("_", " ")), 1] = size
-        model.set_coefficients(coefficients)
-        return logged_input_ranges(model, torch.tensor([[0.1], [0.9]]))
-
-    assert known("blade^2", blade=-5.0, u=10.0) == {"u": (pytest.approx(0.06), pytest.approx(0.94))}
-    assert known("blade", blade=-5.0, u=10.0) == known("blade^2", u=10.0) == {}
-    assert known("sin(blade)", blade=-5.0, u=10.0) == {}  # geometry, which no log has to tell
-    assert known("u sin(blade)", blade=-5.0, u=10.0).keys() == {"u"}
-    assert known("blade^2", blade=-5.0, u=10.0, q=1.0) == {}
-    assert known("blade^2", blade=-5.0, u_q=10.0) == {}
 
 
 @pytest.mark.parametrize(
@@ -309,14 +211,6 @@ def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
     low = 100 * np.mean(clipped[:-1] == -1)
     found = recording_findings(data, wide)[1].values
     assert found["percent"] == pytest.approx(low, abs=0.2)  # the other end is none of the actuator's
-
-
-def test_an_error_is_unresolved_beyond_the_sensor_and_beyond_a_thousandth_of_the_range():
-    found = forecasts(q=0.1)
-    fine = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 1.0, 1.0))
-    assert unresolved(found, fine)[1].tolist() == [True, False, False]  # w to 20 rpm, which its sensor explains
-    wide = Signature(("q", "v", "w"), ("rad", "rad/s", "rpm"), ("u",), (101.0, 1.0, 1.0))
-    assert not unresolved(found, wide)[1].any()
 
 
 def test_targets_far_beyond_the_log_are_a_guess_if_the_equations_read_them():

@@ -24,12 +24,6 @@ def test_a_state_error_beyond_its_bound_closes_whatever_the_reward():
     assert decisions == [True, False, True]
 
 
-@pytest.mark.parametrize("settings", [{"open_below": -0.1}, {"state_error": 0.0}])
-def test_impossible_gates_are_refused(settings):
-    with pytest.raises(ValueError, match="mend gate"):
-        Gate(**settings)
-
-
 def test_the_true_model_has_no_error_and_another_has():
     plant = Tras()
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)

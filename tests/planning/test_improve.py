@@ -1,7 +1,5 @@
 """Ways over the border that a gradient cannot see, on a plant whose best way is known by hand."""
 
-import math
-
 import pytest
 import torch
 from torch import nn
@@ -84,23 +82,6 @@ def test_the_gradient_alone_stays_and_imitation_of_ways_goes(monkeypatch):
     assert done.updates == 1600 and done.imagined >= module.STARTS * PERIODS * module.POPULATION
 
 
-def test_a_policy_is_left_as_its_best(monkeypatch):
-    monkeypatch.setattr(module, "UPDATES", 2)
-    env, rows = setting()
-    network, told = lazy(), iter([0.0, -1.0, 2.0, 1.0, 1.9, -math.inf])
-    weights = []
-
-    def score():
-        weights.append([w.clone() for w in network.parameters()])
-        return next(told)
-
-    done = improve(network, env, rows, score, torch.Generator().manual_seed(0), PERIODS, 9)
-    # Given up after three rounds without a better one: the last of six scores.
-    assert (done.score, len(weights), done.updates) == (2.0, 6, 10)
-    assert all(torch.equal(a, b) for a, b in zip(network.parameters(), weights[2]))
-    assert not all(torch.equal(a, b) for a, b in zip(weights[2], weights[1]))
-
-
 def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     env, rows = setting()
     rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
@@ -114,25 +95,6 @@ def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     rows.reach = torch.tensor([1e-9])
     window = imagine(env, env.system, lambda o: torch.ones(2, 1), rows, 2)
     assert imagined_rewards(env, rows, window).isneginf().all()
-
-
-def test_ways_over_the_border_stay_in_later_lessons_and_others_do_not(monkeypatch):
-    monkeypatch.setattr(module, "STARTS", 12)
-    told = []
-    monkeypatch.setattr(module, "_lesson", lambda network, seen, wanted, *a: told.append((seen, wanted)))
-    env, rows = setting()
-    rng = torch.Generator().manual_seed(0)
-    # The policy stays as it is; half of the ways begin half way, where staying is all that can be imitated.
-    place = torch.tensor([[HERE], [THERE]], dtype=torch.float64)
-    env.task = env.task.with_starts(place)
-    improve(lazy(), env, rows, lambda: 0.0, rng, PERIODS, 2)
-    (first, _), (second, wanted) = told
-    assert len(first) == 12 * PERIODS
-    kept = second[: len(second) - 12 * PERIODS].reshape(PERIODS, -1)
-    assert 1 <= kept.shape[1] < 12
-    # Those who begin on the far hill gain nothing; those who are kept leave the near one.
-    torch.testing.assert_close(kept[0], torch.full_like(kept[0], HERE))
-    assert (kept[-1] > 0.8).all() and wanted.abs().max() <= 1.0
 
 
 def test_planning_searches_where_there_are_no_references(monkeypatch):

@@ -89,35 +89,6 @@ def test_the_policy_of_a_plant_whose_input_may_do_little_begins_as_a_regulator(l
     assert found.warm_start == little == ("20 %" in found.why)
 
 
-class Pair(System):
-    """Two such plants side by side, each with an input of its own."""
-
-    def __init__(self):
-        super().__init__(Signature(("x", "v", "y", "w"), ("m", "m/s") * 2, ("u", "f"), (1.0,) * 4))
-        self.plant = Linear(-1.0, 1.0, 4.0)
-
-    def forward(self, x, u):
-        return torch.cat([self.plant(x[..., :2], u[..., :1]), self.plant(x[..., 2:], u[..., 1:])], -1)
-
-
-@pytest.mark.parametrize(
-    ("limits", "little"),
-    [
-        ([[0.2, -0.8], [0.6, 0.8]], True),
-        ([[-0.8, 0.2], [0.8, 0.6]], True),
-        ([[-0.5, -0.8], [0.5, 0.8]], False),
-    ],
-)
-def test_one_input_that_may_do_little_is_enough_to_begin_as_a_regulator(limits, little):
-    """One of two inputs has a fifth of its range, or neither has: the other has four fifths, which is much."""
-    plant, given = Pair(), {"low": (0.9, 0.9), "high": (2.0, 2.0)}
-    reward = TrackingReward((4.0, 4.0))
-    task = Tracking(plant.signature, RandomStep(*given.values()), ("x", "y"), ("v", "w"), reward, **given)
-    env = ControlEnv(plant, task.with_input_limits(limits), 0.05, 1)
-    found = choose_plan_settings(env, find_task_equilibria(env))
-    assert found.warm_start == little == ("20 %" in found.why)
-
-
 def test_a_plant_without_a_rest_keeps_the_defaults():
     found = pace(Linear(-100.0, 1.0, 1.0), low=(0.5,))
     assert found == PlanSettings(why=found.why)
@@ -134,23 +105,9 @@ def test_without_references_a_model_takes_the_steps_of_the_plant(settle):
     assert not found.warm_start
 
 
-class Rubbing(Linear):
-    """The same with dry friction."""
-
-    def forward(self, x, u):
-        return super().forward(x, u) - torch.stack((torch.zeros_like(x[..., 0]), 2 * torch.tanh(100 * x[..., 1])), -1)
-
-
 def settling(plant, v, share=0.05):
     task = Tracking(plant.signature, RandomStep((-0.5,), (0.5,)), ("x",), ("v",), TrackingReward((4.0,)))
     return settles(ControlEnv(plant, task, 0.05, 1), torch.tensor([[0.0, v]] * 3), torch.zeros(3, 1), share)
-
-
-def test_dry_friction_does_not_make_a_plant_slow_that_moves():
-    """In motion it is the plant without friction; at rest it is one with a damping of 200."""
-    smooth, stuck = settling(Linear(0.0, 2.0, 10.0), 0.0), settling(Linear(0.0, 202.0, 10.0), 0.0)
-    assert settling(Rubbing(0.0, 2.0, 10.0), 0.5) == pytest.approx(smooth, rel=1e-3) and stuck > 3 * smooth
-    assert settling(Rubbing(0.0, 2.0, 10.0), 0.0) == pytest.approx(stuck, rel=1e-3)
 
 
 class Room(System):

@@ -86,16 +86,6 @@ def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(s
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
 
-def test_a_reward_without_a_derivative_is_refused(settle):
-    env, network, rows, _ = setting()
-    env.task, rows.params = settle(env.system.signature), torch.zeros(8, 0)
-    env.task.reward = lambda x, x_next, params, t, stopped: (x_next[..., 0] > 0.0).float()
-    network[0] = nn.Linear(env.task.n_o, 16)
-    window = imagine(env, env.system, network, rows, STEPS)
-    with pytest.raises(TypeError, match=r"Settle .*planning=dyna"):
-        backward(env, env.system, network, rows, window)
-
-
 def test_gradient_at_a_stop_leads_away_from_it():
     env, *_ = setting()
     x = torch.zeros(8, 6)
@@ -223,10 +213,3 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient():
         close = {"rtol": 2e-3, "atol": 1e-4 * float(p.grad.abs().max())}
         torch.testing.assert_close(kept, p.grad, **close)
         torch.testing.assert_close(left, p.grad, **close)
-
-
-def test_rows_that_diverge_let_no_layers_be_kept():
-    env, _, rows, _ = setting()
-    network = MLP(env.task.n_o, 2, (16, 8), squash=True)
-    rows.x[:3, 5], rows.kept = 1500.0, True
-    assert imagine(env, Explosion(), network, rows, STEPS).layers is None

@@ -127,10 +127,3 @@ def test_a_plant_that_nothing_lifts_has_no_ways(monkeypatch):
     monkeypatch.setattr(trajectory_library, "LENGTHS", (20, 40))
     env, rests = setting(pull=0.02)
     assert TrajectoryLibrary.of(env, rests, torch.Generator().manual_seed(0))[0] is None
-
-
-def test_imagined_episodes_begin_around_the_ways(swing):
-    _, law = swing
-    x = law.near(torch.zeros(4000, 1), torch.Generator().manual_seed(0))
-    least = torch.cdist(x / law.scale, law.points / law.scale).amin(-1)
-    assert least.max() < 0.6 and 0.02 < least.mean() < 0.15

@@ -89,13 +89,6 @@ def test_steps_begin_where_the_run_says_that_episodes_do(tmp_path, group):
     assert settings["start"] == {"p": [0.02, 0.06]} and settings["bounds"] == {"p": 1.0, "v": [-2.0, 2.0]}
 
 
-def test_a_start_of_a_run_that_is_no_state_costs_one_line(tmp_path):
-    run_folder(tmp_path / "run", 2.0)
-    (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1], start: {q: 0.1}}\n")
-    done = called(tmp_path, *SMALL)
-    assert done.returncode == 2 and "q" in done.stderr and "Traceback" not in done.stderr
-
-
 def test_what_is_missing_costs_one_line(tmp_path):
     run_folder(tmp_path / "run", 2.0)
     done = called(tmp_path, *SMALL)

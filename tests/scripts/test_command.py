@@ -65,8 +65,3 @@ def test_a_run_that_is_resumed_keeps_its_folder(completed, tmp_path):
 def test_a_heading_with_brackets_is_text_though_the_shell_took_its_quotation_marks(as_text, word, read):
     (found,) = OverridesParser.create().parse_overrides([as_text(word)])
     assert {found.key_or_group: found.value()} == read
-
-
-@pytest.mark.parametrize("word", ["plant.outputs=[yaw", "seed=0,1]", "-m", "data.time={a: b", "~data"])
-def test_what_is_not_closed_is_left_to_be_refused(as_text, word):
-    assert as_text(word) == word

@@ -38,17 +38,6 @@ def test_every_command_is_a_script_with_a_main_and_every_config_belongs_to_one(c
     assert {file.stem for file in (ROOT / "conf").glob("*.yaml")} <= set(cli.COMMANDS)
 
 
-def test_a_command_is_called_as_it_was_and_by_its_script_in_a_clone(cli, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["/clone/scripts/train.py"])
-    assert cli.program("check") == "python scripts/check.py"
-    monkeypatch.setattr(sys, "argv", ["/venv/bin/dynasindy"])
-    assert cli.program("check") == "dynasindy check"
-    assert "`dynasindy check" in cli.purpose("check")
-    monkeypatch.setattr(sys, "argv", ["worker.py"])
-    monkeypatch.setattr(cli, "IN_CLONE", False)
-    assert cli.program("check") == "dynasindy check"
-
-
 @pytest.mark.parametrize("words", [[], ["--help"]])
 def test_without_a_command_all_of_them_are_listed(cli, words, tmp_path):
     done = dynasindy(*words, cwd=tmp_path)
@@ -74,10 +63,6 @@ def test_no_help_imports_what_takes_seconds(cli, tmp_path):
     assert done.returncode == 0, done.stderr
     assert not {"hydra", "numpy", *HEAVY} & set(done.stdout.split())
     assert not list(tmp_path.iterdir())
-
-
-def test_the_first_page_of_help_fits_80_columns(cli):
-    assert max(map(len, cli.overview().split("\n"))) <= 80
 
 
 def test_a_wrong_key_is_found_before_torch_is_imported(tmp_path):
@@ -109,12 +94,6 @@ def test_completion_imports_nothing_that_takes_seconds_either(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     first, modules = done.stdout.splitlines()
     assert first == "seed=" and "hydra" in modules.split() and not HEAVY & set(modules.split())
-
-
-def test_after_the_command_and_a_space_all_commands_are_offered(cli, tmp_path):
-    assert completed("dynasindy ", tmp_path) == list(cli.COMMANDS)
-    registered = dynasindy("-sc", "install=bash", cwd=tmp_path).stdout
-    assert registered.rstrip().endswith(" dynasindy")
 
 
 @pytest.mark.slow

@@ -3,24 +3,18 @@
 import hashlib
 import json
 import os
-import shlex
 import sys
 from pathlib import Path
 
 import forked
 import pytest
 import torch
-from benchmarks.logs import CASES, write_log
-from benchmarks.logs import words as log_words
 from omegaconf import OmegaConf
 
-import dynasindy
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
-from dynasindy.findings import Finding
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Pendulum, Signature
-from dynasindy.workbench import tracking_task
+from dynasindy.systems import Pendulum
 
 ROOT = Path(__file__).parents[2]
 TASK = ["plant.outputs=[theta]", "plant.low=[-0.6]", "plant.high=[0.6]"]
@@ -50,76 +44,12 @@ def train(*words, cwd=None):
 WORDS = "plant.library=['1',u,theta,Omega,'sin(theta)']"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("plant", "promised"), [("arm", True), ("propeller", False)])
-def test_the_library_gives_the_verdict_of_the_command(plant, promised, tmp_path):
-    """An arm that is held, and a propeller whose motor lags and which so short a plan does not hold."""
-    updates = 60 if promised else 20
-    case, log, (given, seed) = CASES[plant], tmp_path / "log.csv", ({"updates": updates, "rollouts": 16}, 3)
-    write_log(case, log, seed)
-    settings = [f"planning.{key}={value}" for key, value in given.items()]
-    words = [
-        *log_words(case, log),
-        *settings,
-        f"seed={seed}",
-        "evaluation.within=0.02",
-        "evaluation.must_control=false",
-        "task.max_steps=120",
-    ]
-    done = train(*words, f"folder={tmp_path}/run")
-    assert done.returncode == 0, done.stderr
-    told = json.loads((tmp_path / "run" / "metrics.json").read_text())
-
-    read = dynasindy.read(log)
-    model = dynasindy.identify(read, known=case.known)
-    task = tracking_task(model, case.targets)
-    task.max_steps = 120
-    controller = dynasindy.plan(model, task, read, seed=seed, **given)
-    found = dynasindy.forecast(controller, model, read, seed=seed, within=0.02)
-    assert list(model.equations()) == told["equations"]
-    assert json.loads(json.dumps(found.record())) == told["prediction"]
-    assert found.summary() in done.stdout
-    assert found.promised == promised
-    assert any("lagging" in line for line in told["equations"]) == (plant == "propeller")
-
-
-@pytest.mark.slow
-def test_a_model_that_swings_fast_is_controlled_in_shorter_periods_unless_one_is_asked_for(tmp_path):
-    """p'' = -3600 p + 3600 u swings in 2 pi / 60 s, 0.1047 s; a fifth of it is 0.0209 s."""
-    signature = Signature(("p", "v"), ("m", "m/s"), ("u",), (1.0, 60.0))
-    model = SindyModel(signature, library=["p", "v", "u"])
-    rows = {"p": (0.0, -3600.0), "v": (1.0, 0.0), "u": (0.0, 3600.0)}
-    model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
-    model.save(tmp_path / "model.json")
-    words = [f"model={tmp_path}/model.json", "plant.outputs=[p]", "plant.low=[-0.5]"]
-    words += ["plant.high=[0.5]", "planning.lr=-1.0", f"folder={tmp_path}/run"]
-    told = "note: the control period is 0.02 s, a fifth of the model's fastest oscillation of 0.105 s; env.dt chooses"
-    assert told in train(*words).stdout
-    assert "the control period" not in train(*words, "env.dt=0.05").stdout
-
-
 def arm():
     """Return theta'' = -9.81 sin(theta) - 0.5 theta' + 12 u, as `identify` might have found it."""
     model = SindyModel(Pendulum().signature, library=["theta", "Omega", "u", "sin(theta)"])
     rows = {"theta": (0, 0), "Omega": (1.0, -0.5), "u": (0, 12.0), "sin(theta)": (0, -9.81)}
     model.coefficients = torch.tensor([rows[name] for name in model.library.names], dtype=torch.float64)
     return model
-
-
-@pytest.mark.slow
-def test_the_command_of_the_page_plans_on_a_model_alone(tmp_path):
-    page = (ROOT / "docs" / "own_log.md").read_text()
-    (line,) = [line for line in page.splitlines() if "model=runs/DATE_TIME/model.json" in line]
-    (tmp_path / "runs" / "DATE_TIME").mkdir(parents=True)
-    arm().save(tmp_path / "runs" / "DATE_TIME" / "model.json")
-    (program, script, *words) = shlex.split(line.replace("angle", "theta"))
-    assert (program, script) == ("python", "scripts/train.py") and not any(w.startswith("system=") for w in words)
-    done = train(*words, *SHORT, "evaluation.must_control=false", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads((next(tmp_path.glob("runs/*/metrics.json"))).read_text())["prediction"]
-    assert found["promised"] is False
-    (found,) = tmp_path.glob("runs/*/controller.json")
-    assert dynasindy.load(found.parent).outputs == ("theta",)
 
 
 @pytest.mark.slow
@@ -146,19 +76,6 @@ def test_a_controller_that_cannot_be_written_is_not_said_to_be_there(tmp_path):
     assert "Run folder" in done.stdout and "Controller" not in done.stdout
 
 
-@pytest.mark.slow
-def test_a_log_that_keeps_too_little_for_a_forecast_says_so_before_the_plan_and_promises_nothing(log, tmp_path):
-    done = train(
-        "data=csv", f"data.path={log}", "data.validation_share=0.004", *TASK, WORDS, *SHORT, "folder=run", cwd=tmp_path
-    )
-    assert done.returncode == 1 and (tmp_path / "run" / "controller.json").is_file()
-    told = json.loads((tmp_path / "run" / "metrics.json").read_text())["prediction"]
-    (short,) = (Finding.from_record(each) for each in told["findings"] if each["code"] == "forecast.short_log")
-    assert not told["promised"] and short.values["samples"] < short.values["functions"]
-    before, _, after = done.stdout.partition("PREDICTED")
-    assert str(short)[:30] in before and str(short)[:30] in after
-
-
 LOGGED = {"data": {"_target_": "dynasindy.identification.identify.LoggedData", "path": "log.csv"}, "system": None}
 
 
@@ -182,13 +99,6 @@ def test_a_run_without_a_simulated_plant_says_that_there_is_none_to_fly(tmp_path
     assert done.returncode == 2
     assert why in done.stderr
     assert f"python scripts/check.py run={tmp_path}" in done.stderr
-
-
-def test_a_plan_that_was_stopped_is_gone_on_with_by_its_equations(tmp_path):
-    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml({**LOGGED, "plant": {"outputs": ["theta"]}}))
-    done = train(f"resume={tmp_path}", cwd=tmp_path)
-    (line,) = done.stderr.splitlines()
-    assert done.returncode == 2 and f"model={tmp_path / 'model.json'}" in line
 
 
 ARM = """# @package _global_

@@ -46,12 +46,6 @@ def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:
     assert "mine" in said and "xi_dyna_rollouts_800" in said
 
 
-def test_a_folder_without_runs_has_its_line(tmp_path: Path) -> None:
-    done = report(f"save={tmp_path}", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and str(tmp_path) in done.stderr
-
-
 def test_a_folder_without_anything_saved_is_refused_and_no_page_is_written(tmp_path: Path) -> None:
     done = report(cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""

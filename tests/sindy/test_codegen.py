@@ -32,11 +32,10 @@ def sparse(library: Library, share: float, seed: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
-def test_code_equals_the_sum_of_all_functions(name, share):
+def test_code_equals_the_sum_of_all_functions(name):
     library = build_library(name, Tras().signature)
     x, u = draw(3, 4, 6, seed=1), draw(3, 4, 2, seed=2)
-    for seed in range(3):
+    for seed, share in enumerate((0.1, 0.5, 1.0)):
         xi = sparse(library, share, seed)
         assert torch.allclose(generate(library, xi)(x, u), library(x, u) @ xi, rtol=1e-12, atol=1e-12)
 
@@ -133,31 +132,6 @@ def test_stops_hold_positions_and_say_where_they_were_touched():
     torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
     assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
     assert not Machine(write_program(library, xi)).integrate(x, u, 0.4, 4)[1].any()
-
-
-def test_shapes_of_a_batch_stay():
-    library, xi = made([A, B, U])
-    x, u = drawn(24)
-    code = Machine(write_program(library, xi))
-    samples, touched = code.integrate(x.reshape(2, 3, 4, 2), u.reshape(2, 3, 4, 1), 0.1, 5)
-    assert samples.shape == (2, 3, 4, 5, 2) and touched.shape == (2, 3, 4)
-    assert torch.equal(samples.flatten(0, 2), code.integrate(x, u, 0.1, 5)[0])
-    transposed = code.integrate(x.mT.contiguous().mT, u, 0.1, 5)[0]  # by column in memory
-    assert torch.equal(transposed, samples.flatten(0, 2))
-    a, b = code.sensitivities(x.reshape(2, 12, 2), u.reshape(2, 12, 1), 0.1, 1)
-    assert a.shape == (2, 12, 2, 2) and b.shape == (2, 12, 2, 1)
-
-
-def test_what_runs_away_is_not_finite_and_leaves_other_rows_alone():
-    library, xi = made([A * A * A])
-    xi[:] = torch.tensor([[50.0, 0.0]])
-    x, u = drawn(40)
-    x[3] = 1e20
-    samples = Machine(write_program(library, xi)).integrate(x, u, 0.1, 5)[0]
-    assert not samples[3, -1, 0].isfinite()
-    x[3] = 0.0
-    alone = Machine(write_program(library, xi)).integrate(x, u, 0.1, 5)[0]
-    assert torch.equal(samples[4:], alone[4:]) or torch.allclose(samples[4:], alone[4:], equal_nan=True)
 
 
 def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():

@@ -135,7 +135,7 @@ def model(longest: float | None) -> SindyModel:
     return SindyModel(SIGNATURE, LIBRARY, Regression("bic"), Refinement("integral", longest_delay=longest))
 
 
-@pytest.mark.parametrize("samples", [0.0, 1.0, 5.0, 7.5, 12.5, 33.0])
+@pytest.mark.parametrize("samples", [0.0, 7.5, 33.0])
 def test_a_delay_that_nobody_states_is_found_however_long_it_is(samples):
     found = model(None)
     found.fit(excited(samples * DT))

@@ -141,9 +141,7 @@ def test_inputs_that_seem_to_act_a_part_of_a_step_late_act_whole_steps_late(meth
     assert model.delay == pytest.approx(2 * DT, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("a", "late", "held"), [(-0.6, 0, 1), (-0.6, 0, 10), (0.97, 0, 10), (0.97, 5, 10), (0.97, 12, 10), (0.5, 12, 10)]
-)
+@pytest.mark.parametrize(("a", "late", "held"), [(-0.6, 0, 1), (0.97, 5, 10), (0.97, 12, 10), (0.5, 12, 10)])
 def test_a_delay_that_noise_hides_from_single_steps_is_told_by_their_means(a, late, held):
     """b[k+1] = a b[k] + (1 - a) u[k - late], inputs held for one step or ten, behind noise of 5 %."""
     rng = torch.Generator().manual_seed(4)
@@ -158,29 +156,6 @@ def test_a_delay_that_noise_hides_from_single_steps_is_told_by_their_means(a, la
     model.fit(data)
     assert model.delay == pytest.approx(late * DT, abs=1e-12)
     assert 1 + DT * float(model.coefficients[0, 0]) == pytest.approx(a, abs=0.01)
-
-
-def test_lost_samples_are_left_out():
-    data = data_of(*trajectory())
-    x, x_next = data.x.clone(), data.x_next.clone()
-    x[50::37, 1] = math.nan
-    x_next[49::37, 1] = math.nan
-    model, report = identified(replace(data, x=x, x_next=x_next))
-    assert right_sides(model) == pytest.approx(TRUE, rel=1e-9) and report.samples < 400
-
-
-def test_exact_derivatives_are_refused_as_there_are_none():
-    model = SindyModel(SIGNATURE, "polynomial", time="discrete")
-    rows = torch.zeros(20, 2)
-    with pytest.raises(ValueError, match="derivatives"):
-        model.fit_derivatives(rows, rows[:, :1], rows)
-
-
-def test_a_model_that_is_not_fitted_yet_stays_where_it_is():
-    model = SindyModel(SIGNATURE, "polynomial", time="discrete")
-    x, u = torch.tensor([[0.3, -0.7]]).double(), torch.zeros(1, 1).double()
-    assert model.predict(x, u, 0.7).tolist() == x.tolist()
-    assert model.equations() == ["a[k+1] = a", "b[k+1] = b"]
 
 
 DATA = Transitions.from_trajectory(torch.arange(20.0, dtype=torch.float64).reshape(10, 2), torch.zeros(9, 1), 0.25)

@@ -67,18 +67,6 @@ def test_small_swings_and_speeds_of_one_sign_are_named():
     assert judge(drag, x, u).rank == 2
 
 
-def test_states_that_move_as_one_are_named():
-    x, u = samples()
-    (advice,) = judge(LIBRARY, x[:, :1] * torch.tensor([1.0, 2.0]), u).advice
-    assert "alike" in advice and {"a", "b"} <= set(advice[:4])
-
-
-def test_an_input_that_follows_a_state_is_not_said_to_move_with_another_input():
-    x, u = samples()
-    (advice,) = judge(LIBRARY, x, torch.stack([x[:, 0], u[:, 1]], -1)).advice
-    assert "alike" in advice and "together" not in advice and {"a", "u"} <= set(advice[:4])
-
-
 def test_a_speed_that_changed_its_sign_is_not_said_to_have_kept_it():
     x, u = samples()
     drag = Library(SIGNATURE, [variable("a"), variable("b"), variable("b") * of("abs", "b"), variable("b", 2)])

@@ -2,7 +2,6 @@
 
 import math
 import pickle
-import re
 
 import pytest
 import torch
@@ -47,14 +46,6 @@ def test_names_that_do_not_exist_are_refused():
         Library(SIGNATURE, [])
     with pytest.raises(ValueError, match="not exist"):
         Library(SIGNATURE, [variable("a")], allowed={"c": [variable("a")]})
-
-
-def test_names_are_those_a_reader_would_write():
-    square = variable("Omega_a") * variable("Omega_a") * of("sin", "alpha_p")
-    assert square.name() == "Omega_a^2 sin(alpha_p)"
-    assert (variable("w") * of("abs", "w")).name() == "w |w|"
-    assert of("cos", "a", frequency=2.0).name() == "cos(2 a)"
-    assert CONSTANT.name() == "1"
 
 
 @pytest.mark.parametrize(
@@ -167,23 +158,6 @@ def test_arguments_that_say_nothing_are_refused(text):
         parse(text)
 
 
-@pytest.mark.parametrize("text", ["sqrt(a - x)", "hinge(a + b)", "ahead(a - b)", "sin_gap(a - b)"])
-def test_functions_that_take_no_difference_say_which_do(text):
-    with pytest.raises(ValueError, match=r"plant\.functions"):
-        parse(text)
-
-
-def test_latex_of_a_power_is_no_double_superscript():
-    written = [f.latex() for f in (of("bell", "a", power=2), of("per_cos2", "a", frequency=3.0, power=2))]
-    assert written == [r"\left(e^{-(a)^2}\right)^{2}", r"\left(\frac{1}{1 + 3 \cos^2 a}\right)^{2}"]
-    others = [of("sign", "a", power=2), of("hinge", "a", frequency=0.5, power=2), of("root", "a", frequency=0.5)]
-    assert [f.latex() for f in others] == [
-        r"\operatorname{sign}^{2} a",
-        r"\max(0, a - 0.5)^{2}",
-        r"\sqrt{a - 0.5}",
-    ]
-
-
 FEATURES = [CONSTANT, variable("a"), variable("b"), variable("u"), of("sin", "a")]
 
 
@@ -201,22 +175,6 @@ def test_the_library_s_own_mask_holds_until_another_is_given():
     library = Library(SIGNATURE, FEATURES, {"a": [variable("b")], "b": [CONSTANT]})
     free = build(library, allowed={"a": ["a"]}).free.mT
     assert free.tolist() == [[False, True, False, False, False], [True, False, False, False, False]]
-
-
-@pytest.mark.parametrize(
-    ("knowledge", "said"),
-    [
-        ({"known": {"c": "b"}}, "world_model.known: state 'c'"),
-        ({"known": {"a": "c"}}, "world_model.known.a: function 'c'"),
-        ({"allowed": {"b": ["cos(a)"]}}, "world_model.allowed.b: function 'cos(a)'"),
-        ({"allowed": {"u": ["a"]}}, "world_model.allowed: state 'u'"),
-        ({"fixed": {"b": {"b^2": 1.0}}}, "world_model.fixed.b: function 'b^2'"),
-        ({"fixed": {"c": {"b": 1.0}}}, "world_model.fixed: state 'c'"),
-    ],
-)
-def test_knowledge_of_names_that_do_not_exist_is_refused(knowledge, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
-        build(**knowledge)
 
 
 @pytest.mark.parametrize(

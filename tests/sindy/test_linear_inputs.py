@@ -7,7 +7,6 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lsim
 
 from dynasindy.identification.forecast_errors import LinearModel, forecast_errors, with_start_states
-from dynasindy.identification.source import Source
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
@@ -109,17 +108,6 @@ def test_inputs_at_ends_go_with_their_rows():
     assert windows.last_inputs[0, :, 0].tolist() == [4, 16, 36] and Windows.of(data, 3).last_inputs is None
 
 
-def test_a_log_that_is_joined_moves_on_across_the_cut():
-    whole = swung(10)
-    parts = [whole.select(torch.arange(10) < 6), whole.select(torch.arange(10) >= 6)]
-    held = [Transitions(p.x, p.u, p.x_next, DT, p.segment) for p in parts]
-    training, validation = (part.with_linear_inputs([True, False]) for part in held)
-    joined = Source(SIGNATURE, training, validation).whole
-    torch.testing.assert_close(joined.u_end[:9, 0], whole.u_end[:9, 0], rtol=0, atol=0)
-    torch.testing.assert_close(joined.u_end[:9, 1], whole.u[:9, 1], rtol=0, atol=0)
-    assert Source(SIGNATURE, *held).whole.u_end is None
-
-
 @pytest.mark.parametrize("delay", [0.05, 0.1, 0.13, 0.2])
 def test_a_delayed_line_is_that_line_at_both_ends(delay):
     data = swung(30)
@@ -128,14 +116,6 @@ def test_a_delayed_line_is_that_line_at_both_ends(delay):
     for ours, times in ((late.u, t[:-1]), (late.u_end, t[1:])):
         wanted = [np.interp(times - delay, t, column) for column in lines.T]
         np.testing.assert_allclose(ours.numpy().T, wanted, atol=1e-12)
-
-
-def test_a_held_input_is_delayed_as_it_was_beside_one_that_moves():
-    data = swung(30)
-    held = Transitions(data.x, data.u, data.x_next, DT, data.segment)
-    mixed, plain = delay_inputs(held.with_linear_inputs([True, False]), 0.13), delay_inputs(held, 0.13)
-    assert torch.equal(mixed.u[:, 1], plain.u[:, 1]) and torch.equal(mixed.u_end[:, 1], plain.u[:, 1])
-    assert float((mixed.u_end[:, 0] - plain.u[:, 0]).abs().max()) > 0.01
 
 
 def test_a_linear_model_reads_the_input_at_the_end_of_an_interval():

@@ -9,7 +9,7 @@ import torch
 from dynasindy.safe_io import DamagedFileError
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.covariance import Covariance
-from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, parse, variable
+from dynasindy.sindy.library import Constraints, Library, parse
 from dynasindy.sindy.model import FORMAT
 from dynasindy.sindy.named_libraries import build_library
 from dynasindy.systems import Tras, Xi
@@ -45,13 +45,6 @@ def test_what_is_loaded_is_what_was_saved(tmp_path, name):
     again, back = model.library, model.coefficients
     assert again.names == library.names and again.signature == library.signature
     assert torch.equal(back, xi) and back.dtype == torch.float64
-
-
-def test_powers_and_frequencies_of_any_size_are_kept(tmp_path):
-    features = [CONSTANT, of("sin", "alpha_a", frequency=np.pi, power=2) * variable("u_a", -1), of("exp", "Omega_a")]
-    library = Library(Xi().signature, features)
-    save(library, torch.ones(3, 6, dtype=torch.float64), tmp_path / "model.json")
-    assert SindyModel.load(tmp_path / "model.json").library.features == tuple(features)
 
 
 def test_a_file_can_be_read_by_a_person(written):
@@ -102,45 +95,25 @@ def put(value, *path):
 HOSTILE = {
     "state with code": name_state(CALL),
     "state of two lines": name_state("a\nimport os"),
-    "state with a quote": name_state('a"b'),
     "state that is a number": name_state("1"),
-    "state without a name": name_state(""),
     "long state": name_state("x" * 1000),
-    "state that is no text": put(7, "signature", "state_names", 0),
-    "names in one text": put("abcdef", "signature", "state_names"),
     "too many states": put([f"s{k}" for k in range(100_000)], "signature", "state_names"),
-    "input with code": put(CALL, "signature", "input_names", 0),
     "unit with mathematics": put("$\\frac{", "signature", "state_units", 0),
     "range": put(float("inf"), "signature", "x_scale", 0),
-    "another word": put([1], "signature", "__class__"),
     "function with code": put([[["u_p"], CALL, 1, 1.0]], "library", "u_p"),
-    "function that is a list": put([[["u_p"], ["sin"], 1, 1.0]], "library", "u_p"),
     "two arguments of sin": put([[["u_p", "u_a"], "sin", 1, 1.0]], "library", "u_p"),
-    "product of two": put([[["u_p", "u_a"], "id", 1, 1.0]], "library", "u_p"),
     "no argument": put([[[], "sin", 1, 1.0]], "library", "u_p"),
-    "argument in one text": put([["u_p", "sin", 1, 1.0]], "library", "u_p"),
     "another variable": put([[["x'); import os; ('"], "sin", 1, 1.0]], "library", "u_p"),
     "power": put([[["u_p"], "id", 10**9, 1.0]], "library", "u_p"),
-    "broken power": put([[["u_p"], "id", 1.5, 1.0]], "library", "u_p"),
-    "word for a power": put([[["u_p"], "id", CALL, 1.0]], "library", "u_p"),
     "frequency": put([[["u_p"], "sin", 1, float("nan")]], "library", "u_p"),
-    "word for a frequency": put([[["u_p"], "sin", 1, CALL]], "library", "u_p"),
     "first guess": put([[["u_p"], "tanh", 1, 1.0, float("inf")]], "library", "u_p"),
     "infinite coefficient": put(float("inf"), "coefficients", "omega_p", "u_p"),
-    "large coefficient": put(10**400, "coefficients", "omega_p", "u_p"),
     "word for a coefficient": put("1.0", "coefficients", "omega_p", "u_p"),
-    "list for coefficients": put([1.0], "coefficients", "omega_p"),
-    "list for a library": put([1.0], "library"),
     "empty library": put({}, "library"),
     "many functions": put({str(k): [[["u_p"], "sin", 1, k + 0.5]] for k in range(20_000)}, "library"),
     "constraints": put({"alpha_a": {"free": [], "given": {"u_p": float("nan")}}}, "constraints"),
     "no row of a state": lambda data: data["coefficients"].pop("omega_p"),
-    "no units": lambda data: data["signature"].pop("state_units"),
-    "half a function": put([[["u_p"], "id"]], "library", "u_p"),
     "negative delay": put(-0.01, "delay"),
-    "delay that is no number": put(float("nan"), "delay"),
-    "word for a delay": put("0.1", "delay"),
-    "nothing for a frequency": put([[["u_p"], "tanh", 1, None, 1.0]], "library", "u_p"),
 }
 
 
@@ -169,14 +142,6 @@ def test_fitted_numbers_and_the_delay_come_back_to_the_last_digit(tmp_path):
     assert SindyModel.load(tmp_path / "model.json").delay == 0.0 and "delay" not in json.loads(
         (tmp_path / "model.json").read_text()
     )
-
-
-def test_a_coefficient_of_no_function_is_refused(written):
-    data = json.loads(written.read_text())
-    data["coefficients"]["omega_p"]["u_p^3"] = 1.0
-    written.write_text(json.dumps(data))
-    with pytest.raises(ValueError, match=r"u_p\^3"):
-        SindyModel.load(written)
 
 
 def test_what_is_known_of_the_equations_comes_back(tmp_path):

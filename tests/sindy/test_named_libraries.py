@@ -9,7 +9,6 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.library import Library, of, variable
 from dynasindy.sindy.named_libraries import (
     auto,
     auto_rig,
@@ -21,19 +20,9 @@ from dynasindy.sindy.named_libraries import (
     paper_table,
     polynomial,
     rotor,
-    sum_of,
 )
 from dynasindy.systems import Signature, Tras, Xi, rk4
 from dynasindy.systems.transitions import Transitions
-
-SIGNATURE = Signature(("a", "b"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
-
-
-def test_sums_keep_each_function_once():
-    builders = [lambda s: polynomial(s, 1), lambda s: fourier(s)]
-    assert len(sum_of(SIGNATURE, builders)) == 4 + 6
-    one, two = Library(SIGNATURE, [variable("a"), variable("b")]), Library(SIGNATURE, [variable("b"), of("sin", "a")])
-    assert sum_of(SIGNATURE, [lambda s: one, lambda s: two]).names == ("a", "b", "sin(a)")
 
 
 def _wide_points(n: int = 60) -> tuple[torch.Tensor, torch.Tensor]:
@@ -100,21 +89,6 @@ def test_libraries_are_built_from_words_builders_and_libraries():
     assert torch.allclose(words(x, u), torch.stack(expected, -1))
     assert build_library(words, Xi().signature) is words
     assert len(build_library(lambda s: polynomial(s, 1), Xi().signature)) == 9
-
-
-@pytest.mark.parametrize(
-    ("build", "said"),
-    [
-        (lambda: build_library("papertable", SIGNATURE), "papertable"),
-        (lambda: build_library(["a +"], SIGNATURE), "a +"),
-        (lambda: build_library(["sinus(a)"], SIGNATURE), "sinus"),
-        (lambda: paper_table(SIGNATURE), "alpha_p"),
-    ],
-)
-def test_what_cannot_be_built_is_refused_by_its_name(build, said):
-    with pytest.raises(ValueError, match=r".") as error:
-        build()
-    assert said in str(error.value)
 
 
 AXIS = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
@@ -200,23 +174,6 @@ def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns()
         assert set(auto_rig(shaft).names) - set(auto(shaft).names) == {"tanh(0.2 w)"}
     rotor = Signature(("a", "w", "n"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 4.0, 100.0))
     assert set(auto_rig(rotor).names) - set(auto(rotor).names) == {"tanh(5 w)", "tanh(0.2 n)"}
-
-
-def test_dry_friction_of_a_motor_in_turns_per_minute_is_identified_from_a_log():
-    """J w' = k u - b w - c tanh(w / w_0), by scipy, in turns per minute."""
-    gain, viscous, dry, width, dt = 9000.0, 2.0, 1500.0, 60.0, 0.01
-    u, n = 0.9 * np.sin(2 * np.pi * np.outer(0.01 * np.arange(1200), (0.4, 1.1, 2.3))).mean(1), [0.0]
-    for held in u:
-        rate = lambda _, z, held=held: gain * held - viscous * z - dry * np.tanh(z / width)  # noqa: E731
-        n.append(solve_ivp(rate, (0, dt), n[-1:], rtol=1e-9, atol=1e-9).y[0, -1])
-    motor = Signature(("n",), ("rpm",), ("u",), (max(map(abs, n)),))
-    model = SindyModel(motor, "auto_rig", Regression("bic"), Refinement("one_step", rounds=4))
-    model.fit(Transitions.from_trajectory(torch.tensor(n).double()[:, None], torch.from_numpy(u)[:, None], dt))
-    (shape,) = model.library.shapes
-    found = dict(zip(model.library.names, model.coefficients[:, 0].tolist(), strict=True))
-    assert 1 / shape.frequency == pytest.approx(width, rel=0.01)
-    dried = next(name for name in found if name.startswith("tanh"))
-    assert (found["u"], found["n"], found[dried]) == pytest.approx((gain, -viscous, -dry), rel=0.01)
 
 
 CART_POLE = Signature(("p", "theta", "v", "omega"), ("m", "rad", "m/s", "rad/s"), ("force",), (1.0, 0.3, 1.0, 1.0))

@@ -56,11 +56,6 @@ def test_random_pushes_are_told_from_noise_up_to_twice_its_variance(ratio, told)
     assert noisy(errors) == told
 
 
-def test_one_noisy_state_is_enough():
-    """Its noise stands in the functions of all equations."""
-    assert noisy(white(3), sensor(4)) and not noisy(white(3), white(5))
-
-
 def test_changes_across_two_segments_are_none():
     errors = np.tile([1.0, 1.0, 1.0, -2.0, -2.0, -2.0], 10)  # within each segment nothing changes
     assert not noisy(errors, segments=np.arange(60) // 3)
@@ -149,12 +144,3 @@ def test_noise_that_remembers_repeats_itself_as_often_as_theory_says(a):
     error = _autoregressive(40_000, a).reshape(400, 100, 1)
     joined = torch.arange(400) > 0
     assert repetition(error, torch.ones_like(error), joined) == pytest.approx((1 + a) / (1 - a), rel=0.15)
-
-
-def test_samples_that_were_not_measured_witness_nothing():
-    error = _autoregressive(40_000, 0.5).reshape(1, 40_000, 1)
-    mask = torch.ones_like(error)
-    mask[:, 1::2] = 0
-    # Every other sample is left, and their correlations are 0.25^k.
-    assert repetition(error, mask, torch.tensor([False])) == pytest.approx(1.25 / 0.75, rel=0.15)
-    assert repetition(error, torch.zeros_like(error), torch.tensor([False])) == 1

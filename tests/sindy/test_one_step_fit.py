@@ -76,14 +76,6 @@ def test_a_recording_is_fitted_block_by_block_as_it_is_at_once(monkeypatch):
     torch.testing.assert_close(known.factor, whole[1].factor, rtol=1e-6, atol=1e-9)
 
 
-def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_come_in():
-    data = recording(0.02)
-    dropped = coefficients_of(refine_one_step, LIBRARY, column(A, B, 0.1, 0.1), FREE, data, 1e-6)
-    assert (dropped != 0).flatten().tolist() == [True, True, False, False]
-    added = coefficients_of(refine_one_step, LIBRARY, column(A, 0.0, 0.0, 0.0), FREE, data, 1e-6)
-    assert torch.allclose(added, dropped, rtol=1e-5)
-
-
 def test_coefficients_that_are_not_free_stay():
     free = torch.tensor([[True], [False], [False], [False]])
     found = coefficients_of(refine_one_step, LIBRARY, column(-1.0, 2.5, 0.0, 0.0), free, recording(), 1e-6)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop, variance
+from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
 
@@ -111,20 +111,3 @@ def test_substeps_of_predictions_and_simulations_approach_scipy_by_fourth_order(
         errors.append(float((once[0] - torch.from_numpy(exact[1])).abs().max()))
     assert np.allclose(path[0], exact, atol=1e-6)
     assert all(9 < coarse / fine < 40 for coarse, fine in zip(errors[:2], errors[1:3])) and errors[3] < 1e-7
-
-
-def test_a_variance_is_that_of_the_samples_that_there_are():
-    x = np.random.default_rng(0).normal(size=(20, 3)) * [1.0, 3.0, 0.1]
-    x[[3, 7], 0], x[1:, 1] = np.nan, np.nan
-    found = variance(torch.from_numpy(x)).numpy()
-    np.testing.assert_allclose(found[[0, 2]], np.nanvar(x[:, [0, 2]], 0, ddof=1), rtol=1e-12)
-    assert np.isnan(found[1])  # a single sample has none
-
-
-def test_a_prediction_that_is_no_number_is_infinitely_wrong_and_a_sample_that_was_lost_does_not_count():
-    x = torch.tensor([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0], [3.0, 3.0]], dtype=torch.float64)
-    x[2, 1] = math.nan
-    data, predicted = Transitions.from_trajectory(x, torch.zeros(3, 1), 0.1), torch.tensor([[1.0, 1.5]] * 3).double()
-    predicted[2, 0] = math.nan
-    # The second state misses 1 by 0.5 and 3 by 1.5: a mean square of 1.25, beside a variance of 2.
-    np.testing.assert_allclose(nrmse(predicted, data), [math.inf, math.sqrt(1.25 / 2)])

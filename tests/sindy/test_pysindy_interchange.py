@@ -9,7 +9,7 @@ from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.pysindy_interchange import PySindyDefault, from_pysindy, to_pysindy, to_sympy
-from dynasindy.systems import Pendulum, Tras, Xi
+from dynasindy.systems import Pendulum, Tras
 from dynasindy.systems.base import Signature
 
 
@@ -92,12 +92,6 @@ def test_sympy_knows_the_functions_with_numbers_inside():
     ]
     below = written["a"].subs({**point, sympy.Symbol("a", real=True): 0.1})
     assert float(below) == pytest.approx(np.dot(values, np.arange(1, 19, 2)))
-
-
-def test_a_signature_of_another_size_is_refused():
-    with pytest.raises(ValueError, match="6 states"):
-        from_pysindy(to_pysindy(_model("paper_table")), Signature(("a",), ("-",), ("u",), (1.0,)))
-    assert Xi().signature.n_x == 6
 
 
 def test_a_difference_equation_goes_to_sympy_as_what_comes_next_and_not_to_pysindy():

@@ -95,14 +95,6 @@ def test_a_state_follows_if_its_equation_may_have_nothing_else():
     assert followed(library, fixed) == {"b": "T"}
 
 
-def test_segments_are_guessed_apart():
-    t = DT * np.arange(20)
-    parts = [recording(cubic(t), lost(20), t), recording(100 - 7 * t, lost(20), t)]
-    guess = reconstruct(Transitions.cat(parts), {1: 0})
-    np.testing.assert_allclose(guess.x[:19, 1], cubic(t[:-1], 1), atol=1e-7)
-    np.testing.assert_allclose(guess.x[19:, 1], -7.0, atol=1e-7)
-
-
 def test_rates_are_read_off_the_equations_that_are_known():
     def found(**known: str) -> dict[int, int]:
         return rate_states(LIBRARY, Constraints.build(LIBRARY, known, {}, {}))
@@ -133,42 +125,6 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     np.testing.assert_allclose(found.x[1:24, 2], expected[:23], atol=1e-5)
     assert found.x[[0, 24], 2].tolist() == [0, 0]
     assert torch.equal(found.x[:, :2], guess.x[:, :2]) and torch.equal(found.x_next[:, :2], guess.x_next[:, :2])
-
-
-def test_what_the_model_says_of_measured_states_does_not_lead():
-    # h' = a, a recorded as a line, so h is its integral; the model's own a' = -3 would run elsewhere.
-    t = DT * np.arange(40)
-    data = recording(t, 0 * t, lost(40))
-    xi = torch.zeros(5, 3).double()
-    xi[1, 2], xi[0, 0] = 1.0, -3.0
-    found = simulate_hidden_states(LIBRARY, xi, data, reconstruct(data, {}), {})
-    np.testing.assert_allclose(found.x_next[:, 2], t[1:] ** 2 / 2, atol=1e-9)
-
-
-def test_without_a_hidden_state_there_is_nothing_to_imagine_and_a_model_that_runs_away_is_not_followed():
-    t = DT * np.arange(10)
-    data = recording(t, lost(10), t)
-    data.x_next[3, 1] = 1.0
-    guess = reconstruct(data, {})
-    assert simulate_hidden_states(LIBRARY, torch.zeros(5, 3).double(), data, guess, {}) is guess
-    unseen = recording(t, t, lost(10))
-    said_nothing = simulate_hidden_states(LIBRARY, torch.zeros(5, 3).double(), unseen, reconstruct(unseen, {}), {})
-    assert not bool(said_nothing.x_next[:, 2].any()), "a first model that says nothing of a hidden state leaves it"
-    hidden = recording(1e120 + t, t, lost(10))
-    mad = Library(SIGNATURE, [variable("a", 3)])
-    xi = torch.tensor([[0.0, 0.0, 1.0]]).double()
-    assert not bool(simulate_hidden_states(mad, xi, hidden, reconstruct(hidden, {}), {}).x_next[:, 2].any())
-
-
-def test_a_hidden_state_that_follows_fast_is_imagined_in_as_many_steps_as_it_needs():
-    # h' = y - h under y = 1 approaches 1 by e^-4 in a sample of 4 s; one Runge-Kutta step would multiply by 5.
-    signature = Signature(("y", "h"), ("V", "V"), ("u",), (1.0, 1.0))
-    library = Library(signature, [variable("y"), variable("h")])
-    seen = torch.tensor([[1.0, math.nan]] * 6).double()
-    data = Transitions.from_trajectory(seen, torch.zeros(5, 1).double(), 4.0)
-    guess = reconstruct(data, {})
-    found = simulate_hidden_states(library, torch.tensor([[0.0, 1.0], [0.0, -1.0]]).double(), data, guess, {})
-    assert found.x_next[:, 1].tolist() == pytest.approx([1 - math.exp(-4 * k) for k in range(1, 6)], abs=1e-3)
 
 
 def test_a_rate_without_a_sensor_has_the_range_in_which_its_state_moved():
@@ -216,11 +172,6 @@ def lag(x, u):
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 def test_an_angle_alone_misses_its_rate(noise):
     assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0], noise=noise)) == ["y"]
-
-
-def test_a_difference_equation_misses_no_rate():
-    """What follows from an angle and the one before is a state more to it, and no rate."""
-    assert find_missing_rates(polynomial(ONE).with_step(PERIOD), recorded(swing, 2, [0])) == []
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])

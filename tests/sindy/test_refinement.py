@@ -65,18 +65,6 @@ def test_what_is_given_stays_in_every_method():
         assert found[1, 0] == 2.9 and found[2:].flatten().tolist() == [0, 0] and found[0, 0].item() != A
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *({"method": "newton"}, {"rounds": -1}, {"tolerance": 0.0}, {"window": 0}, {"error": "both"}),
-        *({"penalty": 0.0}, {"seconds": math.nan}),
-    ],
-)
-def test_settings_that_are_not_allowed_are_refused(wrong):
-    with pytest.raises(ValueError, match="allowed"):
-        Refinement(**wrong)
-
-
 @pytest.mark.slow
 def test_the_play_of_a_sensor_is_found_from_what_it_reads():
     n, dt, fine = 200, 0.1, 20
@@ -185,18 +173,6 @@ def test_functions_that_noise_hides_from_single_steps_are_found():
 
 
 STORE = Signature(("y",), ("m",), ("u",), (1.0,))
-
-
-def pushed(samples=400, dt=0.1):
-    """A store y' = u - y / 2 + w that w pushes slowly, and whose sensor is noisy."""
-    generator, y, w, seen = np.random.default_rng(2), 1.0, 0.0, []
-    u = np.repeat(generator.uniform(0, 1, samples // 20), 20)
-    for held in u:
-        seen.append(y)
-        w += -w * dt / 2 + 0.2 * np.sqrt(dt) * generator.normal()
-        y += dt * (held - y / 2 + w)
-    seen = np.array([*seen, y]) + 0.02 * generator.normal(size=samples + 1)
-    return Transitions.from_trajectory(torch.from_numpy(seen)[:, None], torch.from_numpy(u)[:, None], dt)
 
 
 def of_store(error):

@@ -14,7 +14,6 @@ from dynasindy.sindy.regression import (
     _eliminate,
     least_squares,
     simpson_form,
-    stlsq,
 )
 from dynasindy.systems.transitions import Transitions
 
@@ -73,16 +72,6 @@ def test_thresholding_equals_pysindy_on_the_same_data(threshold):
     assert np.allclose(ours.mT, theirs.coef_, rtol=1e-8)
 
 
-def test_thresholding_is_repeated_until_the_support_stands_still():
-    # Orthonormal columns: a coefficient is the projection, so that the limit is exact on either side.
-    theta = torch.eye(4, dtype=torch.float64)
-    target = torch.tensor([[3.0], [0.5], [-0.51], [0.0]], dtype=torch.float64)
-    found = stlsq(theta, target, torch.ones(4, 1, dtype=torch.bool), torch.tensor([0.505]))
-    assert found.flatten().tolist() == pytest.approx([3.0, 0.0, -0.51, 0.0])
-    masked = stlsq(theta, target, torch.tensor([[False], [True], [True], [True]]), torch.tensor([0.505]))
-    assert masked.flatten().tolist() == pytest.approx([0.0, 0.0, -0.51, 0.0])
-
-
 def criterion(theta, target, chosen, tolerance) -> float:
     """N ln(rss + tolerance^2) + k ln N, from numpy's own least squares."""
     rest = target - theta[:, chosen] @ np.linalg.lstsq(theta[:, chosen], target, rcond=None)[0] if chosen else target
@@ -128,16 +117,6 @@ def test_given_coefficients_stay_and_silent_functions_get_none(method):
     assert torch.allclose(found[:, 1], xi[:, 1], rtol=1e-8, atol=1e-12)
 
 
-def squared(x, u):
-    return x**2
-
-
-@pytest.mark.parametrize("wrong", [{"method": "lasso"}, {"normalize": "max"}, {"threshold": -0.1}])
-def test_settings_that_are_not_allowed_are_refused(wrong):
-    with pytest.raises(ValueError, match="allowed"):
-        Regression(**wrong)
-
-
 @pytest.mark.parametrize("count", [50, 400])
 def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
     # Orthonormal columns: without the second term the squared residual grows from s to s + g, and it stays
@@ -150,31 +129,6 @@ def test_a_term_is_worth_the_logarithm_of_the_number_of_samples(count):
         target = torch.tensor([[1.0], [g**0.5], [rest**0.5]], dtype=torch.float64)
         found = _eliminate(theta, target, torch.ones(2, 1, dtype=torch.bool), count, 1e-9)
         assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(1.0)
-
-
-def unit_problem(count):
-    """Columns of 2-norm 1 and 3, orthogonal, with rates 5 and 0.5 of each unit column."""
-    theta = torch.zeros(count, 2, dtype=torch.float64)
-    theta[0, 0], theta[1, 1] = 1.0, 3.0
-    return theta, theta @ torch.tensor([[5.0], [0.5 / 3.0]], dtype=torch.float64)
-
-
-@pytest.mark.parametrize(
-    ("settings", "limit"),
-    [
-        ({}, 1.0),  # on coefficients of unit columns
-        ({"normalize": "rms"}, (250 / 1000) ** 0.5),  # the same at a thousand samples
-    ],
-)
-def test_each_rule_has_its_limit(settings, limit):
-    for factor, kept in ((0.99, 2), (1.01, 1)):
-        # The smaller coefficient, 0.5 on its unit column, stays below its limit.
-        regression = Regression(threshold=factor * 0.5 / limit, **settings)
-        theta, dx = unit_problem(250)
-        sums = RunningSums(2, 1)
-        sums.add((theta, dx))
-        found = regression.solve(sums, torch.ones(2, 1, dtype=torch.bool), torch.zeros(2, 1).double())
-        assert int((found != 0).sum()) == kept and found[0, 0].item() == pytest.approx(5.0)
 
 
 def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():

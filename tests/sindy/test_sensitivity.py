@@ -178,42 +178,6 @@ def test_slopes_of_every_function_are_differences_of_its_values(name):
             torch.testing.assert_close(found[..., 0], (up - down) / 2e-6, rtol=1e-6, atol=1e-8)
 
 
-def test_slopes_of_products_and_powers_by_states_and_by_the_numbers_inside():
-    words = ["u^2 tanh(~2 a)^3 b", "a^2 per_cos2(~3 b)^2", "tanh(~2 a)", "tanh(2 a)", "b^4", "u", "1"]
-    library = Library(TWO, map(parse, words))
-    x, u = points()
-    (a, b), v = x.numpy().T, u[:, 0].numpy()
-    t, q = np.tanh(2 * a), 1 / (1 + 3 * np.cos(b) ** 2)
-    theta, by_state, by_shape = full(slopes := TorchSlopes(library, library.shapes), library, x, u, 2)
-    expected = [v**2 * t**3 * b, a**2 * q**2, t, t, b**4, v, 1 + 0 * v]
-    np.testing.assert_allclose(theta.numpy().T, expected, rtol=1e-12)
-    none, sech2 = 0 * a, 1 / np.cosh(2 * a) ** 2
-    grow = 2 * sech2
-    by_a = [3 * v**2 * t**2 * grow * b, 2 * a * q**2, grow, grow, none, none, none]
-    by_b = [v**2 * t**3, a**2 * 2 * q * 3 * np.sin(2 * b) * q**2, none, none, 4 * b**3, none, none]
-    np.testing.assert_allclose(by_state[:, :, 0].numpy().T, by_a, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(by_state[:, :, 1].numpy().T, by_b, rtol=1e-10, atol=1e-12)
-    width = [3 * v**2 * t**2 * a * sech2 * b, none, a * sech2, none, none, none, none]
-    inertia = [none, -(a**2) * 2 * q**3 * np.cos(b) ** 2, none, none, none, none, none]
-    for found in (by_shape, library.by_shapes(x, u, library.shapes)):
-        np.testing.assert_allclose(found[:, :, 0].numpy().T, width, rtol=1e-10, atol=1e-12)
-        np.testing.assert_allclose(found[:, :, 1].numpy().T, inertia, rtol=1e-10, atol=1e-12)
-    # Only what is not zero is computed.
-    assert slopes.by_state == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (3, 0), (4, 1)]
-    assert slopes.by_shape == [(0, 0), (1, 1), (2, 0)]
-
-
-def test_many_states_are_moved_in_parts_as_they_are_at_once(monkeypatch):
-    monkeypatch.setattr(sensitivity, "compiler", lambda: None)
-    xi, parameters = model()
-    propagator, x, u = Propagator(LIBRARY, xi, parameters), draw(7, 6, seed=3), draw(7, 2, seed=4)
-    at_once = propagator.transfer(x, u, 0.1, 2)
-    monkeypatch.setattr(sensitivity, "MOST", 3 * 8 * (len(propagator.xi) + len(propagator.jacobian) + 6))
-    for whole, parts in zip(at_once, propagator.transfer(x, u, 0.1, 2), strict=True):
-        assert torch.allclose(whole, parts, rtol=1e-12, atol=1e-14)
-    assert propagator.transfer(x[:0], u[:0], 0.1, 2)[1].shape == (0, 6, 6 + len(parameters))
-
-
 def test_a_function_without_a_formula_is_moved_by_torch(monkeypatch):
     """An angle and its slopes, in one step of a difference equation."""
     monkeypatch.setattr(functions, "_REGISTRY", dict(functions._REGISTRY))

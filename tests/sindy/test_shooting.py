@@ -10,7 +10,6 @@ import torch
 from first_order import DT, LIBRARY, TWO, Y0, A, B, column, inputs, motion
 
 from dynasindy.sindy import Refinement, Regression, SindyModel, shooting
-from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.named_libraries import build_library, polynomial
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
@@ -35,24 +34,6 @@ from dynasindy.systems.transitions import Transitions
 INPUTS = inputs(4)
 
 
-def test_the_start_of_a_state_that_forgets_it_within_a_sample_stays_near():
-    # h follows u and y follows h, both within a sample: of where h began, e^-40 is left in what was measured.
-    signature = Signature(("y", "h"), ("-", "-"), ("u",), (1.0, 1.0))
-    library = Library(signature, [variable("y"), variable("h"), variable("u")])
-    xi = torch.tensor([[-100.0, 0.0], [100.0, -100.0], [0.0, 80.0]], dtype=torch.float64)
-    noisy = INPUTS + 0.01 * np.random.default_rng(8).normal(size=40)
-    y = torch.from_numpy(np.stack([noisy, np.full(40, math.nan)], -1)).roll(1, 0)
-    data = Transitions.from_trajectory(y, torch.from_numpy(INPUTS[:-1, None]), 0.4)
-    windows = Windows.of(data, 10, substeps=40)
-    estimate = Estimate(library, xi, torch.from_numpy(0.1 * INPUTS[:40:10, None].repeat(2, 1)))
-    parameters = Parameters.where(torch.tensor([[False, False], [False, False], [False, True]]))
-    flow = Flow.of(estimate, parameters, windows)
-    model = linearise_windows(flow)
-    moved = move(flow, model, torch.arange(len(model.scale)))
-    assert float((moved.nodes - estimate.nodes).abs().max()) < 10
-    assert float(moved.xi[2, 1]) == pytest.approx(100.0, rel=0.02)
-
-
 def test_windows_that_run_away_are_counted_and_the_first_is_named():
     # y' = y^2 from 1 is 1 / (1 - t): it passes all bounds after a second, from -1 and from 0.1 it does not.
     data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
@@ -64,16 +45,6 @@ def test_windows_that_run_away_are_counted_and_the_first_is_named():
     assert flow.predicted[2, -1].item() == pytest.approx(-1 / (1 + 2.0), rel=1e-4)
     with pytest.raises(RunsAway, match="number 1"):
         linearise_windows(flow)
-
-
-def test_a_trial_that_runs_away_in_windows_on_their_own_costs_more_than_anything():
-    # As above; at a trial, which is given its weights, the descent asks for the cost and turns back.
-    data = Transitions.from_trajectory(torch.ones(61, 1).double(), torch.zeros(60, 1).double(), 0.1)
-    windows = Windows.of(data, 20, joined=False)
-    estimate = Estimate(LIBRARY, column(0.0, 0.0, 0.0, 1.0), column(0.1, 1.0, -1.0))
-    parameters = Parameters.where(torch.tensor([[False], [False], [False], [True]]))
-    trial = linearise_windows(Flow.of(estimate, parameters, windows), torch.ones(1).double())
-    assert not trial.cost < 1e300
 
 
 @pytest.mark.parametrize("joined", [True, False])
@@ -151,17 +122,6 @@ def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
     np.testing.assert_allclose(shooting_covariance(flow).errors, wanted, rtol=0.01)
 
 
-def test_a_single_window_still_tells_standard_errors():
-    found = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
-    assert len(found.windows) == 1 and (shooting_covariance(found).errors > 0).all()
-
-
-def test_a_fit_that_leaves_no_function_tells_no_standard_errors():
-    flow = refine_trajectory(LIBRARY, column(A, B, 0.0, 0.0), TWO, pushed(0, 60), Descent(60))
-    none = replace(flow, parameters=flow.parameters.take(torch.tensor([], dtype=torch.long)))
-    assert shooting_covariance(none) is None
-
-
 @pytest.mark.parametrize("joined", [True, False])
 def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, monkeypatch):
     y = motion(A, B, Y0, INPUTS)
@@ -188,18 +148,6 @@ def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, mon
 def test_steps_follow_the_fastest_rate(a, dt, steps):
     x, u = torch.linspace(-1, 1, 9, dtype=torch.float64)[:, None], torch.zeros(9, 1).double()
     assert substeps_for(relative_step(LIBRARY, column(float(a), 0.0, 5.0, 0.0), x, u, dt)) == steps
-
-
-def test_steps_follow_the_rates_where_the_states_are():
-    # y' = -y^2 has the rate 2 |y|; an oscillator of 40 rad/s has imaginary ones.
-    u = torch.zeros(1, 1).double()
-    falls = column(0, 0, 0, -1.0)
-    assert [substeps_for(relative_step(LIBRARY, falls, column(y), u, 0.1)) for y in (0.1, 2.0)] == [1, 4]
-    two = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
-    library = Library(two, [variable("y"), variable("v")])
-    xi = torch.tensor([[0.0, -1600.0], [1.0, 0.0]]).double()
-    assert substeps_for(relative_step(library, xi, torch.ones(1, 2).double(), u, 0.01)) == 4
-    assert substeps_for(relative_step(LIBRARY, falls, column(math.nan), u, 0.1)) == 1
 
 
 TANKS = Signature(("upper", "lower"), ("m", "m"), ("u",), (1.0, 1.0))
@@ -304,24 +252,3 @@ def test_two_tanks_are_found_in_the_unit_of_the_first_guess(unit):
     assert 0.3 < float(size[fill]) / (0.2 * unit) < 3, "about the unit of the guess"
     assert float(share.max()) < 0.1
     assert report.unscaled == ("upper",)
-
-
-def test_standard_errors_of_what_the_data_tell_do_not_depend_on_what_holds_the_unit():
-    """With one of the two factors given the other one is known as well as their product is without."""
-    data = log(0.01, seed=1)
-    free, _ = fit(data, 1.0)
-    drip = float(free.coefficients[free.library.index("upper"), 1])
-    held, report = fit(data, 1.0, {"lower": {"upper": drip}})
-    assert report.unscaled == ()
-
-    def logarithms(model):
-        known = model.covariance
-        return {
-            (model.library.names[f], s): row / model.coefficients[f, s]
-            for f, s, row in zip(known.features.tolist(), known.states.tolist(), known.factor, strict=True)
-        }
-
-    ours, theirs = logarithms(free), logarithms(held)
-    product = ours["u", 0] + ours["upper", 1]
-    assert float(product.norm()) == pytest.approx(float(theirs["u", 0].norm()), rel=0.02)
-    assert float(ours["upper", 0].norm()) == pytest.approx(float(theirs["upper", 0].norm()), rel=0.02)

@@ -104,35 +104,6 @@ def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
         coefficients_of(refine_trajectory, LIBRARY, start, free, data, 20)
 
 
-def test_a_state_that_never_moves_is_no_reason_to_fail():
-    data = recording(0)
-    still = Transitions(0 * data.x, data.u, 0 * data.x_next, data.dt, data.segment)
-    found = coefficients_of(
-        refine_trajectory, LIBRARY, column(A, 1e-3, 0.0, 0.0), torch.ones(4, 1, dtype=torch.bool), still, 20
-    )
-    assert bool(found.isfinite().all())
-
-
-def test_two_recordings_have_a_start_each():
-    y = [motion(A, B, start, INPUTS[:60]) for start in (0.3, -0.8)]
-    noise = np.random.default_rng(5).normal(size=(2, 61))
-    parts = [
-        Transitions.from_trajectory(
-            torch.from_numpy(a + NOISE * b).unsqueeze(-1), torch.from_numpy(INPUTS[:60]).unsqueeze(-1), DT
-        )
-        for a, b in zip(y, noise)
-    ]
-    data = Transitions.cat(parts)
-    measured = np.concatenate([a + NOISE * b for a, b in zip(y, noise)])
-
-    def miss(p):
-        return np.concatenate([motion(p[0], p[1], start, INPUTS[:60]) for start in p[2:]]) - measured
-
-    theirs = least_squares(miss, [A, B, 0.3, -0.8], xtol=1e-12, ftol=1e-12).x
-    found = coefficients_of(refine_trajectory, LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, 25)
-    assert found[:2, 0].tolist() == pytest.approx(theirs[:2].tolist(), rel=5e-3)
-
-
 def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states():
     data = recording(0)
     measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())
@@ -177,18 +148,6 @@ def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
     assert (wanted > 1.5) == (push > 0) and (push or abs(wanted - 1) < 0.05)
 
 
-def test_a_state_that_nobody_measured_does_not_stray_nor_does_one_that_is_met_exactly():
-    exact = Transitions.from_trajectory(torch.from_numpy(motion(A, B, Y0, INPUTS))[:, None], column(*INPUTS), DT)
-    args = (LIBRARY, column(A, B, 0, 0), TWO)
-    assert trajectory.trajectory_error_ratio(*args, exact, Descent(20), exact.x).tolist() == pytest.approx(
-        [1.0], abs=0.2
-    )
-    lost = Transitions(exact.x * math.nan, exact.u, exact.x_next * math.nan, DT, exact.segment)
-    assert trajectory.trajectory_error_ratio(*args, lost, Descent(20), exact.x).tolist() == [0.0]
-    nothing = (LIBRARY, column(0, 0, 0, 0), TWO)
-    assert trajectory.trajectory_error_ratio(*nothing, exact, Descent(20), exact.x).tolist() == [math.inf]
-
-
 def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so():
     """y' = y^3 from 1 is 1 / sqrt(1 - 2 t), beyond all bounds after half a second; here it falls back to 1 before."""
     dt, n = 0.05, 200
@@ -229,18 +188,6 @@ def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew
         for joined in (None, True)
     ]
     assert apart[0] < 0.2 < apart[1], apart
-
-
-def test_no_finer_steps_are_sought_for_a_difference_equation():
-    """y[k+1] = -0.6 y[k] + 0.3 u[k] is found by its own steps, and not once more by others."""
-    u, y = inputs(20), [Y0]
-    for held in u:
-        y.append(-0.6 * y[-1] + 0.3 * held)
-    data = Transitions.from_trajectory(torch.tensor(y, dtype=torch.float64)[:, None], torch.from_numpy(u)[:, None], DT)
-    first = column(-1.5 / DT, 0.2 / DT, 0.0, 0.0)
-    found = refine_trajectory(LIBRARY.with_step(DT), first, TWO, data, Descent(20))
-    assert found.windows.substeps == 1
-    assert (DT * found.estimate.xi[:2, 0]).tolist() == pytest.approx([-1.6, 0.3], abs=1e-9)
 
 
 ANGLE = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))

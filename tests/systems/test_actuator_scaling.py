@@ -28,12 +28,6 @@ def test_zero_stays_zero_or_becomes_what_is_said_on_a_rig_as_in_a_log(low, high,
     assert signature.input_units == ("V",)
 
 
-@pytest.mark.parametrize("rest", [-0.1, 12.1, 1500])
-def test_a_rest_that_the_actuator_does_not_reach_is_refused(rest):
-    with pytest.raises(ValueError, match=f"{rest:g}"):
-        ActuatorScaling.of(0, 12, rest)
-
-
 def test_what_is_as_in_every_plant_is_left_out():
     assert actuator_units([PLAIN, PLAIN], ["-", "-"]) == {}
     assert actuator_units([ActuatorScaling.of(0, 1)], ["<b>"]) == {"input_limits": ((0.0, 1.0),)}

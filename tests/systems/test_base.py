@@ -5,32 +5,6 @@ from alternating import Alternating
 from dynasindy.systems import Altered, Signature, Tras, integrate
 
 
-@pytest.mark.parametrize(
-    ("wrong", "key"),
-    [
-        ({"state_units": ("rad",)}, "unit"),
-        ({"state_names": ("a", "a")}, "differ"),
-        ({"input_names": ("a",)}, "repeated"),
-        ({"x_scale": (1.0,)}, "ranges"),
-        ({"x_scale": (1.0, 0.0)}, "positive"),
-        ({"x_scale": (1.0, -1.0)}, "positive"),
-        *(({"input_limits": limits}, "limits") for limits in (((0, 1), (0, 1)), ((1, 1),), ((-1, 2),))),
-        *(({"input_units": units}, "unit") for units in (("V", "V"), ("<b>",))),
-        *(({"input_ends": ends}, "ends") for ends in (((0, 1), (0, 1)), ((1, 1),), ((0, float("inf")),))),
-    ],
-)
-def test_what_is_no_signature_is_refused(wrong, key):
-    right = {
-        "state_names": ("a", "b"),
-        "state_units": ("rad", "rad"),
-        "input_names": ("u",),
-        "x_scale": (1.0, 1.0),
-    }
-    Signature(**right)
-    with pytest.raises(ValueError, match=key):
-        Signature(**(right | wrong))
-
-
 def test_signatures_are_alike_whatever_their_ranges():
     one = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 2.0))
     assert one.alike(Signature(("x", "v"), ("m", "m/s"), ("u",), (9.0, 0.1)))

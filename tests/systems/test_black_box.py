@@ -24,21 +24,3 @@ def test_nobody_knows_how_it_moves():
         plant(torch.zeros(1), torch.zeros(1))
     with pytest.raises(ValueError, match="udp"), rehearsal(plant, 0.05):
         pass
-
-
-@pytest.mark.parametrize(
-    ("states", "inputs", "message"),
-    [
-        ({}, ["motor"], "one or more"),
-        ({"angle": "rad"}, [], "one or more"),
-        ({"angle": "rad"}, {"motor": [12]}, "motor"),
-        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rst": 0}}, "rst"),
-        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": "x"}}, "motor"),
-        ({"angle": "rad"}, {"motor": {"low": 0, "high": 12, "rest": 13}}, "rest 13"),
-        ({"angle": "rad"}, {"motor": [12, -12]}, "higher"),
-        ({"angle": "rad"}, ["angle"], "differ"),
-    ],
-)
-def test_what_is_no_rig_is_refused(states, inputs, message):
-    with pytest.raises(ValueError, match=message):
-        BlackBox(states, inputs)

@@ -4,7 +4,7 @@ import warnings
 import pytest
 import torch
 
-from dynasindy.systems import Signature, System, Tras
+from dynasindy.systems import Signature, System
 from dynasindy.systems.checks import require_plant
 
 FREE = torch.tensor([[-math.inf], [math.inf]])
@@ -89,20 +89,3 @@ def test_a_plant_that_is_finite_nowhere_in_its_ranges_or_not_where_it_begins_is_
         require_plant(Level(lambda h: (h - 3).sqrt()), at(4.0), torch.tensor([[0.0], [2.0]]))
     with pytest.raises(ValueError, match="begin"):
         require_plant(Level(torch.sqrt), at(-0.5))
-
-
-class Unbuilt(System):
-    def __init__(self, named=True):
-        if named:
-            self.signature = Signature(("h",), ("m",), ("pump",), (1.0,))
-
-    def forward(self, x, u):
-        return u - x
-
-
-@pytest.mark.parametrize("named", [True, False])
-def test_a_class_that_does_not_build_its_base_says_so(named):
-    with pytest.raises(TypeError, match="__init__"):
-        require_plant(Unbuilt(named), at(0.0))
-    with pytest.raises(AttributeError, match="no attribute 'mass'"):
-        Tras().mass  # noqa: B018 - it is asked for

@@ -63,33 +63,3 @@ def test_a_cached_library_is_compiled_once_and_anew_where_it_is_damaged(tmp_path
     monkeypatch.setenv("XDG_CACHE_HOME", str(places[0]))
     assert module._cache_file(source, True) is None or not hasattr(os, "getuid")
     load_library.cache_clear()
-
-
-@needs_compiler
-def test_a_compiler_that_hangs_is_given_up(tmp_path, monkeypatch):
-    asleep = tmp_path / "cc"
-    asleep.write_text("#!/bin/sh\nexec sleep 60\n")
-    asleep.chmod(0o755)
-    monkeypatch.setenv("CC", str(asleep))
-    monkeypatch.setattr(module, "LONGEST", 0.1)
-    with pytest.raises(ValueError, match="took"):
-        compile_library([tmp_path / "any.c"], tmp_path / "any.so")
-
-
-@needs_compiler
-def test_a_compiler_that_does_not_know_its_own_processor_compiles_for_any(tmp_path, monkeypatch):
-    plain, asked = tmp_path / "cc", tmp_path / "asked"
-    plain.write_text(
-        f'#!/bin/sh\necho "$@" >>{asked}\n'
-        'case " $* " in *" -march=native "*) echo unknown processor >&2; exit 1;; esac\n'
-        f'exec {compiler()} "$@"\n'
-    )
-    plain.chmod(0o755)
-    (tmp_path / "twice.c").write_text("float twice(float v) { return 2 * v; }\n")
-    monkeypatch.setenv("CC", str(plain))
-    code = ctypes.CDLL(str(_build_fast(tmp_path / "twice.c", tmp_path / f"twice{SUFFIX}")))
-    code.twice.argtypes, code.twice.restype = [ctypes.c_float], ctypes.c_float
-    assert code.twice(1.5) == 3.0
-    calls = asked.read_text().splitlines()
-    assert ["-march=native" in call for call in calls] == [True, False, False]
-    assert ["-ffast-math" in call for call in calls] == [True, True, False]  # linked without it

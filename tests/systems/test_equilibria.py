@@ -66,38 +66,6 @@ def test_rests_have_inputs_between_their_ends(low, high, sign):
     assert rests.unheld.tolist() == [[pytest.approx(0.9)]]
 
 
-class Hours(System):
-    """A pendulum whose seconds are hours."""
-
-    def __init__(self):
-        super().__init__(Pendulum(max_torque=5.0).signature)
-        self.plant = Pendulum(max_torque=5.0)
-
-    def forward(self, x, u):
-        return torch.stack((x[..., 1], self.plant(x, u)[..., 1] / 3600.0), -1) / 3600.0
-
-
-def test_a_plant_of_hours_rests_no_sooner_than_one_of_seconds():
-    targets = torch.tensor([[0.2], [1.2]])  # under u = 1, 4.1 N m lack: a ten-thousandth of a range a second
-    slow = find_equilibria(Hours(), [0], targets, torch.zeros(2), 0.05 * 3600.0)
-    assert slow.unheld.tolist() == [[pytest.approx(1.2)]]
-    torch.testing.assert_close(slow.u, torch.tensor([[9.81 * math.sin(0.2) / 5.0]]).double(), atol=1e-6, rtol=0)
-
-
-@pytest.mark.parametrize("dt", [0.05, 0.005, 1e-4])
-def test_a_drift_is_no_rest_however_short_the_period_is(dt):
-    class Drifting(System):
-        """x' = 0.2 + u^2, in ranges of 1 m."""
-
-        def __init__(self):
-            super().__init__(Signature(("x",), ("m",), ("u",), (1.0,)))
-
-        def forward(self, x, u):
-            return 0.2 + u.square()
-
-    assert not len(find_equilibria(Drifting(), [0], torch.tensor([[0.1]]), torch.zeros(1), dt))
-
-
 def test_a_state_that_nothing_depends_on_need_not_rest_and_spare_inputs_are_no_obstacle():
     rests = find_equilibria(Cart(), [1], torch.tensor([[0.4], [1.2]]), torch.zeros(3), 0.05)
     assert rests.moved.tolist() == [False, True, False] and len(rests) == 2
@@ -111,13 +79,6 @@ def test_growth_is_that_of_the_largest_deviation_in_ranges():
     wanted = torch.linalg.matrix_norm(torch.as_tensor(expm([[0.0, 30.0], [0.0, 0.0]])), 2)  # in ranges: 10 * 3 s
     assert growth(double, scale, 3.0) == pytest.approx(float(wanted))
     assert growth(torch.tensor([[1000.0]]).double(), torch.ones(1), 10.0) == math.inf  # e^10000 is no double
-
-
-def test_growth_of_a_difference_equation_is_the_power_of_its_matrix():
-    """1.1 every 0.5 s for 4 s grows 1.1^8 times, and -1.1 as much."""
-    for factor in (1.1, -1.1):
-        a = torch.tensor([[(factor - 1) / 0.5]], dtype=torch.float64)
-        assert growth(a, torch.ones(1, dtype=torch.float64), 4.0, 0.5) == pytest.approx(1.1**8)
 
 
 class Linear(System):
@@ -166,15 +127,6 @@ def test_the_fastest_of_two_oscillations_counts_only_where_an_input_moves_it_or_
     assert of(Linear(two(slow, fast), pushed)) == pytest.approx(1 / (20 * root), rel=1e-6)
     assert of(Linear(two(slow, fast), free)) == pytest.approx(1 / root, rel=1e-6)
     assert of(Linear(two(slow, fast), free), outputs=(2,)) == pytest.approx(1 / (20 * root), rel=1e-6)
-
-
-def test_it_is_the_same_in_millimetres():
-    """A push of 1 m/s^2 is one of 1000 mm/s^2."""
-    slow, fast = spring(1.0, 0.1), spring(20.0, 0.1)
-    for push in (400.0, 1e-6):
-        metres = Linear(two(slow, fast), [[0.0], [1.0], [0.0], [push]])
-        small = Linear(two(slow, fast), [[0.0], [1.0], [0.0], [1e3 * push]], (1.0, 1.0, 1e3, 1e3))
-        assert of(metres) == pytest.approx(of(small), rel=1e-6)
 
 
 def test_a_pendulum_swings_where_it_hangs_and_falls_where_it_stands():

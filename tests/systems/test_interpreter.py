@@ -47,10 +47,3 @@ def test_inputs_are_held_over_their_period():
     u = numbers(3, 20, 1)
     ends = simulate_program(Program(1, 1, (), ("u[0]",)), torch.zeros(3, 1, dtype=torch.float64), u, 0.1, 2)
     np.testing.assert_allclose(ends, 0.1 * u.cumsum(1), atol=1e-12)
-
-
-@pytest.mark.parametrize("formula", ["x[7]", "x[0] % 2", "open(x[0])", "sin", "y"])
-def test_what_is_no_formula_is_refused(formula):
-    none = torch.zeros(1, 1, 0, dtype=torch.float64)
-    with pytest.raises(ValueError, match="formula"):
-        simulate_program(Program(1, 0, (), (formula,)), numbers(1, 1), none, 0.1, 1)

@@ -22,11 +22,3 @@ def test_by_default_it_weighs_a_kilogram_on_a_metre():
     assert dx[1].item() == pytest.approx(6.0 - 9.81 * 0.29552020666 - 1.0)
     signature = Pendulum().signature
     assert (signature.state_units, signature.x_scale, signature.n_x, signature.n_u) == (("rad", "rad/s"), (1, 3), 2, 1)
-
-
-@pytest.mark.parametrize("wrong", ["mass", "length", "max_torque"])
-def test_what_must_be_positive_may_not_be_zero(wrong):
-    with pytest.raises(ValueError, match=wrong):
-        Pendulum(**{wrong: 0.0})
-    with pytest.raises(ValueError, match="damping"):
-        Pendulum(damping=-0.1)

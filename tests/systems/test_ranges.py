@@ -18,17 +18,6 @@ def test_a_limit_is_meant_for_both_sides_of_zero_and_a_start_for_a_value():
     assert state_limits(SIGNATURE, {}).isinf().all()
 
 
-@pytest.mark.parametrize(
-    "given", [{"x": 1.0}, {"q": [1.0]}, {"q": [2.0, 1.0]}, {"q": [0.0, math.inf]}, {"q": math.nan}]
-)
-def test_what_is_no_range_of_a_state_is_refused(given):
-    for build in (state_limits, start_ranges):
-        with pytest.raises(ValueError, match="value"):
-            build(SIGNATURE, given)
-    with pytest.raises(ValueError, match=r"^task\.bounds has"):
-        state_limits(SIGNATURE, given, "task.bounds")
-
-
 def test_states_are_drawn_evenly_between_their_ends():
     ends, generator = start_ranges(SIGNATURE, {"q": [1.0, 3.0], "v": 0.5}), torch.Generator().manual_seed(0)
     x = sample_states(ends, torch.Size((4000,)), generator)

@@ -48,23 +48,5 @@ class Sampled(Tank):
     step = 0.1
 
 
-class Method(Tank):
-    def step(self):
-        return 1.0
-
-
-@pytest.mark.parametrize(
-    ("build", "own"),
-    [
-        (Method, "Method"),
-        (lambda: Tank(0.1), "float"),
-        (lambda: Tank(torch.nn.Linear(1, 1)), "Linear"),
-    ],
-)
-def test_a_plant_with_another_step_is_told_that_the_word_is_taken(build, own):
-    with pytest.raises(TypeError, match=own):
-        build()
-
-
 def test_a_plant_is_a_difference_equation_where_its_class_has_a_number():
     assert time_step_of(Sampled()) == 0.1 and time_step_of(Tank()) is None

@@ -1,4 +1,3 @@
-import pytest
 import torch
 
 from dynasindy.systems import Stops
@@ -18,16 +17,3 @@ def test_each_position_has_its_own_stops_and_all_are_tried():
     assert held.tolist() == [[0.5, 0, -0.2, 0], [-1, 0, 0.3, -1], [0, 4, 0, -4]]
     assert touched.tolist() == [True, True, False]
     assert stops == Stops((0, 2), (1, 3), (-1.0, -0.2), (0.5, 0.3))
-
-
-@pytest.mark.parametrize(
-    "wrong", [((0,), (1, 2), (-1.0,), (1.0,)), ((0,), (1,), (-1.0, 0.0), (1.0,)), ((0,), (1,), (-1.0,), (1.0, 2.0))]
-)
-def test_each_position_needs_a_rate_a_low_and_a_high_end(wrong):
-    with pytest.raises(ValueError, match="complete"):
-        Stops(*wrong)
-
-
-def test_stops_without_travel_between_them_are_refused():
-    with pytest.raises(ValueError, match="widen"):
-        Stops((0,), (1,), (1.0,), (1.0,))

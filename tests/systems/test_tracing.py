@@ -67,15 +67,6 @@ def test_constants_of_its_own_are_read_and_copies_move_alike():
         assert torch.equal(integrate(twin, x, u, 0.05, 2)[0], samples)
 
 
-@needs_compiler
-def test_only_numbers_of_one_kind_without_a_gradient_are_moved_so():
-    system = Xi()
-    x, u = drawn(system, 5)
-    assert system.compiled(x.half(), u.half()) is None
-    assert system.compiled(x, u[:1]) is None
-    assert integrate(system, x.requires_grad_(), u, 0.05, 1)[0].requires_grad
-
-
 def test_without_a_compiler_torch_moves_the_plant(monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
@@ -131,18 +122,6 @@ def test_what_cannot_be_read_is_told(forward, words):
         program(forward, 2, 1)
 
 
-def test_a_class_whose_code_cannot_be_read_is_named_with_what_to_do():
-    class Rooted(System):
-        machine_code = True
-
-        def forward(self, x, u):
-            return torch.stack([torch.erf(x[..., 0])], -1)
-
-    plant = Rooted(Signature(("a",), ("rad",), ("u",), (1.0,)))
-    with pytest.raises(TypeError, match="machine_code"):
-        plant.compiled(torch.zeros(2, 1), torch.zeros(2, 1))
-
-
 @needs_compiler
 def test_a_plant_whose_numbers_are_set_anew_moves_by_them():
     system = Pendulum()
@@ -152,16 +131,6 @@ def test_a_plant_whose_numbers_are_set_anew_moves_by_them():
     after = integrate(system, x, u, 0.1, 2)[0]
     torch.testing.assert_close(after, steps(system, x, u, 0.1, 2)[0], rtol=1e-12, atol=1e-12)
     assert not torch.allclose(after, before)
-
-
-@needs_compiler
-def test_a_plant_that_was_changed_from_outside_moves_as_it_is_called():
-    x, u = drawn(Pendulum(), 4)
-    turned, hooked = Pendulum(), Pendulum()
-    turned.forward = lambda x, u: torch.zeros_like(x)
-    hooked.register_forward_hook(lambda module, given, dx: 0 * dx)
-    for system in (turned, hooked):
-        assert torch.equal(integrate(system, x, u, 0.1, 1)[0][:, 0], x)
 
 
 @needs_compiler
