@@ -227,7 +227,7 @@ def test_nothing_is_promised_where_what_the_log_keeps_is_shorter_than_the_equati
     shortage = refit_shortage(model, log)  # known before the plan
     assert shortage.values["samples"] == len(log.validation) // 2 < shortage.values["functions"]
     controller = dynasindy.plan(model, {"theta": (-0.6, 0.6)}, log, **SHORT)
-    found = forecast(controller, model, log)
+    found = forecast(controller, model, log, BRIEF)
     assert shortage in found.findings and not found.promised and found.evaluation is not None
     assert refit_shortage(model, None) is None
 

@@ -68,9 +68,7 @@ def difference(controller, plant, n_r):
 KINDS = [
     {},
     {"integral": {"gain": 3.0, "band": 0.9, "rate": 0.4, "limit": 0.05}},
-    {"delay": 0.0, "disturbance": False},
     {"delay": 0.04, "stops": False},
-    {"observer": False},
     {"observer": False, "integral": {"band": 0.9}},
     {"ends": [[-0.02], [0.05]]},
     {"observer": False, "ends": [[0.185], [0.216]]},
@@ -194,7 +192,7 @@ WATCHED = ("-O1", "-std=c99", "-fsanitize=address,undefined", "-fno-sanitize-rec
 
 
 @needs_compiler
-@pytest.mark.parametrize("settings", KINDS[1:2] + KINDS[5:6], ids=str)
+@pytest.mark.parametrize("settings", KINDS[1:2] + KINDS[3:4], ids=str)
 def test_no_array_is_read_or_written_beyond_its_ends(pendulum, tmp_path, settings):
     sources = controller_sources(pendulum(**settings))
     program = """#include <math.h>
@@ -334,16 +332,15 @@ def glitched(controller, seed, periods=120):
 
 
 @needs_compiler
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", ["pendulum", "late", "oven", "rotors"])
-def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, rotors, kind, seed):
+def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, rotors, kind):
     controller = {
         "pendulum": lambda: pendulum(integral={"gain": 3.0}, delay=0.0, stops=False),
         "late": lambda: pendulum(disturbance=False),
         "oven": oven,
         "rotors": rotors,
     }[kind]()
-    readings = glitched(controller, seed, 40 if kind == "rotors" else 120)
+    readings = glitched(controller, 0, 40 if kind == "rotors" else 120)
     r = [70.0 if kind == "oven" else 0.1] * len(controller.outputs)
     expected = answers(controller.act, readings, r)
     found = answers(Native(controller_sources(controller)).act, readings, r)

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from dynasindy.dyna.simulated import Simulated
-from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import LogError, note
 from dynasindy.identification.identify import LoggedData, identify_source
@@ -169,22 +168,6 @@ def test_a_rate_of_the_plant_needs_no_column_and_is_estimated_with_the_model(tmp
     )
     with pytest.raises(ValueError, match="no column 'Omega'"):
         LoggedData(path).load(Pendulum(), EXCITATION)
-
-
-@pytest.fixture
-def angle_alone(tmp_path):
-    """Write a log of the pendulum without its rate."""
-    data = record_plant(Pendulum(), Aprbs(1, 5.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
-    rows = "\n".join(f"{0.01 * k:.2f},{float(data.x[k, 0])!r},{float(data.u[k, 0])!r}" for k in range(len(data)))
-    (tmp_path / "log.csv").write_text("time [s],angle [rad],u\n" + rows)
-    return str(tmp_path / "log.csv")
-
-
-def test_no_delay_stands_for_a_rate_that_the_log_lacks(angle_alone):
-    source = LoggedData(angle_alone).load(None, EXCITATION)
-    model = SindyModel(source.signature, "auto", Regression("bic"), Refinement("auto", longest_delay=0.05))
-    found = identify_source(model, source)
-    assert "angle_rate" in found.model.signature.state_names and "model.delay" not in codes(found.findings)
 
 
 def test_no_verdict_is_given_on_a_log_that_is_too_quiet_to_tell():

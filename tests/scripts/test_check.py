@@ -75,13 +75,10 @@ def test_the_main_figures_join_what_the_run_has_written_and_leave_it_as_it_is(tm
     assert json.loads(kept.read_text())["check"] == told
 
 
-@pytest.mark.parametrize("group", ["task", "plant"])
-def test_steps_begin_where_the_run_says_that_episodes_do(tmp_path, group):
+def test_steps_begin_where_the_run_says_that_episodes_do(tmp_path):
     run_folder(tmp_path / "run", 2.0)
-    lines = {"plant": "low: [-0.1], high: [0.1]", "task": "low: [0.0]"}
-    lines[group] += ", start: {p: [0.02, 0.06]}, bounds: {p: 1.0, v: [-2.0, 2.0]}"
-    text = "".join(f"{name}: {{{words}}}\n" for name, words in lines.items())
-    (tmp_path / "run" / "config.yaml").write_text(text)
+    words = "low: [-0.1], high: [0.1], start: {p: [0.02, 0.06]}, bounds: {p: 1.0, v: [-2.0, 2.0]}"
+    (tmp_path / "run" / "config.yaml").write_text(f"plant: {{{words}}}\n")
     done = called(tmp_path, *SMALL)
     assert done.returncode == 0, done.stderr
     assert "p = 0.04 m" in done.stdout

@@ -9,17 +9,6 @@ import pytest
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
-COMMAND = """
-from cli import command
-
-@command("evaluate")
-def main(cfg) -> None:
-    for line in range(100_000):
-        print("a line of a table")
-
-main()
-"""
-
 
 def unread(*arguments, cwd):
     """Run Python with an output that has lost its reader before the first line; return exit code and stderr."""
@@ -31,10 +20,6 @@ def unread(*arguments, cwd):
         process.stdout.close()
         error = process.stderr.read()
     return process.returncode, error
-
-
-def test_a_command_ends_without_a_word(tmp_path):
-    assert unread("-c", COMMAND, cwd=tmp_path) == (141, "")
 
 
 def test_so_does_a_script_that_exits(tmp_path):
