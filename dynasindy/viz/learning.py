@@ -74,7 +74,6 @@ def average_rewards(
     curves: Curves,
     episode: ArrayLike | None = None,
     title: str = "Average rewards",
-    longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]] | None = None,
 ) -> Figure:
     """Draw interquartile mean and 95 % bootstrap band over seeds of the return, one line per setting.
 
@@ -84,8 +83,6 @@ def average_rewards(
         curves: `(n_seeds, n_episodes)` return of each episode, per setting.
         episode: `(n_episodes,)` numbers of the episodes, by default 1, 2, ...
         title: of the figure.
-        longer: single runs that went on after the last episode of the curves, drawn faintly: `(n,)` episodes and `(n,)`
-            returns of each, per setting.
     """
     figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
     size = np.abs(np.concatenate([[LINEAR], *(array(values).ravel() for values in curves.values())]))
@@ -94,7 +91,6 @@ def average_rewards(
     if logarithmic:
         axis.set_yscale("symlog", linthresh=LINEAR)
     _draw_bands(axis, curves, episode)
-    _draw_longer(axis, longer or {}, list(curves))
     low, high = sorted(axis.get_ylim())
     if logarithmic and sum(low <= tick <= high for tick in axis.get_yticks()) < FEWEST_TICKS:
         axis.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=LINEAR, subs=[1.0, 2.0, 5.0]))
@@ -227,18 +223,6 @@ def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
     axis.set_xlim(-0.5, len(names) - 0.5)
     axis.grid(visible=False, axis="x")
     axis.set_xlabel(f"setting, after real episode {episode:g}")
-
-
-def _draw_longer(axis: Axes, longer: Mapping[str, Sequence[tuple[ArrayLike, ArrayLike]]], known: Sequence[str]) -> None:
-    """Draw single runs as thin lines in the colours of their settings, and widen the axis to their ends."""
-    of = line_styles(dict.fromkeys([*known, *longer]))
-    left, right = axis.get_xlim()
-    for name, runs in longer.items():
-        label = f"{name}, longer ({len(runs)} seed{'s' * (len(runs) > 1)})"
-        for x, y in runs:
-            axis.plot(array(x), array(y), linewidth=0.8, alpha=0.55, zorder=1.5, label=label, **of[name])
-            right = max(right, 1.02 * array(x).max() - 0.02 * left)
-    axis.set_xlim(left, right)
 
 
 def _without_common_words(rows: list[Row]) -> list[Row]:

@@ -27,9 +27,8 @@ __all__ = ["SECTIONS", "TITLE", "Results", "build", "pages"]
 TITLE = "The paper's figures and tables, beside ours"
 COLUMNS = [case_name(*case) for case in CASES]
 MEANINGS = {
-    Verdict.AS: "Our numbers show what the paper's figure or table shows.",
-    Verdict.BETTER: "They do not show it because ours is better in the very sense of the statement.",
-    Verdict.SHORT: "Our runs, as long as they are, do not show it, and are not better either.",
+    Verdict.HOLDS: "Our numbers show what the paper's figure or table shows.",
+    Verdict.SHORT: "Our runs, as long as they are, do not show it.",
     Verdict.UNKNOWN: "No saved result says anything about it, or a number that it compares is not finite.",
 }
 
@@ -82,7 +81,6 @@ def _claims(sections: Sequence[Section], results: Results) -> Section:
         for one, words in (("dyna", "our settings"), ("paper", "the paper's settings"))
     )
     verdicts = [finding.verdict for section in sections for finding in section.findings]
-    kinds = ", ".join(f"{verdicts.count(verdict)} {verdict.value}" for verdict in Verdict)
     about = (
         "The paper, Dyna-Style Reinforcement Learning Modeling and Control of Non-linear Dynamics, identifies a "
         "twin-rotor rig by SINDy and trains TD3 on the real rig and on imagined rollouts of the model. What "
@@ -94,7 +92,7 @@ def _claims(sections: Sequence[Section], results: Results) -> Section:
         f"**The paper makes {len(CLAIMS)} claims. So many of them hold here in full: {counts}.** The paper's "
         f"controllers with a model have learnt for {EPISODES} episodes; what `paper` does not reach here it does not "
         "reach in the episodes of these runs. Each cell leads to its evidence, and says how many of the statements "
-        f"behind it hold. Of {len(verdicts)} comparisons in all: {kinds}."
+        f"behind it hold. Of {len(verdicts)} statements in all {verdicts.count(Verdict.HOLDS)} hold."
     )
     return Section(
         "The verdict", about, [], [words, TextTable(["what the paper claims, in our words", *COLUMNS], rows)]
@@ -104,7 +102,7 @@ def _claims(sections: Sequence[Section], results: Results) -> Section:
 def _share(findings: Sequence[Finding]) -> str:
     """Return in words how much of a claim holds; a claim does if each of its statements is measured and does."""
     verdicts = [finding.verdict for finding in findings]
-    unknown, count = verdicts.count(Verdict.UNKNOWN), verdicts.count(Verdict.AS) + verdicts.count(Verdict.BETTER)
+    unknown, count = verdicts.count(Verdict.UNKNOWN), verdicts.count(Verdict.HOLDS)
     if unknown == len(findings):
         return Verdict.UNKNOWN.value
     words = "holds" if count == len(findings) else "in part" if count else "not reached"

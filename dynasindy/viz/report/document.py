@@ -31,27 +31,24 @@ SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
 class Verdict(Enum):
     """How ours stands to a statement of the paper."""
 
-    AS = "as in the paper"
-    BETTER = "better than the paper"
+    HOLDS = "holds"
     SHORT = "not reached"
     UNKNOWN = "not measured"
 
 
 COLOURS = {
-    Verdict.AS.value: "good",
-    Verdict.BETTER.value: "better",
+    Verdict.HOLDS.value: "good",
     Verdict.SHORT.value: "short",
-    "holds": "good",
     "in part": "part",
 }
 """Class of a cell that begins with a verdict."""
 
 
 class Statement(NamedTuple):
-    """What a figure of the paper shows, and what the paper claims by it, if it is one of its claims."""
+    """What a figure of the paper shows, and which of the paper's claims rests on it."""
 
     words: str
-    claim: str = ""
+    claim: str
 
 
 class Finding(NamedTuple):
@@ -59,7 +56,7 @@ class Finding(NamedTuple):
 
     ours: str = "no saved result"
     verdict: Verdict = Verdict.UNKNOWN
-    statement: Statement = Statement("")
+    statement: Statement = Statement("", "")
     case: str = ""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
@@ -11,7 +10,6 @@ import torch
 from matplotlib.figure import Figure
 
 from dynasindy.evaluation.metrics import MIN_STEP
-from dynasindy.safe_io import read_rows
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
@@ -27,7 +25,6 @@ from dynasindy.viz.report.results import (
     ABLATION,
     CASES,
     MANY,
-    NONE,
     PLANTS,
     SETTINGS,
     Entry,
@@ -50,7 +47,7 @@ from dynasindy.viz.report.verdicts import (
 from dynasindy.viz.response import tracking
 from dynasindy.viz.run import Table as Columns
 from dynasindy.viz.run import periods, stacked
-from dynasindy.viz.style import BLACK, BLUE, GREY, Array, label_decades, panels, styled, time_axis
+from dynasindy.viz.style import Array
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 TRACKED, REFERENCES = tuple(AXES), tuple(f"reference_{name}" for name in AXES)
@@ -59,16 +56,6 @@ MODEL_FREE = ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "sb3_td3", "sb3_td3_5"
 """Other settings of the ablation that have no model, which planning is compared with too."""
 FIRST = "The first of the 64 targets, the one nearest to three quarters of the upper ends,"
 """Which target a saved step response is of, see `step_references`."""
-MAKE = "python scripts/benchmark.py rigs --data FOLDER"
-RIGS = {"emps": "the EMPS axis", "tanks": "the cascaded tanks", "qube": "the QUBE pendulum"}
-"""Real plants of which logs were measured."""
-PUBLISHED = {
-    "emps": {"best published": 2.64, "best baseline": 5.17},
-    "tanks": {"best published": 0.191, "best baseline": 0.396},
-}
-"""Errors on the test logs that others reached (arXiv 2405.10779), in the unit of the rows."""
-SHOWN = ("test simulated, RMSE", "both angles 0.2 s ahead, RMSE", "both angles 0.5 s ahead, RMSE")
-"""Errors that are drawn, each in a panel of its own."""
 Made = Iterator[Part | Finding]
 
 
@@ -196,7 +183,6 @@ def _rewards(results: Results, plant: str, experiment: str) -> Made:
         SETTINGS[name]: np.array([[float(seed[k]["evaluated_return"]) for k in episodes] for seed in of.values()])
         for name, of in seeds.items()
     }
-    ends = {SETTINGS[name]: [_worst_error(seed[episodes[-1]]) for seed in of.values()] for name, of in seeds.items()}
     to_level: dict[str, list[float]] = {}
     for name in (*seeds, *MODEL_FREE):
         own = [row for row in runs if row["setting"] == name]
@@ -204,41 +190,16 @@ def _rewards(results: Results, plant: str, experiment: str) -> Made:
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         if own or name in seeds:
             to_level[words] = [float(row["episodes_to_level"] or np.inf) for row in own]
-    yield from judge_rewards(curves, to_level, ends)
-    longer = _longer_runs(results, plant, episodes[-1]) if experiment == "paper" else {}
+    yield from judge_rewards(curves, to_level)
     caption = (
         f"Return of the policy without noise over 64 fixed steps after real episodes, up to {episodes[-1]:g} of them: "
         "interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed where there are fewer than "
         "three."
     )
-    more = " Thin lines are other runs, which went on; `docs/ablation.md` has them in numbers." if longer else ""
     title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
-    figure = average_rewards(curves, episodes, title, longer)
+    figure = average_rewards(curves, episodes, title)
     source = results.source("ablation_curves.csv", make, [row for row in runs if row["setting"] in seeds])
-    yield Picture(f"average_rewards_{plant}_{experiment}", figure, caption + more, source)
-
-
-def _worst_error(row: Row) -> float:
-    """Return the steady-state error of the worse axis [rad], NaN where the row has none."""
-    cells = [cell for name, cell in row.items() if name.startswith("evaluated_steady_state_error/")]
-    return max(map(float, cells)) if cells and all(cells) else np.nan
-
-
-def _longer_runs(results: Results, plant: str, beyond: float) -> dict[str, list[tuple[Array, Array]]]:
-    """Return episodes and returns of the paper's experiment where it went on after an episode, by setting."""
-    file = results.folder / "paper_in_full.csv"
-    curves: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for row in read_rows(file) if file.is_file() else []:
-        if row["system"] == plant:
-            point = float(row["episode"]), float(row["evaluated_return"])
-            curves.setdefault((row["setting"], row["seed"]), []).append(point)
-    longer: dict[str, list[tuple[Array, Array]]] = {}
-    for name, words in SETTINGS.items():
-        for own in (sorted(points) for (setting, _), points in curves.items() if setting == name):
-            if own[-1][0] > beyond:
-                episode, returns = np.array(own).T
-                longer.setdefault(words, []).append((episode, returns))
-    return longer
+    yield Picture(f"average_rewards_{plant}_{experiment}", figure, caption, source)
 
 
 def _steps(results: Results, plant: str, experiment: str) -> Made:
@@ -266,10 +227,10 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
     settings = ("rollouts_800", "rollouts_0")
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
-    target, *outputs = (
-        stacked(tables[words], names) for words, names in ((MANY, REFERENCES), (MANY, TRACKED), (NONE, TRACKED))
+    output = stacked(tables[MANY], TRACKED)
+    yield from (judge_sine if shape == "sine" else judge_square)(
+        tables[MANY]["time"], stacked(tables[MANY], REFERENCES), output
     )
-    yield from (judge_sine if shape == "sine" else judge_square)(tables[MANY]["time"], target, *outputs)
     caption = f"The {shape} wave on `{plant}`, after {results.episodes(plant, experiment, settings)}."
     yield Picture(f"{shape}_{plant}_{experiment}", figure, caption, " ".join(run.source for run in runs.values()))
 
@@ -293,89 +254,6 @@ def _gradient_run(results: Results, plant: str, scenario: str) -> Made:
     seconds = run.record("metrics.json")["cost"]["plant_seconds"]
     caption = f"{FIRST if scenario == 'step' else f'The {scenario}'} on `{plant}` after {seconds:.0f} s of plant time."
     yield Picture(f"gradient_{scenario}_{plant}", figure, caption, run.source)
-
-
-def _rig(results: Results, rig: str) -> Made:
-    """Yield the errors of a real plant's models on the test log."""
-    rows = [row for row in results.rows("rigs.csv", MAKE) if row["rig"] == rig and row["metric"] in SHOWN]
-    # The newest of each model; names with a comma are variants of one.
-    newest = list({(row["metric"], row["model"]): row for row in rows if "," not in row["model"]}.values())
-    if not newest:
-        yield f"Not measured: `{results.folder.name}/rigs.csv` has no row of `{rig}`."
-        return
-    caption = f"Errors of models of {RIGS[rig]} on the test log, fitted to the training log."
-    figure = _error_bars(newest, PUBLISHED.get(rig, {}))
-    yield Picture(f"rig_{rig}", figure, caption, results.source("rigs.csv", MAKE, newest))
-
-
-def _rig_over_time(results: Results, rig: str) -> Made:
-    if rows := [row for row in results.rows("rigs_over_time.csv", MAKE) if row["rig"] == rig]:
-        caption = (
-            f"Errors of simulations of {RIGS[rig]} over the test log, from its start: simulated less measured. Each "
-            "panel has a range of its own."
-        )
-        source = results.source("rigs_over_time.csv", MAKE, rows)
-        yield Picture(f"rig_{rig}_over_time", _error_courses(rows), caption, source)
-
-
-@styled
-def _error_bars(rows: Sequence[Row], published: Mapping[str, float]) -> Figure:
-    """Draw a bar per model, the shortest at the top of each panel, and lines where others are.
-
-    A model whose simulation runs away has words in the place of a bar, as its error is no number.
-
-    Args:
-        rows: Rows of a rig with `metric`, `model`, `value` and `unit`.
-        published: Errors of others in the same unit, by what they are.
-    """
-    metrics = list(dict.fromkeys(row["metric"] for row in rows))
-    figure, axes = panels(len(metrics), size=(7.0, 1.0 + 1.6 * len(metrics)), sharex=False)
-    for axis, metric in zip(axes, metrics, strict=True):
-        own = sorted((row for row in rows if row["metric"] == metric), key=lambda row: -float(row["value"]))
-        values = [float(row["value"]) for row in own]
-        finite = [*filter(math.isfinite, values), *published.values()] or [1.0]
-        low, high = 0.5 * min(finite), 2 * max(finite)
-        widths = [value if math.isfinite(value) else low for value in values]
-        bars = axis.barh([_name(row) for row in own], widths, color=[_colour(row) for row in own])
-        clear = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}  # lines of others may run through a number
-        words = [f"{value:g}" if math.isfinite(value) else "runs away" for value in values]
-        axis.bar_label(bars, words, padding=3, bbox=clear)
-        axis.set_xscale("log")
-        for dashes, (name, value) in zip(("--", ":"), published.items(), strict=False):
-            axis.axvline(value, color=BLACK, linestyle=dashes, label=f"{name}, {value:g} {own[0]['unit']}")
-        axis.set_xlim(low, high)
-        label_decades(axis.xaxis)
-        axis.set_xlabel(f"{metric} [{own[0]['unit']}]")
-        if published:
-            axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    return figure
-
-
-@styled
-def _error_courses(rows: Sequence[Row]) -> Figure:
-    """Draw the errors of each model over a log, each in a panel with limits of its own, ours first.
-
-    Args:
-        rows: Rows of a rig with `model`, `seconds`, `error` and `unit`.
-    """
-    models = sorted(dict.fromkeys(row["model"] for row in rows), key=lambda name: not name.startswith("ours"))
-    figure, axes = panels(len(models), size=(7.0, 0.6 + 1.1 * len(models)))
-    for axis, model in zip(axes, models, strict=True):
-        own = [row for row in rows if row["model"] == model]
-        axis.plot([float(row["seconds"]) for row in own], [float(row["error"]) for row in own], color=_colour(own[0]))
-        axis.axhline(0.0, color=BLACK, linewidth=0.6)
-        axis.set_title(_name(own[0]), loc="left")
-        axis.set_ylabel(f"error [{own[0]['unit']}]")
-    time_axis(axes[-1], [float(row["seconds"]) for row in rows])
-    return figure
-
-
-def _name(row: Row) -> str:
-    return "PySINDy" if row["model"] == "pysindy" else row["model"]
-
-
-def _colour(row: Row) -> str:
-    return BLUE if row["model"].startswith("ours") else GREY
 
 
 OPEN_LOOP = (
@@ -477,13 +355,6 @@ SECTIONS: Sequence[Entry] = (
         "errors over seeds and cases, `docs/results/baselines.md` other controllers, `docs/identification.md` what "
         "identification reaches beside PySINDy.",
         [(_gradient_run, [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")])],
-    ),
-    Entry(
-        "Beyond the paper: logs of real plants",
-        "Logs of real plants: models are fitted to the training log, and predict a test log that no fit has seen. The "
-        "last score of each is drawn. Variants, whose names go on behind a comma, stand in `docs/results/README.md`: "
-        "earlier settings, what was chosen after a look at a score, and single trials.",
-        [pair for rig in RIGS for pair in ((_rig, [(rig,)]), (_rig_over_time, [(rig,)]))],
     ),
 )
 """The paper from its first figure to its last, and what is beyond it."""

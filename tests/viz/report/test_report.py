@@ -1,6 +1,5 @@
 """The report of results written by hand, and that of docs/results."""
 
-import csv
 import re
 import shutil
 from collections import Counter
@@ -56,7 +55,7 @@ def test_the_committed_report_is_that_of_the_saved_results(saved):
     shown = (REPOSITORY / "docs/report/report.md").read_text()
     assert render_markdown(TITLE, saved, "report.html") == shown, "run: python scripts/report.py"
     figures = set(re.findall(r"\]\(figures/([^)]+)\)", shown))
-    assert figures == {one.name for one in (REPOSITORY / "docs/report/figures").iterdir()} and len(figures) > 40
+    assert figures == {one.name for one in (REPOSITORY / "docs/report/figures").iterdir()} and len(figures) > 35
     assert (REPOSITORY / "docs/report/report.html").read_text().count("<svg ") == len(figures)
 
 
@@ -93,8 +92,7 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     np.testing.assert_allclose(curves["800 rollouts (3 seeds)"], [-10.0 / k + 1.0 for k in range(1, 7)])
     np.testing.assert_allclose(curves["no planning (3 seeds)"], [-200.0 / k + 1.0 for k in range(1, 7)])
     found = measured(section)
-    assert numbers(found[2].ours) == [400, 6, 800, 4] and found[2].verdict is Verdict.AS
-    assert numbers(found[4].ours)[-8:] == [0.2, 0.2, 400, 0.05, 0.0501, 800, 0.01, 0.01]
+    assert numbers(found[1].ours) == [400, 6, 800, 4] and found[1].verdict is Verdict.HOLDS
     assert "abc1234 and def5678" in picture(section).source
     assert len(missing(section)) == OF_FOUR and "python scripts/ablation.py system=xi" in missing(section)[0]
 
@@ -110,23 +108,11 @@ def test_agents_without_a_model_and_runs_of_other_lengths(results, tmp_path):
                 file.writelines(f"xi,dyna,{name},{seed},{k},-1,0.01,0.01\r\n" for k in range(7, end + 1))
     more = Results(folder, results.settings)
     section = built("Figure 11", more)
-    level = measured(section)[2]
+    level = measured(section)[1]
     assert numbers(level.ours)[-2:] == [7, 5] and level.verdict is Verdict.SHORT
     # Nothing is compared after episode 7, which is as far as all seeds go.
     assert {len(line.get_xdata()) for line in picture(section).figure.axes[0].lines} - {0} == {7}
     assert more.episodes("xi", "dyna") == "6 episodes, 6 and 9 in figure 11"
-
-
-def test_the_whole_curve_of_longer_runs(results, tmp_path):
-    folder = shutil.copytree(results.folder, tmp_path / "results")
-    for name in ("ablation.csv", "ablation_curves.csv"):
-        (folder / name).write_text((folder / name).read_text().replace("xi,dyna", "xi,paper"))
-    header = "system,setting,seed,episode,evaluated_return,azimuth,pitch,commit\n"
-    rows = [f"xi,rollouts_800,0,{k},{-600 / k},{1 / k},{2 / k},abc1234\n" for k in (5, 10, 20, 40)]
-    (folder / "paper_in_full.csv").write_text(header + "".join(rows))
-    (axis,) = picture(built("Figure 11", Results(folder, results.settings))).figure.axes
-    points = [[5, -120], [10, -60], [20, -30], [40, -15]]
-    assert points in [line.get_xydata().tolist() for line in axis.lines] and axis.get_xlim()[1] > 40
 
 
 def test_the_error_of_the_model_over_episodes(results):
@@ -135,17 +121,16 @@ def test_the_error_of_the_model_over_episodes(results):
     np.testing.assert_allclose(whole.get_ydata(), [5.0 * 0.1**k for k in range(1, 7)])
     np.testing.assert_allclose(judged.get_ydata(), [0.1**k for k in range(1, 7)])
     (finding,) = measured(section)
-    assert finding.verdict is Verdict.AS and "from episode 2" in finding.ours
+    assert finding.verdict is Verdict.HOLDS and "from episode 2" in finding.ours
 
 
 def test_states_and_coefficients_are_judged_by_their_numbers(results):
     before, after = (built(f"Figure {number}:", results) for number in (9, 10))
-    assert [finding.verdict for finding in measured(before)] == [Verdict.AS, Verdict.AS]
-    assert "`alpha_a` 50" in measured(before)[1].ours  # an offset of 0.1 on a sine of amplitude 0.1
+    assert [finding.verdict for finding in measured(before)] == [Verdict.HOLDS]
     # The states of the excitation are sines, which no such model gives under its inputs.
-    assert [finding.verdict for finding in measured(after)] == [Verdict.AS, Verdict.SHORT]
+    assert [finding.verdict for finding in measured(after)] == [Verdict.HOLDS, Verdict.SHORT]
     section = built("Table 2", results)
-    assert [finding.verdict for finding in measured(section)] == [Verdict.AS]
+    assert [finding.verdict for finding in measured(section)] == [Verdict.HOLDS]
     (table,) = tables(section)
     cells = {(row[0], name): cell for row in table.rows for name, cell in zip(table.header[1:], row[1:])}
     assert cells["`Omega_a`", "d `Omega_a`/dt"] == "-10.057 (-10.057)"
@@ -156,7 +141,7 @@ def test_steps_and_waves_are_those_of_the_runs(results):
     section = built("Figures 12", results)
     (table,) = tables(section)
     assert [list(row[1:]) for row in table.rows] == [[error, error, "5", "-"] for error in ("0.2", "0.05", "0.01")]
-    assert [finding.verdict for finding in section.findings[:3]] == [Verdict.AS, Verdict.BETTER, Verdict.AS]
+    assert [finding.verdict for finding in section.findings[:2]] == [Verdict.HOLDS] * 2
     for number in (14, 15):
         (axis, _) = picture(built(f"Figure {number}:", results)).figure.axes
         lines = {line.get_label(): line.get_ydata() for line in axis.lines}
@@ -173,22 +158,6 @@ def test_hyperparameters_are_those_of_the_saved_runs(saved):
     assert [float(row[4]) for row in table.rows] == [float(row[2]) for row in table.rows]
 
 
-def row(model, value, metric="test simulated, RMSE"):
-    return {"rig": "tanks", "model": model, "metric": metric, "value": value, "unit": "V", "commit": "abc1234"}
-
-
-def test_bars_are_as_long_as_the_newest_errors_and_lines_stand_where_others_are(tmp_path):
-    rows = [row("ours", "0.3"), row("ours, earlier", "0.1"), row("ours", "0.1", "train"), row("ours", "0.2")]
-    rows += [row("pysindy", "2.5"), row("linear", "inf")]
-    with (tmp_path / "rigs.csv").open("w", newline="") as file:
-        csv.DictWriter(file, rows[0]).writerows([dict(zip(rows[0], rows[0])), *rows])
-    (axis,) = picture(built("Beyond the paper: logs", Results(tmp_path))).figure.axes
-    names = [label.get_text() for label in axis.get_yticklabels()]
-    widths = dict(zip(names, (bar.get_width() for bar in axis.patches), strict=True))
-    assert widths == {"linear": axis.get_xlim()[0], "PySINDy": 2.5, "ours": 0.2}
-    assert [tuple(line.get_xdata()) for line in axis.lines] == [(0.191, 0.191), (0.396, 0.396)]
-
-
 def test_without_any_result_every_section_stands_and_says_what_makes_it(saved, tmp_path):
     html, markdown, *figures = build(Results(tmp_path), tmp_path / "report")
     assert not figures and html.is_file()
@@ -201,7 +170,7 @@ def test_without_any_result_every_section_stands_and_says_what_makes_it(saved, t
         {(finding.case, finding.statement) for section in page for finding in section.findings}
         for page in (saved, empty)
     )
-    assert everything == nothing and len(nothing) == 98
+    assert everything == nothing and len(nothing) == 62
 
 
 @pytest.mark.parametrize(
