@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import groupby
 
 COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
@@ -16,8 +15,6 @@ COMMENT = "  # "
 SIGN = re.compile(r" (?=[+-] )")
 COLUMN = re.compile(r".*\S {2,}(?=\S)")
 """A row up to its last column, two spaces or more behind the one before."""
-RULE = re.compile(r"\|(?:\s*:?-+:?\s*\|)+\s*")
-"""The second line of a table in Markdown."""
 
 
 @dataclass(frozen=True)
@@ -95,21 +92,14 @@ def wrap(text: str, columns: int) -> str:
     A row whose last column is too wide goes on below that column, if it begins in the left half, else a little further
     right than the row itself, so that rows can be told apart.
     A command stays one line, which the terminal wraps: of two lines, a shell would take the second for another command.
-    A comment that does not fit behind it stands below it, each of its lines a comment. A table in Markdown that is too
-    wide is turned.
+    A comment that does not fit behind it stands below it, each of its lines a comment. A row of a table in Markdown,
+    which is to be copied into a page, stays one line as well.
     """
-    wrapped: list[str] = []
-    for _, several in groupby(text.split("\n"), lambda line: line.startswith("| ")):
-        lines = [*several]
-        if _is_table(lines):  # a lone line may begin with a bar as well
-            wrapped += _turn_table(lines, columns)
-        else:
-            wrapped += [part for line in lines for part in _wrap_line(line, columns)]
-    return "\n".join(wrapped)
+    return "\n".join(part for line in text.split("\n") for part in _wrap_line(line, columns))
 
 
 def _wrap_line(whole: str, columns: int) -> list[str]:
-    if len(whole) <= columns:
+    if len(whole) <= columns or whole.startswith("| "):
         return [whole]
     start = " " * (len(whole) - len(whole.lstrip()))
     if COMMAND.match(whole):
@@ -148,56 +138,3 @@ def _terms(whole: str) -> list[str]:
         else:
             terms.append(part)
     return terms
-
-
-def _is_table(lines: Sequence[str]) -> bool:
-    """Return whether lines are a table in Markdown: names, a rule, and rows with as many cells as there are names."""
-    if len(lines) < 3 or not RULE.fullmatch(lines[1]):
-        return False
-    return len({len(_cells(line)) for line in lines}) == 1
-
-
-def _turn_table(lines: Sequence[str], columns: int) -> list[str]:
-    """Return a table in lines that fit.
-
-    A table that fits stays as it is. Of another one, each column becomes a line, with the cells of as many rows side by
-    side as fit; those of the other rows follow below.
-
-    Args:
-        lines: Those of the table in Markdown: names, a rule, rows; see `_is_table`.
-        columns: Columns of the terminal.
-    """
-    if max(map(len, lines)) <= columns:
-        return [*lines]
-    head, _, *rows = map(_cells, lines)
-    label = max(map(len, head))
-    widths = [max(map(len, row), default=0) for row in rows]
-    turned: list[str] = []
-    for first, last in _groups(widths, columns - label):
-        turned += [""] if turned else []
-        for place, name in enumerate(head):
-            cells = "".join(f"  {rows[k][place]:<{widths[k]}}" for k in range(first, last))
-            turned += _fit_row(f"{name:<{label}}{cells}".rstrip(), columns)
-    return turned
-
-
-def _cells(line: str) -> list[str]:
-    """Return the cells of a row; Markdown has a backslash before a bar in a cell."""
-    return [cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", line.strip())[1:-1]]
-
-
-def _groups(widths: Sequence[int], room: int) -> Iterator[tuple[int, int]]:
-    """Yield the first row of each group of rows that stand side by side, and the one after its last."""
-    first, taken = 0, 0
-    for place, width in enumerate(widths):
-        if place > first and taken + 2 + width > room:
-            yield first, place
-            first, taken = place, 0
-        taken += 2 + width
-    yield first, len(widths)
-
-
-def _fit_row(line: str, columns: int) -> list[str]:
-    if len(line) <= columns:
-        return [line]
-    return textwrap.wrap(line, columns, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)

@@ -7,17 +7,13 @@ from typing import Any
 
 from cli import command
 
-STOPPED = "stopped.json"
-"""What a check that was stopped had found."""
-
 
 @command("check")
 def main(cfg: Any) -> None:
     """Print the verdict, write figures and numbers, and end with 1 where the loop is not stable."""
-    from dynasindy.checking import Check, ClosedLoop, Plant, Settings, check, check_verdict
+    from dynasindy.checking import ClosedLoop, Plant, Settings, check, check_verdict
     from dynasindy.checking.closed_loop import step_for
     from dynasindy.checking.verdict import check_record, main_figures, unstable_targets
-    from dynasindy.dyna import Stopped
     from dynasindy.export.write import Exported
     from dynasindy.progress import say
     from dynasindy.safe_io import add_to_json, output_folder, write_json
@@ -35,23 +31,9 @@ def main(cfg: Any) -> None:
     folder = output_folder(run, "check", cfg.folder)
     step = step_for(given.model, given.controller.setup, given.step)
     loop = ClosedLoop(given.controller, Plant(given.model, given.controller.dt, step, given.stops))
-    parts: list[Check] = []  # what was found until now, the latest last
-    try:
-        found = check(loop, settings, parts.append)
-    except KeyboardInterrupt as stop:
-        if not parts:
-            raise
-        findings = check_verdict(parts[-1])
-        write_json(folder / STOPPED, check_record(parts[-1], findings))
-        weak = sum(each.severity != "note" for each in findings)
-        line = (
-            f"stopped; {len(findings)} findings, {weak} of them weak or wrong, are kept in {folder / STOPPED}; not "
-            f"looked at: {', '.join(parts[-1].left)}; the same command begins anew"
-        )
-        raise Stopped(line, getattr(stop, "signal", 2)) from stop
+    found = check(loop, settings)
     findings = check_verdict(found)
     write_json(folder / "check.json", check_record(found, findings))
-    (folder / STOPPED).unlink(missing_ok=True)
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", main_figures(found, findings))

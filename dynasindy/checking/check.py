@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +12,6 @@ from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.linear_loop import (
-    RESTS,
     Array,
     Margins,
     RestingLoop,
@@ -32,12 +30,11 @@ from dynasindy.checking.simulation import (
     find_limit_cycles,
     has_dry_friction,
     large_signal_margins,
-    no_limit_cycles,
     recovery_plane,
     simulate_loop,
 )
 from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
-from dynasindy.progress import report_progress, track
+from dynasindy.progress import track
 from dynasindy.systems import ranges
 from dynasindy.systems.ranges import Ends
 
@@ -129,7 +126,6 @@ class Check:
         swings: What becomes of flights to the targets at which the loop is not stable.
         flown: Margins of flights from each target at which the loop is stable to the opposite one; None where there is
             none, and of a plant without dry friction, whose margins at rest are those of large movements as well.
-        left: What is not looked at yet, in words; the fields that it would fill are empty.
     """
 
     loop: ClosedLoop
@@ -147,7 +143,6 @@ class Check:
     planes: list[Plane]
     swings: LimitCycles
     flown: LargeSignalMargins | None
-    left: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -192,16 +187,15 @@ class Check:
     @property
     def stable(self) -> Tensor:
         """Whether the loop comes to rest and is stable there, bool `(n_targets,)`."""
-        return self.rest.still & torch.from_numpy(self.rest.linear.radius < 1)
+        return self.rest.stable
 
 
-def check(loop: ClosedLoop, settings: Settings, keep: Callable[[Check], object] | None = None) -> Check:
+def check(loop: ClosedLoop, settings: Settings) -> Check:
     """Look at a loop.
 
     Args:
         loop: Controller and model.
         settings: What is tried.
-        keep: Is handed what was found so far, each time that more was; `Check.left` says what is still to come.
 
     Raises:
         ValueError: The target range has another number of outputs than the controller.
@@ -210,113 +204,64 @@ def check(loop: ClosedLoop, settings: Settings, keep: Callable[[Check], object] 
         raise ValueError(
             f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
         )
-    settings = replace(settings, seconds=settings.seconds or PERIODS * loop.dt)
-    found = _begun(loop, settings)
-    for done, look in enumerate(STAGES.values(), 1):
-        found = replace(found, **look(found), left=tuple(STAGES)[done:])
-        if keep is not None:
-            keep(found)
-    return found
-
-
-def _begun(loop: ClosedLoop, settings: Settings) -> Check:
-    """Return where the loop rests, and nothing else yet."""
-    targets, signature = settings.targets, loop.signature
-    count, n_r, n_u, seconds = len(targets), loop.task.n_r, signature.n_u, float(settings.seconds or 0.0)
-    report_progress(RESTS, 0, count, "targets")
-    found = find_rest(loop, targets, seconds=seconds)
-    begin = _begin(loop, settings, settings.middle)
-    none, no_x, no_u = (torch.zeros(shape).double() for shape in ((count, 0), (0, 2, signature.n_x), (0, 1, n_u)))
+    seconds = settings.seconds or PERIODS * loop.dt
+    settings, targets = replace(settings, seconds=seconds), settings.targets
+    rest, begin = find_rest(loop, targets, seconds=seconds), _begin(loop, settings)
+    good = rest.stable
+    rows = [rest.linear.row(k) if ok else None for k, ok in enumerate(good.tolist())]
+    both = [
+        ([], None) if row is None else (loop_margins(row), noise_gain(row))
+        for row in track("margins", rows, len(rows), "targets")
+    ]
+    others = variants(loop.plant.model, settings.draws, settings.seed)
     return Check(
         loop,
         settings,
         targets,
         begin,
-        found,
-        [[] for _ in targets],
-        [None for _ in targets],
+        rest,
+        [margins for margins, _ in both],
+        [noise for _, noise in both],
         _stated(loop),
         _resolved(loop),
-        LoopSimulation(no_x, no_u, targets[:0], loop.task.outputs, loop.dt, loop.task.input_limits),
-        None,
-        Spread([], none, none.unsqueeze(-1).expand(count, 0, n_r), 0),
-        [],
-        no_limit_cycles(count, n_r, n_u, seconds),
-        None,
-        tuple(STAGES),
+        simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
+        _drawn(loop, others, targets[_farthest(loop, targets, begin)], begin, seconds),
+        spread(loop, targets[good], rest.select(good), others, seconds),
+        _recovery(loop, settings, targets, rest, seconds),
+        find_limit_cycles(loop, targets, good, seconds, begin),
+        _large_movements(loop, targets[good], rest.select(good), begin, seconds),
     )
 
 
-def _swinging(found: Check) -> dict[str, Any]:
-    return {"swings": find_limit_cycles(found.loop, found.targets, found.stable, found.seconds, found.begin)}
-
-
-def _bearing(found: Check) -> dict[str, Any]:
-    """Return margins and what noise does, at the targets at which the loop is stable."""
-    stable = found.stable.tolist()
-    rows = [found.rest.linear.row(k) if ok else None for k, ok in enumerate(stable)]
-    told = track("margins", rows, len(rows), "targets")
-    both = [([], None) if row is None else (loop_margins(row), noise_gain(row)) for row in told]
-    return {"margins": [each for each, _ in both], "noise": [each for _, each in both]}
-
-
-def _stepping(found: Check) -> dict[str, Any]:
-    begin = found.begin.expand(len(found.targets), -1)
-    return {"steps": simulate_loop(found.loop, begin, found.targets, found.seconds)}
-
-
-def _others(found: Check) -> Variants:
-    return variants(found.loop.plant.model, found.settings.draws, found.settings.seed)
-
-
-def _varying(found: Check) -> dict[str, Any]:
-    """Return where the loop rests with other plants, and flights of those that are drawn."""
-    others, good = _others(found), found.stable
-    rests = spread(found.loop, found.targets[good], found.rest.select(good), others, found.seconds)
-    return {"drawn": _drawn(found, others), "spread": rests}
-
-
-def _recovering(found: Check) -> dict[str, Any]:
+def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:
     """Start around the middle of the target range, which is none of an even number of targets along an output."""
-    settings, r = found.settings, found.middle.unsqueeze(0)
-    held = torch.isclose(found.targets, r, atol=0.0).all(-1).nonzero().flatten()
-    home = found.rest.select(held) if len(held) else find_rest(found.loop, r, seconds=found.seconds)
-    x = home.z[0, found.loop.parts["x"]]
-    return {"planes": recovery_plane(found.loop, x, r[0], settings.reach, settings.grid, found.seconds)}
+    r = settings.middle.unsqueeze(0)
+    held = torch.isclose(targets, r, atol=0.0).all(-1).nonzero().flatten()
+    home = rest.select(held) if len(held) else find_rest(loop, r, seconds=seconds)
+    return recovery_plane(loop, home.z[0, loop.parts["x"]], r[0], settings.reach, settings.grid, seconds)
 
 
-def _flying(found: Check) -> dict[str, Any]:
+def _large_movements(
+    loop: ClosedLoop, targets: Tensor, rest: RestingLoop, begin: Tensor, seconds: float
+) -> LargeSignalMargins | None:
     """Fly from rest at each target to the opposite one; a single target is flown to from where steps begin."""
-    loop, targets, good = found.loop, found.targets[found.stable], found.stable
     if not len(targets) or not has_dry_friction(loop.plant.model):
-        return {"flown": None}
-    x = found.rest.z[good][:, loop.parts["x"]]
-    x = x if len(targets) > 1 else found.begin.expand_as(x)
-    return {"flown": large_signal_margins(loop, x, targets.flip(0), found.seconds)}
-
-
-STAGES: dict[str, Callable[[Check], dict[str, Any]]] = {
-    "swings where it is not stable": _swinging,
-    "margins": _bearing,
-    "steps": _stepping,
-    "other coefficients": _varying,
-    "recovery": _recovering,
-    "large movements": _flying,
-}
-"""What is looked at once it is known where the loop rests, one after the other, and what fills fields of a check."""
+        return None
+    x = rest.z[:, loop.parts["x"]]
+    return large_signal_margins(loop, x if len(targets) > 1 else begin.expand_as(x), targets.flip(0), seconds)
 
 
 def _farthest(loop: ClosedLoop, targets: Tensor, begin: Tensor) -> int:
     return int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
 
 
-def _begin(loop: ClosedLoop, settings: Settings, middle: Tensor) -> Tensor:
+def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
     """Return the state in which steps begin, `(n_x,)`."""
     ends = ranges.start_ranges(loop.signature, settings.start).double()
     low, high = ranges.state_limits(loop.signature, settings.bounds)
     if settings.start or bool(((low <= 0) & (high >= 0)).all()):
         return ends.mean(0)
-    return guess_rest(loop, middle.unsqueeze(0))[0, loop.parts["x"]]
+    return guess_rest(loop, settings.middle.unsqueeze(0))[0, loop.parts["x"]]
 
 
 def _stated(loop: ClosedLoop) -> Array:
@@ -333,11 +278,9 @@ def _resolved(loop: ClosedLoop) -> Array:
     return loop.observer.sensors.resolution(loop.signature).numpy()
 
 
-def _drawn(found: Check, others: Variants) -> LoopSimulation | None:
-    if not others.draws:
+def _drawn(loop: ClosedLoop, others: Variants, target: Tensor, begin: Tensor, seconds: float) -> LoopSimulation | None:
+    if not (n := others.draws):
         return None
-    farthest = found.targets[found.farthest]
-    start = found.begin.expand(others.draws, -1)
-    plants = found.loop.varied(others.coefficients[: others.draws])
     phase = "steps of plants that differ from the model"
-    return simulate_loop(plants, start, farthest.expand(others.draws, -1), found.seconds, phase)
+    plants = loop.varied(others.coefficients[:n])
+    return simulate_loop(plants, begin.expand(n, -1), target.expand(n, -1), seconds, phase)

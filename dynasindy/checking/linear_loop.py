@@ -39,8 +39,6 @@ BOUNDLESS = 1e3
 """Inputs beyond their limits that a model may rest by."""
 RESTS = "where the loop rests"
 """What is under way, in words."""
-Say = Callable[[int, str], None]
-"""Hears how many of some loops are known to rest, and what is being done, in words."""
 OFTEN = 20
 """Control periods of the observer after which is told how many there were."""
 
@@ -104,6 +102,11 @@ class RestingLoop:
     error: Tensor
     linear: Linear
 
+    @property
+    def stable(self) -> Tensor:
+        """Whether each loop comes to rest and is stable there, bool `(rows,)`."""
+        return self.still & torch.from_numpy(self.linear.radius < 1)
+
     def select(self, rows: Tensor) -> RestingLoop:
         """Return some rows, by their places or bool `(rows,)`."""
         picked = self.linear.row(rows.numpy())
@@ -112,11 +115,7 @@ class RestingLoop:
         )
 
 
-def _unheard(known: int, words: str) -> None:
-    """Say nothing."""
-
-
-def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
+def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
     """Return vectors near those at rest, `(rows, n)`: the plant where the model rests with its outputs at `r`.
 
     Where the model has no such place, it is the state at the origin with the outputs put to `r`.
@@ -124,7 +123,6 @@ def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
     n_x, n_u = loop.signature.n_x, loop.signature.n_u
     x, u = torch.zeros(len(r), n_x, dtype=torch.float64), torch.zeros(len(r), n_u, dtype=torch.float64)
     x[:, loop.task.outputs] = r
-    say(0, "sought in the model")
     # Inputs beyond their limits are cut off below: near enough to begin from.
     limits = torch.tensor([[-BOUNDLESS], [BOUNDLESS]]).expand(-1, n_u)
     found = find_equilibria(loop.plant.model, loop.task.outputs, r, torch.zeros(n_x), loop.dt, limits)
@@ -135,7 +133,7 @@ def guess_rest(loop: ClosedLoop, r: Tensor, say: Say = _unheard) -> Tensor:
 
 
 @torch.no_grad()
-def _covariance_at(loop: ClosedLoop, z: Tensor, say: Say = _unheard) -> Tensor:
+def _covariance_at(loop: ClosedLoop, z: Tensor, phase: str = RESTS) -> Tensor:
     """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(*batch, n_o, n_o)`."""
     covariance = loop.uncertain(z)
     if loop.observer is None:
@@ -143,7 +141,7 @@ def _covariance_at(loop: ClosedLoop, z: Tensor, say: Say = _unheard) -> Tensor:
     watched = loop.watched(z)  # once: where nothing moves, the slopes of the observer's model stay as they are
     for k in range(SETTLED):
         if k % OFTEN == 0:
-            say(0, f"observer after {k} of {SETTLED} control periods")
+            report_progress(phase, note=f"observer after {k} of {SETTLED} control periods")
         before, covariance = covariance, watched(covariance)
         size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
         if bool(((covariance - before).abs() < 1e-9 * size).all()):
@@ -175,7 +173,7 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
 
 
 def find_rest(
-    loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0, say: Say | None = None
+    loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0, phase: str = RESTS
 ) -> RestingLoop:
     """Find where loops rest, by Newton's method; where it fails, or the loop is not stable, by letting it run first.
 
@@ -184,28 +182,24 @@ def find_rest(
         r: References, `(rows, n_r)`.
         start: Where to begin, such as the same loops with other coefficients; by default where the model rests.
         seconds: How long the loop may run [s].
-        say: Hears at how many references the rest is known, and what is being done; by default it is told of targets.
+        phase: What is under way, in words.
     """
-    r, total = r.double(), len(r)
-    say = say or (lambda known, words: report_progress(RESTS, known, total, "targets", words))
-    z = guess_rest(loop, r, say) if start is None else start.z
-    covariance = _covariance_at(loop, z, say) if start is None else start.covariance
-    found, still = _newton(loop, z, covariance, r, 0, say)
+    r = r.double()
+    z = guess_rest(loop, r) if start is None else start.z
+    covariance = _covariance_at(loop, z, phase) if start is None else start.covariance
+    found, still = _newton(loop, z, covariance, r, phase)
     linear, _, u = _linearise(loop, found, covariance, r)
     stable = torch.from_numpy(linear.finite().radius < 1)
     lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
-        known = total - len(lost)
-        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, known, say)
-        again, calm = _newton(loop.rows(lost), moved, spread, r[lost], known, say)
+        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, phase)
+        again, calm = _newton(loop.rows(lost), moved, spread, r[lost], phase)
         new = calm | ~still[lost]
         lost, again, spread, calm = lost[new], again[new], spread[new], calm[new]
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
         still = still.index_copy(0, lost, calm)
         linear, _, u = _linearise(loop, found, covariance, r)
-    restless = total - int(still.sum())
-    say(total, f"{restless} of them without a rest" if restless else "")
     error = (r - found[:, loop.parts["x"]][:, loop.task.outputs]).abs().where(still.unsqueeze(-1), ran)
     return RestingLoop(found, covariance, u, still, error, linear.finite())
 
@@ -221,25 +215,25 @@ def at_end(periods: int, dt: float) -> int:
 
 
 def _run(
-    loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, known: int, say: Say
+    loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, phase: str
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
     steps = math.ceil(seconds / loop.dt)
     last = at_end(steps, loop.dt)
     errors: list[Tensor] = []
     for k in range(steps):
-        say(known, f"{k} of {steps} control periods of flights of the {len(r)} that are left")
+        report_progress(phase, note=f"{k} of {steps} control periods of flights of the {len(r)} that are left")
         z, covariance, _ = loop.step(z, covariance, r)
         errors = [*errors, (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()][-last:]
     return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
-def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, known: int, say: Say) -> tuple[Tensor, Tensor]:
-    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`; it says how many are."""
+def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, phase: str) -> tuple[Tensor, Tensor]:
+    """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`."""
     scale, unit = loop.scale, np.eye(loop.size)
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
     for k in range(NEWTON):
-        say(known + int(still.sum()), f"step {k + 1} of Newton's method")
+        report_progress(phase, note=f"step {k + 1} of Newton's method")
         linear, moved, _ = _linearise(loop.rows(left), z[left], covariance[left], r[left])
         calm = ((moved / scale).abs() < STILL).all(-1)
         still[left] = calm

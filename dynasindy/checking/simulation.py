@@ -291,7 +291,8 @@ def find_limit_cycles(loop: ClosedLoop, targets: Tensor, stable: Tensor, seconds
         begin: State in which flights begin, `(n_x,)`.
     """
     whole = LONGER * seconds
-    found = no_limit_cycles(len(targets), loop.task.n_r, loop.signature.n_u, whole)
+    n_r, n_u = loop.task.n_r, loop.signature.n_u
+    found = LimitCycles(*(torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r)), whole)
     lost = ~stable
     if not bool(lost.any()):
         return found
@@ -304,12 +305,6 @@ def find_limit_cycles(loop: ClosedLoop, targets: Tensor, stable: Tensor, seconds
     found.inputs[lost] = _half(flights.u[:, -part:])
     found.error[lost] = (y[:, -part:] - r.double().unsqueeze(1)).abs().mean(1).nan_to_num(math.inf, math.inf)
     return found
-
-
-def no_limit_cycles(n: int, n_r: int, n_u: int, seconds: float) -> LimitCycles:
-    """Return the swings at so many targets where the loop is stable, which are none."""
-    outputs, inputs, error = (torch.zeros(n, width, dtype=torch.float64) for width in (n_r, n_u, n_r))
-    return LimitCycles(outputs, inputs, error, seconds)
 
 
 def _half(values: Tensor) -> Tensor:

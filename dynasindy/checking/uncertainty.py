@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.linear_loop import Array, RestingLoop, find_rest, settling
-from dynasindy.progress import report_progress, track
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import change_of
 
@@ -151,11 +149,9 @@ def spread(loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Variants,
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
     rests, slopes = [], []
-    several = track(PHASE, r.double() if count else [], len(r), "targets")
-    for k, target in enumerate(several):
-        start = nominal.select(torch.full((count,), k))
-        say = partial(_said, k, len(r))
-        found = find_rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, say)
+    for k, target in enumerate(r.double() if count else []):
+        start, phase = nominal.select(torch.full((count,), k)), f"{PHASE}, target {k + 1} of {len(r)}"
+        found = find_rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, phase)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
         rests.append(np.concatenate([found.z.numpy(), nominal.z[k : k + 1].numpy()]))
@@ -173,8 +169,3 @@ def _closing(loop: ClosedLoop, r: Tensor, rests: Array, slopes: Array, radii: Te
     away = np.where((stable & stable[::-1])[..., None], rests[::-1] - rests, 0.0)
     found = [settling(a, z, outputs, way, periods) for a, z, way in zip(there, away, ways, strict=True)]
     return torch.from_numpy(np.stack(found) * loop.dt)
-
-
-def _said(target: int, targets: int, known: int, words: str) -> None:
-    """Tell how many plants are known to rest at a target."""
-    report_progress(PHASE, target, targets, "targets", f"{known} plants known at the next one{words and f', {words}'}")

@@ -65,7 +65,7 @@ def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, An
                 "eigenvalues": [
                     [_plain_number(v.real), _plain_number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6
                 ],
-                "steady_error": _at(found, outputs, found.steps.steady_error, k),
+                "steady_error": _named(outputs, found.steps.steady_error[k]),
                 "swing": None
                 if bool(found.stable[k])
                 else _named((*outputs, *names), torch.cat([found.swings.outputs[k], found.swings.inputs[k]])),
@@ -78,8 +78,8 @@ def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, An
                 }
                 if gain is not None
                 else None,
-                "slew": _at(found, names, found.steps.slew, k),
-                "saturated": _at(found, names, found.steps.saturated, k),
+                "slew": _named(names, found.steps.slew[k]),
+                "saturated": _named(names, found.steps.saturated[k]),
             }
         )
     others = found.spread
@@ -107,7 +107,6 @@ def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, An
         "flown": flights,
         "changes": changes,
         "recovery": planes,
-        "left": list(found.left),
     }
 
 
@@ -118,11 +117,6 @@ def _plain_number(value: float) -> float | None:
 
 def _named(names: Any, values: Any) -> dict[str, float | None]:
     return {name: _plain_number(float(value)) for name, value in zip(names, values, strict=True)}
-
-
-def _at(found: Check, names: Any, values: Tensor, target: int) -> dict[str, float | None] | None:
-    """Return figures of the step to a target; None where it was not flown yet."""
-    return _named(names, values[target]) if len(found.steps.x) else None
 
 
 def unstable_targets(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
@@ -164,9 +158,7 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     findings = [_stability(found, limits)]
     if any(found.margins):
         findings += [*_margins(found, limits), *_large_movements(found, limits), _noise(found, limits)]
-    if len(found.steps.x):
-        findings += _steps(found, limits)
-    findings += [*_changes(found, limits), *_settling(found, limits)]
+    findings += [*_steps(found, limits), *_changes(found, limits), *_settling(found, limits)]
     return [*findings, _recovery(found, limits)] if found.planes else findings
 
 

@@ -2,8 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -93,27 +91,3 @@ def test_what_is_missing_costs_one_line(tmp_path):
     (tmp_path / "run" / "model.json").unlink()
     done = called(tmp_path, *SMALL, "low=[0]", "high=[0]")
     assert done.returncode == 2 and "model" in done.stderr and done.stderr.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_a_check_that_is_stopped_keeps_what_it_found(tmp_path):
-    """Ctrl-C in the middle of its flights: one line names the file, which has the findings until then."""
-    run_folder(tmp_path / "run", 2.0)
-    (tmp_path / "run" / "config.yaml").write_text("plant: {low: [-0.1], high: [0.1]}\n")
-    command = [sys.executable, str(SCRIPT), "run=run", "points=1", "grid=2", "draws=1", "seconds=100000"]
-    work = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert work.stderr is not None
-    shown = ""
-    while "steps to the targets" not in shown and (line := work.stderr.readline()):
-        shown += line
-    work.send_signal(signal.SIGINT)
-    out, err = work.communicate(timeout=60)
-    file = Path("run") / "check" / "stopped.json"
-    assert work.returncode == 130 and out == "", shown + err
-    last = err.splitlines()[-1]
-    assert last.startswith("stopped; 7 ") and str(file) in last
-    found = json.loads((tmp_path / file).read_text())
-    assert found["findings"][0]["code"].startswith("check.") and len(found["findings"]) == 7
-    assert found["left"][0] == "steps" and not (tmp_path / "run" / "check" / "check.json").exists()
-    assert called(tmp_path, *SMALL).returncode == 0
-    assert not (tmp_path / file).exists() and (tmp_path / "run" / "check" / "check.json").is_file()
