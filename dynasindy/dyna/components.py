@@ -145,7 +145,7 @@ def sensed_environment(plant: ControlEnv, model_env: ControlEnv, sensing: Sensin
         sensing: Sensors and observer; None where all states are seen as they are.
     """
     env = plant if sensing is None else TransformedEnv(plant, sensing)
-    return plant.as_used(TransformedEnv(env, ModelPrediction(model_env), auto_unwrap=False))
+    return TransformedEnv(env, ModelPrediction(model_env), auto_unwrap=False)
 
 
 @dataclass(frozen=True)

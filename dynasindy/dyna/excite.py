@@ -140,8 +140,7 @@ LOOKED_AT = 100
 def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> TensorDict:
     """Return the excitation's control periods on the real system, try after try, `(T,)`.
 
-    Behind sensors, states are what the observer makes of the measurements. A rig, which stays where it fell, has one
-    try, without a regulator unless it is given; its guard ends what goes too far.
+    Behind sensors, states are what the observer makes of the measurements.
 
     Args:
         parts: The plant, and the signal.
@@ -149,8 +148,6 @@ def excite(parts: PlantComponents, pilot: RegulatedExcitation | None = None) -> 
     """
     report_progress("excitation")
     pilot, steps = pilot or RegulatedExcitation(parts.excitation), parts.excitation.n_steps
-    if not parts.plant.begins_anew:
-        return interact(parts.env, pilot, steps)
     low, high = _excitation_limits(parts)
     tries: list[TensorDict] = []
     while (done := sum(len(rows) for rows in tries)) < steps:

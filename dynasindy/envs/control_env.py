@@ -49,8 +49,6 @@ class ControlEnv(EnvBase):
     """
 
     batch_locked = False
-    begins_anew = True
-    """Whether an episode begins where the task says, wherever the last one ended."""
     left_beyond = math.inf
     """Ranges of a state at whose end an episode is over and stays; a model is asked about where it runs away."""
 
@@ -125,10 +123,6 @@ class ControlEnv(EnvBase):
         """Return this environment with another task for the same system."""
         env = ControlEnv(self.system, task, self.dt, self.substeps, dtype=self.float_type, seed=seed)
         env.stops = self.stops
-        return env
-
-    def as_used(self, env: EnvBase) -> EnvBase:
-        """Return an environment that stands around this one with all its transforms; a rig rehearses it first."""
         return env
 
     def advance(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import torch
@@ -165,45 +165,6 @@ class Sensors:
                 f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
             )
         return {signature.state_index(name): _channel(name, given) for name, given in channels.items()}
-
-    def truth(self, real: Tensor, estimated: Tensor) -> Tensor:
-        """Return what metrics may take for the truth: here what is real, as the plant is simulated."""
-        return real
-
-
-class Wired(Sensors):
-    """Sensors that are really there: nothing is simulated, and what is said of them is what the observer knows.
-
-    A sample that was lost is NaN already, and nobody knows the truth behind what is measured.
-
-    Raises:
-        ValueError: A delay or losses are to be simulated.
-    """
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.delay or self.actuator_delay or self.lost:
-            raise ValueError(
-                f"sensors of a rig have delay={self.delay}, actuator_delay={self.actuator_delay}, lost={self.lost}, "
-                "which only simulated ones can have; give 0 for each, and let longest_delay find the rig's own delay"
-            )
-
-    @classmethod
-    def of(cls, sensors: Sensors) -> Wired:
-        """Return what is known of simulated sensors as that of real ones.
-
-        Raises:
-            ValueError: A delay or losses are to be simulated.
-        """
-        return cls(**{given.name: getattr(sensors, given.name) for given in fields(sensors)})
-
-    def read(self, x: Tensor, signature: Signature, rng: torch.Generator) -> Tensor:
-        """Return what was measured as it is."""
-        return x
-
-    def truth(self, real: Tensor, estimated: Tensor) -> Tensor:
-        """Return what was measured and, where nothing was, what is estimated."""
-        return torch.where(real.isnan(), estimated.to(real), real)
 
 
 def _channel(name: str, given: object) -> Channel:

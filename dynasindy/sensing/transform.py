@@ -89,7 +89,7 @@ class Sensing(Transform):
         start["true_reward"] = torch.zeros(*batch, 1)
         start["samples"] = y.unsqueeze(-2).expand(start["samples"].shape).clone()
         self._show(start, self.observer.begin(y), held)
-        start["true_state"] = sensors.truth(x, start["state"])
+        start["true_state"] = x
         return start
 
     @torch.no_grad()
@@ -120,8 +120,7 @@ class Sensing(Transform):
         if not task.own:  # what the plant itself pays is known as it is
             reward = task.earned(x, before["inputs"][..., -1, :], x_next, after["task_params"], t_next, touched)
             after["reward"] = reward.float().unsqueeze(-1)
-        after["true_state"] = self.sensors.truth(true_state, after["state"])
-        after["true_reward"] = self.sensors.truth(true_reward, after["reward"])
+        after["true_state"], after["true_reward"] = true_state, true_reward
         return after
 
     def reestimated(self, rows: TensorDictBase, x: Tensor) -> TensorDictBase:

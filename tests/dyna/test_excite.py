@@ -163,12 +163,6 @@ def test_behind_sensors_an_output_that_nothing_depends_on_is_led_between_its_tar
     assert (place.max() > 0.5 and place.min() < -0.5) == led
 
 
-def test_a_rig_is_excited_open_loop_as_it_stays_where_it_fell():
-    experiment = parts(Inverted(), duration=2.0, bounds={"theta": 0.5})
-    experiment.plant.begins_anew = False
-    assert excite(experiment)["step_count"].flatten().tolist() == [*range(40)]
-
-
 def test_the_loop_is_the_regulator_of_the_plant_near_its_start():
     experiment, torque = parts(Inverted()), 8.0
     pilot, generator = RegulatedExcitation(experiment.excitation), torch.Generator().manual_seed(0)

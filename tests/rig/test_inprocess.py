@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from inprocess_rig import FastClock, InProcessRig
 
-from dynasindy.rig import FastClock, InProcessRig
 from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, rk4
 

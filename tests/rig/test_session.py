@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from inprocess_rig import FastClock, InProcessRig
 from tensordict.nn import TensorDictModule
 
 from dynasindy import Controller, load
@@ -16,7 +17,7 @@ from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
 from dynasindy.excitation import Multisine
 from dynasindy.identification.identify import LoggedData
-from dynasindy.rig import FastClock, Guard, InProcessRig, UdpRig, Wiring
+from dynasindy.rig import Guard, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, _forecast_flight, targets_within
 from dynasindy.rig.simulated import SimulatedRig
 from dynasindy.sensing import Sensors

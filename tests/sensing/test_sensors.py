@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.sensing import Channel, Sensors, Wired
+from dynasindy.sensing import Channel, Sensors
 from dynasindy.systems import Pendulum, Signature
 
 SIGNATURE = Signature(("a", "b", "c"), ("rad", "rad/s", "rpm"), ("u",), (1.0, 2.0, 1000.0))
@@ -90,27 +90,6 @@ def test_settings_that_are_none_are_refused(wrong, said):
 def test_a_sensor_of_no_state_is_refused():
     with pytest.raises(ValueError, match=r"'z'.* a, b, c"):
         Sensors({"z": {}}).variance(SIGNATURE)
-
-
-def test_real_sensors_are_read_as_they_are_and_the_truth_behind_them_is_estimated():
-    wired = Wired.of(Sensors({"a": {"resolution": 0.5, "noise": 3.0}, "c": {}}, {"a": "b"}, disturbance=True))
-    y = torch.tensor([0.24, math.nan, 7.0], dtype=torch.float64)
-    torch.testing.assert_close(read(wired, y), y, equal_nan=True, rtol=0, atol=0)
-    assert wired.truth(y, torch.tensor([1.0, 2.0, 3.0])).tolist() == [0.24, 2.0, 7.0]
-    assert wired.variance(SIGNATURE).tolist() == [3.0**2 + 0.5**2 / 12, math.inf, 0.0]
-    assert (wired.rate_indices(SIGNATURE), wired.disturbance) == ({0: 1}, True)
-    assert isinstance(wired.noisier({"a": 1.0}), Wired)
-
-
-def test_simulated_sensors_know_the_truth():
-    y = torch.tensor([math.nan, 1.0])
-    assert Sensors({"a": {}}).truth(y, torch.zeros(2)) is y
-
-
-@pytest.mark.parametrize("simulated", [{"delay": 1}, {"actuator_delay": 1}, {"lost": 0.1}])
-def test_what_only_simulated_sensors_have_is_refused_of_real_ones(simulated):
-    with pytest.raises(ValueError, match="simulated"):
-        Wired({"a": {}}, **simulated)
 
 
 def test_exact_sensors_measure_all_states_as_they_are():

@@ -1,4 +1,4 @@
-"""A simulated rig in this process, and a clock that does not wait: rehearsals and tests, as fast as they compute."""
+"""A simulated rig in this process, and a clock that does not wait: rehearsals as fast as they compute."""
 
 from __future__ import annotations
 
