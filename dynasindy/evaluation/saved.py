@@ -6,7 +6,6 @@ and numbers to `DIGITS` digits.
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import tempfile
@@ -30,10 +29,6 @@ SPACING = {"data": 0.1, "evaluation": 0.2}
 """Time between two rows of the tables in a folder of a run [s]; the excitation stays whole."""
 PROGRESS = ("progress.csv", "gate.csv")
 RECORDS = ("metrics.json", "model.json")
-COPIED = re.compile(
-    r"(config\.yaml|origin\.json|metrics\.json|model\.json|progress\.csv|gate\.csv|data/[^/]+\.csv|evaluation/[^/]+\.(csv|json))"
-)
-"""Files of a copy, from its folder."""
 
 
 def to_save(folder: Path, name: str | None, seed: int, settings: Sequence[str]) -> dict[Path, str]:
@@ -73,48 +68,33 @@ def check_copy(source: Path, target: Path, any_commit: bool = False) -> None:
 
     Raises:
         FileNotFoundError: The run did not end.
-        ValueError: The run holds links, is a copy itself or lies in the target or around it; its commit is not known or
-            lacks changes; or the target is no copy that `keep_run` wrote.
+        ValueError: The run holds links; its commit is not known or lacks changes; or there is something in the place of
+            the copy.
     """
     if not (source / "metrics.json").is_file() or not (source / "config.yaml").is_file():
         raise FileNotFoundError(f"{source} is no finished run, it lacks config.yaml or metrics.json; let it end first")
-    here, there = source.resolve(), target.resolve()
-    if here == there or here in there.parents or there in here.parents:
-        raise ValueError(f"{source} and its copy {target} would lie in each other; give a run outside the saved ones")
-    if _is_copy(source):
-        raise ValueError(f"{source} is a saved copy already, from which nothing is left out; give the run itself")
     if links := [path for path in sorted(source.rglob("*")) if path.is_symlink()]:
         raise ValueError(f"{links[0]} is a link, and may lead anywhere; put the file itself there, or remove it")
-    if (target.exists() or target.is_symlink()) and not _is_copy(target):
-        raise ValueError(f"{target} is there and is no saved copy of a run; move it away, or give another name=NAME")
+    if target.exists() or target.is_symlink():
+        raise ValueError(f"{target}, where the copy would go, is there; move it away, or give another name=NAME")
+    if source.resolve() in target.resolve().parents:
+        raise ValueError(f"the copy {target} would lie in its run {source}; give another folder by results=")
     origin = _origin_without_machine(source)
     made_at = [str(origin[key]) for key in ("commit", "resumed_at_commit") if key in origin]
     commit = next((c for c in made_at if c in ("", "unknown") or c.endswith("-dirty")), None)
     if not any_commit and commit is not None:
-        if commit.endswith("-dirty"):
-            why, instead = f"at commit '{commit}'", "commit, run it once more, and save that, or give any_commit=true"
-        else:
-            why, instead = "by code whose commit is unknown, as that of an installed package", "give any_commit=true"
-        raise ValueError(f"{source} was made {why}, so that nobody can make it again exactly; {instead}")
-
-
-def _is_copy(folder: Path) -> bool:
-    """Return whether a folder holds a saved copy of a run and nothing else, so that nothing is lost with it."""
-    if folder.is_symlink() or not all((folder / name).is_file() for name in ("config.yaml", "origin.json")):
-        return False
-    found = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
-    if any(path.is_symlink() or not COPIED.fullmatch(path.relative_to(folder).as_posix()) for path in found):
-        return False
-    settings = read_text(folder / "config.yaml")  # that of a run holds its folder, which a copy leaves out
-    return settings == _without_machine(settings)
+        raise ValueError(
+            f"{source} was made at commit '{commit}', so that nobody can make it again exactly; commit, run it once "
+            "more, and save that, or give any_commit=true"
+        )
 
 
 def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = False) -> list[Path]:
-    """Copy what a report needs of a finished run: aside first, then in place of an older copy.
+    """Copy what a report needs of a finished run.
 
     Args:
         source: Run folder, with `evaluation/` where `evaluate.py` was run.
-        target: Folder of the copy; an older copy there is replaced as a whole, anything else is left alone.
+        target: Folder of the copy.
         model: Keep what the model was fitted to and what it predicted, too.
         any_commit: Save a run too whose code was not committed.
 
@@ -128,17 +108,9 @@ def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = 
     check_copy(source, target, any_commit)
     target.parent.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    try:
-        copy = aside / "new"
-        _copy(source, copy, model)
-        try:
-            if target.exists():
-                os.rename(target, aside / "old")
-            os.rename(copy, target)
-        except BaseException:  # a signal too: what is aside is removed below
-            if (aside / "old").exists() and not target.exists():
-                os.rename(aside / "old", target)
-            raise
+    try:  # a copy that fails leaves nothing
+        _copy(source, aside / "new", model)
+        (aside / "new").rename(target)
     finally:
         shutil.rmtree(aside)
     return sorted(file for file in target.rglob("*") if file.is_file())
@@ -146,26 +118,19 @@ def keep_run(source: Path, target: Path, model: bool = True, any_commit: bool = 
 
 def _copy(source: Path, target: Path, model: bool) -> None:
     """Write the copy of a run into a new folder."""
-    target.mkdir()
     write_text(target / "config.yaml", _without_machine(read_text(source / "config.yaml")))
     write_json(target / "origin.json", _origin_without_machine(source), indent=1, finite=False)
-    for name in RECORDS:
-        if (source / name).is_file():
-            write_json(target / name, read_json(source / name), indent=1, finite=False)
+    for file in (*(source / name for name in RECORDS), *source.glob("evaluation/*.json")):
+        if file.is_file():
+            write_json(target / file.relative_to(source), read_json(file), indent=1, finite=False)
     for name in PROGRESS:
         if (source / name).is_file():
-            _thin_log(source / name, target / name)
-    response = source / "data" / "step_response.csv"
-    spare = _spare(response)
-    _thin_series(response, target / "data" / response.name, [name for name in spare if not name.startswith("u")])
-    for file in sorted(source.glob("data/*.csv")) if model else ():
-        if file != response:
-            _thin_series(file, target / "data" / file.name)
-    for file in sorted(source.glob("evaluation/*.csv")):
-        if file.name != "step.csv":  # it is the step response
-            _thin_series(file, target / "evaluation" / file.name, spare)
-    for file in source.glob("evaluation/*.json"):
-        write_json(target / file.relative_to(source), read_json(file), indent=1, finite=False)
+            _thin(source / name, target / name, 0.0)
+    tables = sorted(source.glob("data/*.csv" if model else "data/step_response.csv"))
+    for file in (*tables, *sorted(source.glob("evaluation/*.csv"))):
+        if file.relative_to(source).as_posix() != "evaluation/step.csv":  # it is the step response
+            spacing = 0.0 if file.stem == "excitation" else SPACING[file.parent.name]
+            _thin(file, target / file.relative_to(source), spacing)
 
 
 def _origin_without_machine(folder: Path) -> dict[str, str]:
@@ -191,37 +156,19 @@ def _without_machine(settings: str) -> str:
     return "".join(line for line in lines if not re.match(r"(folder|results):|\s*[\w.]+: ['\"]?(/|~|\w:\\)", line))
 
 
-def _spare(response: Path) -> list[str]:
-    """Return the columns of a tracking table that no figure of a wave shows: inputs, and states without a reference."""
-    names = [_name(heading) for heading in read_cells(response)[0]]
-    kept = {name for name in names if name.startswith("reference_") or f"reference_{name}" in names}
-    return [name for name in names if name not in kept | {"time"}]
+def _thin(source: Path, target: Path, spacing: float) -> None:
+    """Copy a table: a row per spacing [s] of one over time, and of one over episodes about `ROWS`, the ends among them.
 
-
-def _name(heading: str) -> str:
-    """Return the name in a heading such as `alpha_a [rad]`."""
-    return heading.partition(" [")[0]
-
-
-def _thin_log(source: Path, target: Path) -> None:
-    """Copy a table with a row per episode: its first row, its last, and about `ROWS` evenly spaced ones."""
+    A spacing of 0 keeps all rows of a table over time.
+    """
     header, rows = read_cells(source)
-    every = -(-len(rows) // ROWS)
     with reading(source):
-        thinned = [rows[place] for place in sorted({0, *range(len(rows) - 1, -1, -max(every, 1))})]
-        write_cells(target, header, [[_short(cell) for cell in row] for row in thinned])
-
-
-def _thin_series(source: Path, target: Path, drop: Sequence[str] = ()) -> None:
-    """Copy a table over time without some columns, a row per `SPACING`."""
-    header, rows = read_cells(source)
-    spacing = 0.0 if source.stem == "excitation" else SPACING[target.parent.name]
-    with reading(source):
-        times = [float(row[0]) for row in rows[:2]]
-        every = max(1, round(spacing / (times[-1] - times[0]))) if len(rows) > 1 else 1
-        columns = [k for k, heading in enumerate(header) if _name(heading) not in drop]
-        thinned = [[_short(row[k]) for k in columns] for row in rows[::every]]
-        write_cells(target, [header[k] for k in columns], thinned)
+        if target.name in PROGRESS:
+            every = max(1, -(-len(rows) // ROWS))
+            rows = [rows[place] for place in sorted({0, *range(len(rows) - 1, -1, -every)})]
+        elif len(rows) > 1:
+            rows = rows[:: max(1, round(spacing / (float(rows[1][0]) - float(rows[0][0]))))]
+        write_cells(target, header, [[_short(cell) for cell in row] for row in rows])
 
 
 def _short(cell: str) -> str:
