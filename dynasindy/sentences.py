@@ -778,7 +778,7 @@ def _noise(value: float = 0.0, limit: float = 0.0, input: str = "", known: bool 
 
 
 def _coefficients(
-    plants: int, held: int, how: str, unstable: int, worst: str, radius: float | None, ran_away: int, **error: Any
+    plants: int, held: int, how: str, unstable: int, radius: float | None, ran_away: int, **error: Any
 ) -> str:
     stays = "stable with all" if not unstable else f"NOT stable with {unstable}"
     far = "no rest" if radius is None or math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
@@ -789,7 +789,7 @@ def _coefficients(
         steady += f"; {ran_away} run{'s' * (ran_away == 1)} away in the step of steps.png"
     return (
         f"{plants} plants with other coefficients, {how}, at the {held} target{'s' * (held > 1)} where the model "
-        f"itself is stable: {stays} of these plants, worst {worst} ({far}), {steady}; threshold: stable, "
+        f"itself is stable: {stays} of these plants, at worst {far}, {steady}; threshold: stable, "
         f"{_error_limit(**error)}"
     )
 
@@ -797,7 +797,6 @@ def _coefficients(
 def _settling(
     model: float | None,
     slowest: float | None,
-    worst: str,
     plants: int,
     all_stable: bool,
     closed: float,
@@ -812,7 +811,7 @@ def _settling(
         "between opposite targets, and as if inputs had no limits, all but "
         f"{100 * closed:g} % of the way is done after {own} "
         f"with the model, and after {shown} with the slowest of {plants} plants with other coefficients"
-        f"{'' if all_stable else ' that are stable'}, {worst}; threshold: {format_duration(limit, digits=3)}"
+        f"{'' if all_stable else ' that are stable'}; threshold: {format_duration(limit, digits=3)}"
     )
 
 
@@ -849,8 +848,7 @@ REMEDIES = {
     "rest beside their targets, narrow the targets",
     "check.slew": _GENTLE,
     "check.saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
-    "check.one_coefficient": f"The size of these changes is fixed, so longer data do not help. {_VARIED}",
-    "check.all_coefficients": _VARIED,
+    "check.coefficients": _VARIED,
     "check.settling": "For a plant that is not as the model says, try <planning.randomization.parameters=0.2>, or give "
     "the controller integral action, as the page on checks shows",
     "check.recovery": "Switch the controller on near the middle of the targets, or give <plant.start> the range from "
@@ -1130,8 +1128,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"in steps from {begin} {input} is at its limit for up "
         f"to {_beside(100 * value, 100 * limit)} % of {format_duration(seconds)}; threshold: {100 * limit:g} %"
     ),
-    "check.one_coefficient": _coefficients,
-    "check.all_coefficients": _coefficients,
+    "check.coefficients": _coefficients,
     "check.settling": _settling,
     "check.recovery": _recovery,
     # a run

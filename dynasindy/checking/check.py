@@ -279,8 +279,8 @@ def _resolved(loop: ClosedLoop) -> Array:
 
 
 def _drawn(loop: ClosedLoop, others: Variants, target: Tensor, begin: Tensor, seconds: float) -> LoopSimulation | None:
-    if not (n := others.draws):
+    if not (n := len(others.coefficients)):
         return None
     phase = "steps of plants that differ from the model"
-    plants = loop.varied(others.coefficients[:n])
+    plants = loop.varied(others.coefficients)
     return simulate_loop(plants, begin.expand(n, -1), target.expand(n, -1), seconds, phase)

@@ -292,7 +292,8 @@ def find_limit_cycles(loop: ClosedLoop, targets: Tensor, stable: Tensor, seconds
     """
     whole = LONGER * seconds
     n_r, n_u = loop.task.n_r, loop.signature.n_u
-    found = LimitCycles(*(torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r)), whole)
+    outputs, inputs, error = (torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r))
+    found = LimitCycles(outputs, inputs, error, whole)
     lost = ~stable
     if not bool(lost.any()):
         return found

@@ -1,4 +1,4 @@
-"""Plants that differ from the model within its uncertainty: its coefficients drawn, and moved one at a time."""
+"""Plants that differ from the model within its uncertainty: with other coefficients, drawn at random."""
 
 from __future__ import annotations
 
@@ -12,10 +12,7 @@ from torch import Tensor
 from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.linear_loop import Array, RestingLoop, find_rest, settling
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.equations import change_of
 
-SHARE = 0.2
-"""By how much a coefficient is moved, as a share of itself."""
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
 
@@ -49,56 +46,33 @@ class Variants:
     """Coefficients of plants beside the model.
 
     Attributes:
-        labels: What is changed in each.
         coefficients: Xi of each, `(n, n_features, n_x)`.
-        draws: How many of them, the first ones, are drawn at random.
-        how: By how much these are drawn.
+        how: By how much they are drawn.
     """
 
-    labels: list[str]
     coefficients: Tensor
-    draws: int
     how: _Drawing = WITHIN
 
 
-def uncertain(model: SindyModel) -> list[tuple[int, int]]:
-    """Return function and state of each coefficient that was found in data: not zero, and not given beforehand."""
-    return [(int(k), int(i)) for k, i in (model.constraints.free & (model.coefficients != 0)).nonzero()]
-
-
 def variants(model: SindyModel, draws: int, seed: int) -> Variants:
-    """Draw coefficients, and move each that was found in data by `SHARE` up and down.
+    """Draw coefficients that were found in data, all at a time.
 
     They are drawn from the covariance of the fit, as far as the model tells it; else uniformly, within a share `DRAWN`
     of each.
 
     Args:
         model: The model.
-        draws: Number of draws, all coefficients at a time.
+        draws: Number of draws.
         seed: Their seed.
     """
-    generator = torch.Generator().manual_seed(seed)
-    found, xi = uncertain(model), model.coefficients
+    generator, xi = torch.Generator().manual_seed(seed), model.coefficients
     if model.covariance is None:
-        mask = torch.zeros_like(xi)
-        for place in found:
-            mask[place] = 1.0
         uniform = 2 * torch.rand((draws, *xi.shape), generator=generator, dtype=xi.dtype) - 1
-        drawn, how = xi * (1 + DRAWN * uniform * mask), WITHIN
-    else:
-        drawn = model.covariance.draw(xi, draws, generator)
-        shares = 100 * model.covariance.shares(xi)
-        errors = f"with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
-        how = _Drawing("from the covariance of the fit", errors)
-    moved, labels = [], [f"draw {k + 1}" for k in range(draws)]
-    for k, i in found:
-        for sign in (1, -1):
-            changed = xi.clone()
-            changed[k, i] *= 1 + sign * SHARE
-            moved.append(changed)
-            where = change_of(model.library, model.signature.state_names[i])
-            labels.append(f"{model.library.names[k]} in {where} {100 * sign * SHARE:+.0f} %")
-    return Variants(labels, torch.cat([drawn, *(one.unsqueeze(0) for one in moved)]), draws, how)
+        return Variants(xi * (1 + DRAWN * uniform * model.constraints.free))
+    shares = 100 * model.covariance.shares(xi)
+    errors = f"with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
+    drawn = model.covariance.draw(xi, draws, generator)
+    return Variants(drawn, _Drawing("from the covariance of the fit", errors))
 
 
 @dataclass(frozen=True)
@@ -106,30 +80,26 @@ class Spread:
     """What becomes of the loop with other plants.
 
     Attributes:
-        labels: What is changed in each.
         radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
         error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
-        draws: How many, the first ones, are drawn at random.
-        how: By how much these are drawn.
+        how: By how much they are drawn.
         settling: Time in which the end of a step from the opposite target is closed, `(n_targets, n + 1)` [s], that of
             the model itself last; infinite where it is very long, 0 where the loop is not stable. None of one target.
     """
 
-    labels: list[str]
     radius: Tensor
     error: Tensor
-    draws: int
     how: _Drawing = WITHIN
     settling: Tensor | None = None
 
     @property
     def worst(self) -> Tensor:
-        """Largest spectral radius of each change over the targets, `(n,)`; infinite if none has a rest."""
-        return self.radius.amax(0) if len(self.radius) else self.radius.new_full((len(self.labels),), torch.inf)
+        """Largest spectral radius of each plant over the targets, `(n,)`; infinite if none has a rest."""
+        return self.radius.amax(0) if len(self.radius) else self.radius.new_full(self.radius.shape[1:], torch.inf)
 
     @property
     def farthest(self) -> Tensor:
-        """Largest steady error with each change over the targets, `(n, n_r)`."""
+        """Largest steady error of each plant over the targets, `(n, n_r)`."""
         return self.error.amax(0) if len(self.error) else self.error.new_zeros(self.error.shape[1:])
 
 
@@ -143,7 +113,7 @@ def spread(loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Variants,
         changed: The other plants.
         seconds: How long a loop may run to come to rest [s].
     """
-    count = len(changed.labels)
+    count = len(changed.coefficients)
     radii, errors = (
         torch.zeros(len(r), count, dtype=torch.float64),
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
@@ -157,7 +127,7 @@ def spread(loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Variants,
         rests.append(np.concatenate([found.z.numpy(), nominal.z[k : k + 1].numpy()]))
         slopes.append(np.concatenate([found.linear.a, nominal.linear.a[k : k + 1]]))
     closing = _closing(loop, r, np.stack(rests), np.stack(slopes), radii, seconds) if len(rests) > 1 else None
-    return Spread(changed.labels, radii, errors, changed.draws, changed.how, closing)
+    return Spread(radii, errors, changed.how, closing)
 
 
 def _closing(loop: ClosedLoop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, seconds: float) -> Tensor:

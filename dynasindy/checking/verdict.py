@@ -14,7 +14,6 @@ from torch import Tensor
 from dynasindy.checking.check import Check
 from dynasindy.checking.linear_loop import CLOSED, LONGEST
 from dynasindy.checking.simulation import GAINS, LATEST, TOLERANCE
-from dynasindy.checking.uncertainty import SHARE
 from dynasindy.findings import Finding, note, records, weak, wrong
 
 
@@ -85,14 +84,13 @@ def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, An
     others = found.spread
     changes = [
         {
-            "change": label,
             "spectral_radius": _plain_number(float(others.worst[k])),
             "steady_error": _named(outputs, others.farthest[k]),
             "settling": None
             if others.settling is None or others.worst[k] >= 1
             else _plain_number(float(others.settling[:, k].amax())),
         }
-        for k, label in enumerate(others.labels)
+        for k in range(others.radius.shape[1])
     ]
     planes = [
         {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
@@ -158,7 +156,7 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     findings = [_stability(found, limits)]
     if any(found.margins):
         findings += [*_margins(found, limits), *_large_movements(found, limits), _noise(found, limits)]
-    findings += [*_steps(found, limits), *_changes(found, limits), *_settling(found, limits)]
+    findings += [*_steps(found, limits), *_coefficients(found, limits), *_settling(found, limits)]
     return [*findings, _recovery(found, limits)] if found.planes else findings
 
 
@@ -272,23 +270,17 @@ def _steps(found: Check, limits: Thresholds) -> list[Finding]:
     ]
 
 
-def _changes(found: Check, limits: Thresholds) -> list[Finding]:
-    others, findings, held = found.spread, [], len(found.spread.radius)
-    kinds = (("one_coefficient", slice(others.draws, None)), ("all_coefficients", slice(0, others.draws)))
-    for code, rows in kinds:
-        radius, labels = others.worst[rows], others.labels[rows]
-        if not len(labels) or not held:
-            continue
-        rests = radius < 1
-        unstable, k, some = int((~rests).sum()), int(radius.argmax()), others.farthest[rows][rests]
-        error = largest_error(found, some if len(some) else 0 * found.targets[:1], limits)
-        away = found.ran_away if code == "all_coefficients" else 0
-        how = f"{100 * SHARE:.0f} % up and down, one at a time"
-        facts = {"plants": len(labels), "held": held, "how": others.how.summary() if code[0] == "a" else how}
-        facts |= {"unstable": unstable, "worst": labels[k], "radius": float(radius[k]), "ran_away": away}
-        keeps = not (unstable or away) and error["share"] <= limits.error
-        findings.append(_judged(code, keeps, **facts, **error))
-    return findings
+def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
+    others, held = found.spread, len(found.spread.radius)
+    if not len(others.worst) or not held:
+        return []
+    rests, away = others.worst < 1, found.ran_away
+    unstable, some = int((~rests).sum()), others.farthest[rests]
+    error = largest_error(found, some if len(some) else 0 * found.targets[:1], limits)
+    facts = {"plants": len(rests), "held": held, "how": others.how.summary(), "unstable": unstable}
+    facts |= {"radius": float(others.worst.max()), "ran_away": away}
+    keeps = not (unstable or away) and error["share"] <= limits.error
+    return [_judged("coefficients", keeps, **facts, **error)]
 
 
 def _settling(found: Check, limits: Thresholds) -> list[Finding]:
@@ -297,11 +289,7 @@ def _settling(found: Check, limits: Thresholds) -> list[Finding]:
         return []
     others = times[:, :-1].amax(0).where(stays, -1.0)
     slowest, limit = float(others.amax()), limits.settled * found.seconds
-    facts = {
-        "model": float(times[:, -1].amax()),
-        "slowest": slowest,
-        "worst": found.spread.labels[int(others.argmax())],
-    }
+    facts: dict[str, Any] = {"model": float(times[:, -1].amax()), "slowest": slowest}
     facts |= {"plants": int(stays.sum()), "all_stable": bool(stays.all()), "closed": CLOSED}
     return [_judged("settling", slowest <= limit, **facts, limit=limit, longest=LONGEST * found.seconds)]
 

@@ -10,8 +10,6 @@ import torch
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
-from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.checking import Check, Thresholds
@@ -39,10 +37,6 @@ from dynasindy.viz.style import (
     zero_order_hold,
 )
 
-SHOWN = 15
-"""Changes of single coefficients that are drawn, the worst first."""
-FEW_TICKS = 4
-"""Intervals between the ticks of an axis whose numbers have many digits."""
 LISTED = 3
 """Targets without a curve that are listed by name."""
 EDGE = 0.08
@@ -58,8 +52,7 @@ def draw_check(found: Check) -> dict[str, Figure]:
     * `recovery`: from which initial errors the plant comes back, a panel per pair of states;
     * `nyquist`: the loop opened at each input, a curve per target, and the point -1 that it must not go around;
     * `steps`: the model's step to the farthest target, and those of plants that were drawn around it. Where some run
-      away, the axes end with what stays within reach, and the legend says how many are cut off;
-    * `coefficients`: the spectral radius with each change of a coefficient, the worst first.
+      away, the axes end with what stays within reach, and the legend says how many are cut off.
     """
     limits = Thresholds()
     figures: dict[str, Figure] = {}
@@ -68,8 +61,6 @@ def draw_check(found: Check) -> dict[str, Figure]:
     if found.stable.any() and found.loop.signature.n_u:
         figures["nyquist"] = _nyquist(found, limits)
     figures["steps"] = _steps(found, limits)
-    if found.spread.labels[found.spread.draws :]:
-        figures["coefficients"] = _coefficients(found)
     return figures
 
 
@@ -177,35 +168,6 @@ def _looks(stays: Sequence[bool], how: str) -> list[dict[str, Any]]:
     }
     model = "the model itself" if stays[0] else "the model itself, which runs away"
     return [{"color": BLUE, "zorder": 3, "label": model}, *(others[one] for one in stays[1:])]
-
-
-def _coefficients(found: Check) -> Figure:
-    labels, values = found.spread.labels[found.spread.draws :], array(found.spread.worst[found.spread.draws :])
-    number = int(found.stable.sum())
-    title = f"Stability if one coefficient is wrong, at the worst of {number} target{'s' * (number > 1)}"
-    order = np.argsort(-values)[:SHOWN]
-    finite = values[np.isfinite(values)]
-    low, high = float(finite.min(initial=1.0)), float(finite.max(initial=1.0))
-    edge = high + 0.1 * max(high - low, 1e-3)
-    if len(order) < len(values):
-        title += f": the worst {len(order)} of {len(values)} changes"
-    figure, (axis,) = panels(1, 1, (9.0, 0.26 * len(order) + 1.2), title)
-    places, worst = np.arange(len(order))[::-1], values[order]
-    kinds: Sequence[tuple[str, NDArray[np.bool_], dict[str, Any]]] = (
-        ("stable", worst < 1, {"color": GREEN}),
-        ("not stable", (worst >= 1) & np.isfinite(worst), {"color": RED}),
-        ("never comes to rest, drawn at the edge", ~np.isfinite(worst), {"color": RED, "marker": ">"}),
-    )
-    for words, these, look in kinds:
-        if these.any():
-            at = np.where(np.isfinite(worst[these]), worst[these], edge)
-            axis.scatter(at, places[these], zorder=3, label=words, **look)
-    axis.set_yticks(places, [labels[k].replace("$", r"\$") for k in order])  # names are no mathematics
-    axis.axvline(1.0, color=BLACK, linestyle="--", linewidth=1.0, label="limit of stability")
-    axis.set_xlabel("largest spectral radius (stable below 1)")
-    legend_beside(axis)
-    axis.xaxis.set_major_locator(MaxNLocator(FEW_TICKS))
-    return figure
 
 
 def _recovery(found: Check, limits: Thresholds) -> Figure:

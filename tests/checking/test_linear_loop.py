@@ -280,7 +280,7 @@ def test_a_fiftieth_is_left_when_the_exponential_says_so():
 
 def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts):
     """p'' = 2 (r - p) - 2.5 p' - p, sampled every 0.1 s: within 2 % when it has swung in, as NumPy moves it."""
-    settings = Settings((-0.4,), (0.4,), points=2, seconds=6.0, grid=3, draws=0)
+    settings = Settings((-0.4,), (0.4,), points=2, seconds=6.0, grid=3, draws=4)
     found = check(loops(model=carts(spring=1.0)), settings)
     assert found.spread.settling is not None and found.spread.settling.shape == (2, 5)
     x, last = np.array([-0.8 * 2 / 3, 0.0]), 0
@@ -296,7 +296,7 @@ def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts
         x = (power @ np.append(x, -2.0 * x[0] - 2.5 * x[1]))[:2]
     assert found.spread.settling[:, -1].tolist() == pytest.approx([0.1 * last] * 2)
     (line,) = (each for each in check_verdict(found) if each.code == "check.settling")
-    assert line.severity == "note" and line.values["slowest"] >= line.values["model"]
+    assert line.severity == "note" and line.values["slowest"] == pytest.approx(line.values["model"], rel=0.1)
     (line,) = (each for each in check_verdict(found, Thresholds(settled=0.2)) if each.code == "check.settling")
     assert line.severity == "weak" and line.values["limit"] == pytest.approx(1.2)
     slow = torch.full_like(found.spread.settling, math.inf)

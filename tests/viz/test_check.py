@@ -34,7 +34,7 @@ def test_the_figures_of_a_check_name_their_targets():
     figures = draw_check(held_cart(draws=2))
     loops = [line.get_label() for line in figures["nyquist"].axes[0].lines if " m" in line.get_label()]
     assert sorted(loops) == ["$p$ = -0.4 m", "$p$ = 0 m", "$p$ = 0.4 m"]
-    assert {"recovery", "coefficients"} <= set(figures)
+    assert {"recovery", "steps"} <= set(figures)
 
 
 @pytest.mark.parametrize("draws", [0, 2])
@@ -76,15 +76,6 @@ def test_each_input_has_its_loop_and_its_own_unit():
     np.testing.assert_allclose(voltage.lines[0].get_ydata()[:-1], 4 * found.steps.u[0, :, 1], atol=1e-6)
 
 
-def with_spread(labels, radius) -> Check:
-    """Return the check with other changes of single coefficients and their spectral radii."""
-    found = held_cart(draws=0)
-    return replace(
-        found,
-        spread=replace(found.spread, labels=labels, radius=torch.tensor([list(radius)], dtype=torch.float64), draws=0),
-    )
-
-
 def test_a_loop_is_drawn_beside_the_point_that_it_must_not_go_around():
     found = held_cart(draws=0)
     (axis,) = draw_check(found)["nyquist"].axes
@@ -97,16 +88,6 @@ def test_a_loop_is_drawn_beside_the_point_that_it_must_not_go_around():
     (disk,), margin = axis.patches, Thresholds.disk
     ends = [disk.center[0] + disk.radius, disk.center[0] - disk.radius]
     assert ends == pytest.approx([-(2 - margin) / (2 + margin), -(2 + margin) / (2 - margin)])
-
-
-def test_the_worst_changes_stand_on_top_and_what_never_rests_at_the_edge():
-    (axis,) = draw_check(with_spread(["a", "b$", "c"], [0.9, np.inf, 1.1]))["coefficients"].axes
-    assert [text.get_text() for text in axis.get_yticklabels()] == [r"b\$", "c", "a"]
-    stable, unstable, edge = (dots.get_offsets().tolist() for dots in axis.collections)
-    assert stable == [[0.9, 0.0]] and unstable == [[1.1, 1.0]]
-    assert edge[0][0] > 1.1 and edge[0][1] == 2
-    many = with_spread([str(k) for k in range(20)], np.ones(20))
-    assert len(draw_check(many)["coefficients"].axes[0].get_yticks()) == 15
 
 
 def test_a_plane_is_drawn_with_the_first_state_to_the_right():
