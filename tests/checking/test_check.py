@@ -63,7 +63,7 @@ def test_a_record_is_json_of_what_was_found(loops, carts):
 
 
 def test_what_is_told_moves_with_every_control_period_of_every_loop(loops, law, monkeypatch):
-    """Of plants that are let run, too: a force of 0.3 at most holds against 0.299, and with a little less it does not."""
+    """Of plants that are let run, too: a force of 0.3 at most holds against 0.299, and with a bit less it does not."""
     model = SindyModel(loops().signature, ["force", "v", "1"], known={"p": "v"})
     model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, -0.5], [0.0, -0.299]], dtype=torch.float64))
     heard, silent, step = [""], [0], ClosedLoop.step
