@@ -69,15 +69,16 @@ class Link(NamedTuple):
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of words, a row per entry of `rows`."""
+    """A table of words, a row per entry of `rows`, and what its numbers come from, a line each."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str | Link]]
+    source: str = ""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, the name of its files, what it shows, and the command and commit that it comes from."""
+    """A figure, the name of its files, what it shows, and the commands and commits that it comes from, a line each."""
 
     name: str
     figure: Figure
@@ -115,16 +116,26 @@ class Section:
     @property
     def content(self) -> list[Part]:
         """What stands under the heading, from top to bottom."""
-        rows = [[one.case, one.statement.words, one.ours, one.verdict.value] for one in self.findings]
-        table = [TextTable(["plant, experiment", "the paper", "ours", "verdict"], rows)] if rows else []
+        cases = list(dict.fromkeys(one.case for one in self.findings))
+        cells: dict[str, dict[str, str]] = {}
+        for one in self.findings:
+            cells.setdefault(one.statement.words, {})[one.case] = f"{one.verdict.value} ({one.ours})"
+        rows = [[words, *(of.get(case, "") for case in cases)] for words, of in cells.items()]
+        table = [TextTable(["the paper", *cases], rows)] if rows else []
         return [*([self.words] if self.words else []), *table, *self.parts]
 
 
 def render_markdown(title: str, sections: Sequence[Section], html: str = "") -> str:
-    """Return a page as Markdown, whose figures are `figures/NAME.svg`; `html` is the same page as a file beside it."""
+    """Return a page as Markdown, whose figures are `figures/NAME.svg`; `html` is the same page as a file beside it.
+
+    What figures and tables come from stands once, in a numbered list at the end of the page.
+    """
     blocks = [f"# {title}"] + [f"[The same as one HTML file]({html}) needs no other file."] * bool(html)
+    sources: dict[str, int] = {}
     for section in sections:
-        blocks += [f"## {section.title}", *map(_markdown, section.content)]
+        blocks += [f"## {section.title}", *(_markdown(part, sources) for part in section.content)]
+    if sources:
+        blocks += ["## Sources", "\n".join(f"{n}. {escape_markdown(words)}" for words, n in sources.items())]
     return "\n\n".join(blocks) + "\n"
 
 
@@ -153,15 +164,18 @@ def _inline(words: str) -> Markup:
     return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", code))
 
 
-def _markdown(part: Part) -> str:
-    if isinstance(part, TextTable):
-        rows = [[_cell(cell) for cell in row] for row in (part.header, ["---"] * len(part.header), *part.rows)]
-        return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+def _markdown(part: Part, sources: dict[str, int]) -> str:
+    """Return a part as Markdown, and add what it comes from to the sources."""
+    if isinstance(part, str):
+        words = textwrap.wrap(escape_markdown(part), WIDTH, break_long_words=False, break_on_hyphens=False)
+        return "\n".join(words)
+    numbers = [sources.setdefault(line, len(sources) + 1) for line in part.source.splitlines()]
+    source = f"Source: {', '.join(map(str, numbers))}." if numbers else ""
     if isinstance(part, Picture):
-        alt = part.caption.partition(". ")[0].removesuffix(".").translate(str.maketrans("[]", "()", "`"))
-        image = f"![{escape_markdown(alt)}](figures/{part.name}.svg)"
-        return f"{image}\n\n{_markdown(f'{part.caption} {part.source}'.strip())}"
-    return "\n".join(textwrap.wrap(escape_markdown(part), WIDTH, break_long_words=False, break_on_hyphens=False))
+        image = f"![{part.name.replace('_', ' ')}](figures/{part.name}.svg)"
+        return f"{image}\n\n{_markdown(f'{part.caption} {source}'.strip(), sources)}"
+    rows = [[_cell(cell) for cell in row] for row in (part.header, ["---"] * len(part.header), *part.rows)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows) + f"\n\n{source}" * bool(source)
 
 
 def _cell(cell: str | Link) -> str:

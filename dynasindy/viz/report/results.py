@@ -183,6 +183,8 @@ def case_name(plant: str, experiment: str, *_: str) -> str:
 
 
 def _path(path: Path) -> str:
-    """Return a path as a reader of the repository knows it."""
+    """Return a path as a reader of the repository knows it, which may itself lie below a folder `docs`."""
     parts = path.parts
-    return "/".join(parts[parts.index("docs") :] if "docs" in parts else parts[-2:])
+    return "/".join(
+        parts[max(k for k, part in enumerate(parts) if part == "docs") :] if "docs" in parts else parts[-2:]
+    )
