@@ -13,20 +13,17 @@ from functools import cache
 from pathlib import Path
 
 import pandas as pd
-import torch
 import yaml
 
 from dynasindy.evaluation.ablation import Level, read_ablation, to_markdown
-from dynasindy.evaluation.statistics import interquartile_mean, over_seeds
+from dynasindy.evaluation.statistics import over_seeds
 from dynasindy.safe_io import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- table: (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
-AXES, WORST = ("azimuth", "pitch"), ("azimuth_worst", "pitch_worst")
+AXES = ("azimuth", "pitch")
 ROLLOUTS = ("rollouts_800", "rollouts_400", "rollouts_0")
-LAST = {"xi": 12, "tras": 16}
-"""Episodes after which the controls of the ablation are compared."""
 LABORATORY = 12
 """Plants known by logs that stand in a laboratory; those behind them are out of textbooks."""
 TABLES: dict[str, Callable[[], str]] = {}
@@ -88,24 +85,29 @@ def numbers(found: pd.DataFrame, column: str) -> pd.Series[float]:
     return found[column].replace("", "inf").astype(float)
 
 
-def short(value: float, places: int = 4) -> str:
-    """Return a number without the zero before its point: .0006; of 1 and above three digits."""
-    return f"{value:.{places}f}".removeprefix("0") if value < 1 else f"{value:.2f}"
+def mrad(value: float) -> str:
+    """Return an angle [rad] in mrad: 0.6."""
+    return f"{1000 * value:.1f}" if value >= 9.5e-5 else f"{1000 * value:.1g}" if value >= 5e-7 else "< 0.001"
 
 
 def pair(values: Iterable[float]) -> str:
-    """Return azimuth and pitch: .0006 / .0011."""
-    return " / ".join(map(short, values))
+    """Return azimuth and pitch [rad] in mrad: 0.6 / 1.1."""
+    return " / ".join(map(mrad, values))
 
 
-def worst(found: pd.DataFrame, axes: Sequence[str] = AXES) -> str:
+def middle(found: pd.DataFrame) -> str:
+    """Return the mean over seeds on each axis."""
+    return pair(numbers(found, axis).mean() for axis in AXES)
+
+
+def worst(found: pd.DataFrame) -> str:
     """Return the worst seed on each axis."""
-    return pair(numbers(found, axis).max() for axis in axes)
+    return pair(numbers(found, axis).max() for axis in AXES)
 
 
 def seeds(values: Iterable[float]) -> str:
     """Return the interquartile mean over seeds and its interval."""
-    return over_seeds([*values], 4, "never").replace("never [never, never]", "never")
+    return over_seeds([*values], 3, "never").replace("never [never, never]", "never")
 
 
 def runs(plant: str, setting: str, experiment: str = "dyna") -> pd.DataFrame:
@@ -119,25 +121,79 @@ def worse_axis(plant: str, setting: str, experiment: str, episode: int) -> pd.Se
     return found.filter(like="evaluated_steady_state_error").astype(float).max(axis=1)
 
 
-@table("plant | data | error, azimuth / pitch | time on one core")
+@table("plant | data | error, azimuth / pitch [mrad] | CPU time")
 def main_job() -> Rows:
     """Yield the errors of the main job after 10 s of data, of the worst of ten seeds."""
     for plant in ("tras", "xi"):
         found = rows("gradient.csv", case="step", plant=plant, plant_seconds=10.0)
-        yield f"`{plant}`", "10 s", f"{worst(found)} rad", f"{numbers(found, 'cpu_seconds').max():.0f} s"
+        yield f"`{plant}`", "10 s", worst(found), f"{numbers(found, 'cpu_seconds').max():.0f} s"
 
 
-@table("policy | data | error, azimuth / pitch [rad] | RMSE, azimuth / pitch [rad]")
+NEEDS = {
+    "planning by gradient": ("this policy", "ranges of inputs and targets"),
+    "planning by gradient, integral action": ("this policy, with integral action", "the same"),
+    "LQI": ("LQI", "six weights, here by a search on the model"),
+    "MPC": ("nonlinear MPC, Gauss-Newton", "weights, horizon"),
+    "PID": ("two PID loops", "six gains, here by a search on the model"),
+    "do-mpc NMPC": ("nonlinear MPC, do-mpc (2 targets)", "weights, horizon, smooth magnitudes, a hint of rotor speeds"),
+    "do-mpc ApproxMPC": ("a network that imitates it, do-mpc", "the same, and where to sample"),
+    "NeuroMANCER as documented": ("NeuroMANCER, as documented", "loss, horizon, network, learning rate"),
+    "NeuroMANCER helped": ("NeuroMANCER, with this project's cost", "the same, and windows and a schedule"),
+    "sb3_sac_5": ("SAC, Stable-Baselines3, no model", "the reward"),
+    "sb3_td3_5": ("TD3, Stable-Baselines3, no model", "the reward"),
+}
+"""What controllers are called, and what each has to be told."""
+
+
+@table(
+    "controller | data | error, azimuth / pitch [mrad] | CPU time to make it | time per action | what it has to be told"
+)
+def controllers() -> Rows:
+    """Yield controllers of `tras` beside the policy, whose times are 1."""
+    ours = rows("baselines.csv", plant="tras", controller="planning by gradient", scenario="step")
+    for name in NEEDS:
+        who, needs = NEEDS[name]
+        if name.startswith("sb3"):
+            found = runs("tras", name)
+            seconds = numbers(rows("ablation_curves.csv", system="tras", setting=name), "plant_seconds").max()
+            error = pair(numbers(found, f"steady_state_error/{axis}").mean() for axis in ("alpha_a", "alpha_p"))
+            yield who, f"{seconds:.0f} s", error, "", "", needs
+        elif " " in name and "planning" not in name:
+            (own,) = (of for _, of in rows("peers.csv", peer=name).groupby("commit"))
+            beside = rows("peers.csv", peer="ours", case=own.case.iloc[0], commit=own.commit.iloc[0])
+            times = (numbers(own, key).max() / numbers(beside, key).max() for key in ("cpu_seconds", "ms_per_action"))
+            yield who, "10 s", pair(numbers(own, "value")[:2]), *(f"{share:.2g}" for share in times), needs
+        else:
+            found = rows("baselines.csv", plant="tras", controller=name, model="identified", scenario="step")
+            pace = numbers(found, "ms_per_action").mean() / numbers(ours, "ms_per_action").mean()
+            error = middle(found[found.metric == "steady_state_error"])
+            made = "1" if name.startswith("planning") else ""
+            yield who, "10 s", error, made, f"{pace:.2g}", needs
+
+
+@table("controller | `tras`, sine | `tras`, square | `xi`, step | `xi`, sine | `xi`, square")
+def baselines() -> Rows:
+    """Yield errors at the end of steps, and RMSE of waves, by controllers on the identified model."""
+    for name in ("planning by gradient", "planning by gradient, integral action", "LQI", "MPC", "PID"):
+        cells = []
+        for plant, scenario in (("tras", "sine"), ("tras", "square"), ("xi", "step"), ("xi", "sine"), ("xi", "square")):
+            metric = "steady_state_error" if scenario == "step" else "rmse"
+            found = rows("baselines.csv", controller=name, plant=plant, scenario=scenario, metric=metric)
+            cells.append(middle(found[found.model == "identified"]))
+        yield NEEDS[name][0], *cells
+
+
+@table("policy | data | error, azimuth / pitch [mrad] | RMSE, azimuth / pitch [mrad]")
 def policies() -> Rows:
     """Yield the scores of the controllers that lie in the repository."""
     for plant in ("tras", "xi"):
         file = RESULTS / "policies" / plant / "origin.json"
         score = json.loads(file.read_text())["evaluation"]
         errors = (_score(score, metric) for metric in ("steady_state_error", "rmse"))
-        yield f"[`{plant}`]({file.relative_to(ROOT)})", "30 s", *errors
+        yield f"[`{plant}`](policies/{plant}/origin.json)", "30 s", *errors
 
 
-@table("scenario | RMSE [rad] | mean abs error of the last 5 s [rad] | return")
+@table("scenario | RMSE [mrad] | error at the end [mrad] | return")
 def scenarios() -> Rows:
     """Yield what the policy of the main job makes of each scenario."""
     for name in ("step", "sine", "square", "wind", "noise", "delay", "detuned"):
@@ -146,49 +202,32 @@ def scenarios() -> Rows:
         yield f"`{name}`", *errors, f"{score['return']:.1f}"
 
 
-@table("case | plant | real data | seeds | worst seed | CPU [s] | to reach")
+CASE_WORDS = {
+    ("step", "step"): "all states measured",
+    ("small", "step"): "the same, a network of 2 x 64 units",
+    ("oracle", "step"): "the same, planned on the plant itself",
+    ("moving", "sine"): "sine, one policy for steps and waves (RMSE)",
+    ("moving", "square"): "square wave, the same policy (RMSE)",
+    ("noise", "step"): "noisy sensors, state observer",
+    ("noise", "step_integral"): "the same, with integral action",
+    ("bench", "step"): "encoders and noisy tachometers, no rates measured",
+    ("bench_delay", "step"): "the same, inputs a control period late",
+    ("detuned", "detuned_gust"): "constants off by up to 10 %, and a gust",
+    ("detuned", "detuned_gust_integral"): "the same, with integral action",
+    ("friction_alone", "step"): "`trms33`: dry friction in both bearings",
+    ("friction_alone", "step_integral"): "the same, with integral action",
+}
+"""Cases of planning by gradient that the pages show, in words."""
+
+
+@table("case | `tras` | `xi` | CPU time")
 def gradient() -> Rows:
-    """Yield the worst seed of each case of planning by gradient."""
-    reach = {
-        ("step", "tras", 10): ".004",
-        ("step", "tras", 30): ".002",
-        ("step", "xi", 10): ".002",
-        ("sine", "tras", 10): ".003/.009 (LQI)",
-        ("square", "tras", 10): ".077/.110 (LQI)",
-        ("sine", "xi", 10): ".001/.002 (LQI)",
-        ("square", "xi", 10): ".083/.102 (LQI)",
-        ("noise", "tras", 70): ".02 within 3 episodes",
-        ("noise", "xi", 70): ".02 within 3 episodes",
-        ("bench", "tras", 10): ".002",
-        ("bench", "xi", 10): ".002",
-        ("bench_delay", "tras", 10): ".004",
-        ("bench_delay", "xi", 10): ".004",
-        ("detuned", "tras", 10): ".02 (10 of 10)",
-        ("friction_alone", "trms33", 10): ".02 (10 of 10)",
-    }
-    found = read("gradient.csv").astype({"plant_seconds": float})
-    found = found[~found.case.isin(["friction", "unseen", "unseen_moving"]) & found.plant_seconds.isin([10, 30, 70])]
-    found = found[~found.scenario.str.contains("_inputs|_nis")]
-    keys = ["case", "plant", "plant_seconds", "scenario"]
-    for (case, plant, seconds, scenario), own in found.groupby(keys, sort=False):
-        words = f"`{case}`" + (f", {scenario}, RMSE" if case == "moving" else "")
-        words += ", integral action" if scenario.endswith("integral") else ""
-        errors = worst(own) + (f" ({worst(own, WORST)})" if case in ("detuned", "friction_alone") else "")
-        target = reach.get((scenario if case == "moving" else case, plant, seconds), "")
-        cpu = f"{numbers(own, 'cpu_seconds').max():.0f}"
-        yield words, f"`{plant}`", f"{seconds:g} s", len(own), errors, cpu, target
-
-
-@table("situation | policy of | plant | seeds | error | worst seed | worst single reference")
-def unseen() -> Rows:
-    """Yield the situations that nothing was tuned on."""
-    policy = {"unseen": "step", "unseen_moving": "moving"}
-    found = read("gradient.csv")
-    found = found[found.case.isin(policy)]
-    for (case, scenario, plant), own in found.groupby(["case", "scenario", "plant"], sort=False):
-        middle = (interquartile_mean(torch.tensor(numbers(own, axis).to_numpy())).item() for axis in AXES)
-        who = f"`{scenario}`", f"`{policy[case]}`", f"`{plant}`", len(own)
-        yield *who, pair(middle), worst(own), worst(own, WORST)
+    """Yield the worst of ten seeds in each case of planning by gradient, after 10 s of data."""
+    for (case, scenario), words in CASE_WORDS.items():
+        found = rows("gradient.csv", case=case, scenario=scenario, plant_seconds=10.0)
+        own = {plant: worst(of) for plant, of in found.groupby("plant")}
+        cpu = f"{numbers(found, 'cpu_seconds').max():.0f} s"
+        yield f"{words} (`{case}`)", own.get("tras") or own.get("trms33"), own.get("xi", ""), cpu
 
 
 MODELS = {
@@ -198,25 +237,24 @@ MODELS = {
 """Models of every rig, and what they are called in the table."""
 
 
+SHOWN = {
+    **{"tanks": "test simulated, RMSE", "emps": "test simulated, RMSE", "qube": "both angles 0.2 s ahead, RMSE"},
+    **{"silverbox": "test simulated, RMSE", "ball_beam": "position 2 s ahead, RMSE"},
+    **{"quarter_drone": "angle 1 s ahead, RMSE", "tclab": "both temperatures 300 s ahead, RMSE"},
+    **{"tras_unnamed": "azimuth 2 s ahead, RMSE", "tras_harder": "azimuth 2 s ahead, RMSE"},
+}
+"""The error of each rig that the pages show; the file has all of them."""
+
+
 @table(f"rig | error | {' | '.join(MODELS.values())} | another")
 def rig_models() -> Rows:
-    """Yield the newest errors of models of real plants at horizons and over whole test logs."""
-    found = read("rigs.csv")
-    newest = found[~found.metric.str.contains(" over ")].drop_duplicates(["rig", "metric", "model"], keep="last")
-    for (rig, metric, unit), own in newest.groupby(["rig", "metric", "unit"], sort=False):
+    """Yield the newest errors of models of logged plants on their test logs."""
+    for rig, metric in SHOWN.items():
+        own = rows("rigs.csv", rig=rig, metric=metric).drop_duplicates("model", keep="last")
         cells = dict(zip(own.model, own.value, strict=True))
-        if "ARX" in cells:
-            others = (name for name in ("ARX with a cubic", "inverse dynamics", "second-order linear") if name in cells)
-            another = ", ".join(f"{name} {cells[name]}" for name in others)
-            yield rig, f"{metric} [{unit}]", *(cells.get(name, "") for name in MODELS), another
-
-
-@table("rig | model | error | value")
-def rigs() -> Rows:
-    """Yield what was scored before all rigs had the same simple models beside them."""
-    found = read("rigs.csv")
-    for row in found[: int((found.model == "ARX").to_numpy().argmax())].itertuples():
-        yield row.rig, row.model, f"{row.metric} [{row.unit}]", row.value
+        others = (name for name in ("ARX with a cubic", "inverse dynamics", "second-order linear") if name in cells)
+        another = ", ".join(f"{name} {cells[name]}" for name in others)
+        yield rig, f"{metric} [{own.unit.iloc[0]}]", *(cells.get(name, "") for name in MODELS), another
 
 
 @table("plant | held to 1 % | error of the worst seed | data")
@@ -255,23 +293,19 @@ def textbook_logs() -> Rows:
         yield facts["title"], *cells
 
 
-@table("case | plant | by | error | CPU [s] | ms per action")
+@table("plant | model | error on the test log, simulated | CPU time")
 def peers() -> Rows:
-    """Yield ours beside the strongest peers: errors of controllers, the worst target in brackets, and of models."""
-    keys = ["case", "plant", "peer", "version", "cpu_seconds", "ms_per_action"]
-    for (case, plant, peer, version, *costs), found in read("peers.csv").groupby(keys, sort=False):
-        if len(found) == 4:
-            words = "{} / {} ({} / {}) rad".format(*found.value)
-        else:
-            words = f"{found.value.iloc[0]} {found.measure.iloc[0].removeprefix('RMSE, ')}"
-        yield case, f"`{plant}`", "ours" if peer == "ours" else f"{peer} {version}", words, *costs
+    """Yield models of ours beside those of other packages."""
+    for row in rows("peers.csv", case="model, test log simulated").itertuples():
+        unit = row.measure.removeprefix("RMSE, ")
+        yield f"`{row.plant}`", f"{row.peer} {row.version}", f"{row.value} {unit}", f"{row.cpu_seconds} s"
 
 
 @table("case | by | what is measured | must reach | value")
 def identification() -> Rows:
     """Yield what identification had to reach from exact data, and what was measured."""
     for row in read("identification.csv").itertuples():
-        if row.case in ("xi_10s", "xi_control", "tras", "trms33", "refit", "speed"):
+        if row.case in ("xi_10s", "xi_control", "tras", "trms33", "refit", "speed") and row.value.count(",") < 2:
             yield f"`{row.case}`", row.method, row.measure, row.target, row.value
 
 
@@ -292,34 +326,43 @@ def rollouts() -> Rows:
             yield f"`{plant}`, {words}", *(seeds(numbers(own, column)) for own in found)
 
 
-@table("plant, setting | seeds | reached | real episodes to the level | error, worse axis [rad]")
-def controls() -> Rows:
-    """Yield the controls of the ablation."""
-    found = read("ablation.csv")
-    found = found[(found.experiment == "dyna") & ~found.setting.str.startswith("sb3")]
-    for (plant, name), own in found.groupby(["system", "setting"], sort=False):
-        errors, level = worse_axis(plant, name, "dyna", LAST[plant]), seeds(numbers(own, "episodes_to_level"))
-        yield f"`{plant}`, `{name}`", len(own), _reached(own), level, seeds(errors)
+@table("agent without a model | `xi` | `tras`")
+def model_free() -> Rows:
+    """Yield after how many episodes each seed of an agent without a model reached the level."""
+    words = {
+        "sb3_sac_5": "SAC, five updates per step",
+        "sb3_sac": "SAC, its defaults",
+        "sb3_td3_5": "TD3, five updates per step",
+        "sb3_td3": "TD3, its defaults",
+        "rollouts_0_tuned": "our TD3, tuned for no model",
+    }
+    for setting, name in words.items():
+        cells = []
+        for plant in ("xi", "tras"):
+            found = runs(plant, setting)
+            reached = sorted(numbers(found[found.episodes_to_level != ""], "episodes_to_level"))
+            never = f"{len(found) - len(reached)} of {len(found)} not within {found.episodes.max()}"
+            cells.append(
+                "; ".join(filter(None, [", ".join(f"{k:g}" for k in reached), never * (len(reached) < len(found))]))
+            )
+        yield name, *cells
 
 
-@table("plant, setting | seeds, episodes | return at the end | area under the curve | error at the end [rad]")
-def paper() -> Rows:
-    """Yield the paper's experiment at the end of its runs."""
-    for plant in ("xi", "tras"):
-        for name in ROLLOUTS:
-            found = runs(plant, name, "paper")
-            columns = ("final_return", "area_under_curve", "steady_state_error")
-            measured = (seeds(numbers(found, column)) for column in columns)
-            yield f"`{plant}`, `{name}`", f"{len(found)}, {found.episodes.iloc[0]}", *measured
-
-
-@table("rollouts | after 60 episodes | after 180 | after 300 | after 600")
+@table("runs | rollouts | after 60 episodes | after 180 | after 600 | after 1200")
 def paper_errors() -> Rows:
-    """Yield the error of the worse axis of each seed of the paper's experiment on `xi` along its 600 episodes."""
+    """Yield the error of the worse axis [mrad] of each seed of the paper's experiment on `xi` along its episodes."""
+    full = read("paper_in_full.csv")
     for name in ROLLOUTS:
-        cells = (worse_axis("xi", name, "paper", episode) for episode in (60, 180, 300, 600))
         label = "none" if name == "rollouts_0" else name.removeprefix("rollouts_")
-        yield label, *(", ".join(short(error, 3) for error in errors) for errors in cells)
+        cells = [worse_axis("xi", name, "paper", episode) for episode in (60, 180, 600)]
+        yield "600 episodes", label, *(", ".join(f"{1000 * error:.0f}" for error in errors) for errors in cells), ""
+    for name in ROLLOUTS:
+        label = "none" if name == "rollouts_0" else name.removeprefix("rollouts_")
+        own = full[(full.system == "xi") & (full.setting == name)]
+        cells = [
+            own[own.episode == str(k)][["azimuth", "pitch"]].astype(float).max(axis=1) for k in (60, 180, 600, 1200)
+        ]
+        yield "1200 episodes", label, *(", ".join(f"{1000 * error:.0f}" for error in errors) for errors in cells)
 
 
 def _score(score: Mapping[str, float], metric: str) -> str:

@@ -1,4 +1,4 @@
-"""The files that docs/extending.md shows are written where it says, and run."""
+"""The files that docs/plant.md and docs/extending.md show are written where they say, and run."""
 
 import os
 import re
@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 REPOSITORY = Path(__file__).parents[1]
-PAGE = REPOSITORY / "docs" / "extending.md"
-BLOCKS = dict(re.findall(r"```(?:python|yaml)\n# (\S+)\n(.*?)```", PAGE.read_text(), re.S))
-COMMANDS = re.findall(r"^    python (scripts/train\.py system=servo task=.*)$", PAGE.read_text(), re.M)
+PAGE = "".join((REPOSITORY / "docs" / name).read_text() for name in ("plant.md", "extending.md"))
+BLOCKS = dict(re.findall(r"^`(\S+/\S+)`\n\n```(?:python|yaml)\n(.*?)```", PAGE, re.S | re.M))
+COMMANDS = re.findall(r"^    python (scripts/train\.py system=servo task=.*)$", PAGE, re.M)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_tests_of_the_page_pass(extended):
 
 
 def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path):
-    (words,) = re.findall(r"^    (pytest tests/systems/test_servo\.py .*)$", PAGE.read_text(), re.M)
+    (words,) = re.findall(r"^    (pytest tests/systems/test_servo\.py .*)$", PAGE, re.M)
     # The tests of the configuration read the page on Gymnasium, and examples of plants.
     for folder in ("dynasindy", "conf", "docs", "tests"):
         ignored = shutil.ignore_patterns("__pycache__", "results", "report", "figures")
@@ -67,7 +67,7 @@ def test_the_command_that_tests_a_plant_of_ones_own_passes(extended, tmp_path):
 @pytest.mark.parametrize(("source", "functions"), [("simulated", 15), ("logged", 6)])
 def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions, tmp_path):
     # Monomials of three states and one input up to the second degree are 1 + 4 + 10.
-    (block,) = re.findall(r"```yaml\nplant:\n(  library: .*?)```", PAGE.read_text(), re.S)
+    (block,) = re.findall(r"```yaml\nplant:\n(  library: .*?)```", PAGE, re.S)
     file = (extended / "conf/system/servo.yaml").read_text()
     assert "  library: polynomial\n" in file
     shutil.copytree(extended / "conf", tmp_path / "conf")
@@ -88,7 +88,7 @@ def test_a_log_gets_the_library_of_the_page_for_logs(extended, source, functions
 
 
 def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command(extended):
-    (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", PAGE.read_text(), re.M)
+    (words,) = re.findall(r"^    python scripts/train\.py (system=servo task\.reward.*)$", PAGE, re.M)
     printed = run(
         extended,
         "-c",
@@ -107,7 +107,7 @@ def test_the_reward_and_the_agent_of_the_page_are_made_by_the_words_of_a_command
 
 
 def test_the_scenario_of_the_page_pushes_the_plant_when_it_says(extended, tmp_path):
-    (words,) = re.findall(r"^    python (scripts/evaluate\.py --config-dir .*) run=\S+ '(.*)'$", PAGE.read_text(), re.M)
+    (words,) = re.findall(r"^    python (scripts/evaluate\.py --config-dir .*) run=\S+ '(.*)'$", PAGE, re.M)
     run(
         extended,
         "-c",

@@ -14,7 +14,7 @@ REPOSITORY = Path(__file__).parents[1]
 CONF = REPOSITORY / "conf"
 SITE = REPOSITORY / "docs" / "site"
 FILES = sorted(CONF.rglob("*.yaml"))
-NEEDED = ("mkdocs", "material", "mkdocstrings")
+NEEDED = ("mkdocs", "material", "mkdocstrings", "latex2mathml")
 
 
 def loaded(name):

@@ -1,4 +1,4 @@
-"""Four plants as a user writes them from docs/extending.md; `scripts/benchmark.py plants` tries the defaults on them.
+"""Four plants as a user writes them from docs/plant.md; `scripts/benchmark.py plants` tries the defaults on them.
 
 PYTHONPATH=docs/examples python scripts/train.py --config-dir docs/examples/conf system=quadrotor
 """

@@ -15,6 +15,7 @@ from typing import Any
 
 import config_pages
 import notebooks
+from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -29,6 +30,9 @@ SETTINGS, REFERENCE, NOTEBOOKS = "settings", "reference", "notebooks"
 """Folders of the pages that are generated."""
 FENCED = re.compile(r"(^ *(`{3,}).*?^ *\2$)", re.M | re.S)
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s#]*)(#[^)\s]*)?\)")
+MATH = re.compile(r"\$`([^`]+)`\$")
+MATH_BLOCK = re.compile(r"^```math\n(.*?)^```$", re.M | re.S)
+"""Formulas as GitHub sets them."""
 NAME = re.compile(r"(?<![\[`])`(dynasindy(?:\.\w+)+)`(?![\]`])")
 
 
@@ -50,10 +54,17 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links lead to pages of the site, and names of the package to the reference."""
+    """Let links lead to pages of the site, names of the package to the reference, and set formulas as MathML."""
+    markdown = MATH_BLOCK.sub(
+        lambda block: f'<p markdown="0">{convert(block[1].strip(), display="block")}</p>', markdown
+    )
     here = page.file.src_uri
     source = {site: file for file, site in ROOT_PAGES.items()}.get(here, f"docs/{here}")
-    return _outside_code(markdown, lambda text: NAME.sub(_named, LINK.sub(_linked(source, here), text)))
+    return _outside_code(markdown, lambda text: NAME.sub(_named, LINK.sub(_linked(source, here), _formulas(text))))
+
+
+def _formulas(text: str) -> str:
+    return MATH.sub(lambda found: convert(found[1]), text)
 
 
 def generated() -> Iterator[tuple[str, str]]:

@@ -26,10 +26,7 @@ ERROR, SHARE = "steady_state_error", "steady_state_share"
 TABLE, CURVES = "ablation.csv", "ablation_curves.csv"
 SUMMARY = {
     "episodes_to_level": "real episodes to the level",
-    "real_steps_to_level": "real steps to the level",
     "plant_seconds_to_level": "plant time to the level [s]",
-    "updates_to_level": "gradient updates to the level",
-    "imagined_to_level": "imagined transitions to the level",
     "area_under_curve": "area under the curve",
     "final_return": "final return",
     ERROR: "steady-state error [rad]",

@@ -208,7 +208,7 @@ class _FarEnd:
             raise ValueError(
                 f"the simulated rig plays its plant in another process, which cannot import {plant.__qualname__} of "
                 f"{plant.__module__} ({answer}); write the class into a Python file of its own that can be imported "
-                "(docs/extending.md), and import it from there"
+                "(docs/plant.md), and import it from there"
             ) from answer
         return answer
 

@@ -300,9 +300,9 @@ SECTIONS: Sequence[Entry] = (
         "very low at first, higher and rising sooner with planning, soonest with 800 (about 180 episodes), all three "
         "nearly the same at the end. In `experiment=dyna` the runs without planning make as many gradient updates as "
         "the others; in `experiment=paper` they are direct TD3. Where the level is compared, other agents without a "
-        "model stand beside them, as far as the ablation has them. A return is that of the policy without noise over "
-        "64 fixed steps: interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed where there "
-        "are fewer than three.",
+        "model stand beside them, as far as the ablation has them. A return is that of the policy without noise "
+        "over 64 fixed steps: interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed where "
+        "there are fewer than three.",
         [(_rewards, CASES)],
         paper.REWARDS,
     ),
