@@ -29,25 +29,6 @@ def test_what_is_tried_by_default_is_what_the_command_tries():
     assert ours == {name: told[name] for name in ours}
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"low": (1.0,), "high": (0.0,)}, "low <= high"),
-        ({"low": (0.0, 0.0), "high": (1.0,)}, "one number per output"),
-        ({"low": (0.0,), "high": (1.0,), "grid": 1}, "grid >= 2"),
-        ({"low": (0.0,), "high": (1.0,), "seconds": 0.0}, "seconds > 0"),
-    ],
-)
-def test_settings_that_are_none_are_refused(given, words):
-    with pytest.raises(ValueError, match=words):
-        Settings(**given)
-
-
-def test_a_box_of_other_outputs_is_refused(loops):
-    with pytest.raises(ValueError, match="each"):
-        check(loops(), Settings((0.0, 0.0), (1.0, 1.0)))
-
-
 def test_a_record_is_json_of_what_was_found(loops, carts):
     found = check(loops(model=carts(spring=1.0), observer={}), SMALL)
     held = json.loads(json.dumps(check_record(found), allow_nan=False))

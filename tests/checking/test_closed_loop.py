@@ -1,16 +1,15 @@
 """The loop as one map does, step for step, what the controller does with a plant in a plain loop."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.closed_loop import FINE, ClosedLoop, Plant, step_for
+from dynasindy.checking.closed_loop import FINE, Plant, step_for
 from dynasindy.control.controller import ControlSetup
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature, Stops, integrate
+from dynasindy.systems import Stops, integrate
 
 
 def flown(loop, x, r, periods):
@@ -117,17 +116,6 @@ def test_a_loop_at_rest_knows_where_it_is(networks):
     moved = loop.step(z, loop.uncertain(z), torch.tensor([[0.3]]))
     np.testing.assert_allclose(moved.z[0, loop.parts["x"]], x[0], atol=1e-9)
     np.testing.assert_allclose(moved.z[0, loop.parts["mean"]], [0.25, 0, 0], atol=1e-7)
-
-
-def test_a_model_of_another_plant_is_refused(loops):
-    loop = loops()
-    other = SindyModel(Signature(("p", "v"), ("m", "m/s"), ("push",), (2.0, 3.0)), ["push"])
-    with pytest.raises(ValueError, match="units"):
-        ClosedLoop(loop.controller, type(loop.plant)(other, 0.1, 0.1))
-    # A controller out of a log sees outputs in the range of their targets, its model in that of the log.
-    model = loop.plant.model
-    wide = replace(model.signature, x_scale=tuple(20 * scale for scale in model.signature.x_scale))
-    ClosedLoop(loop.controller, replace(loop.plant, model=SindyModel(wide, list(model.library.names))))
 
 
 def test_stops_hold(carts):

@@ -19,11 +19,9 @@ from dynasindy.checking.verdict import (
     Thresholds,
     check_record,
     check_verdict,
-    largest_error,
     main_figures,
     unstable_targets,
 )
-from dynasindy.findings import note
 from dynasindy.sentences import REMEDIES, SENTENCES, check_lines
 
 SMALL = Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2)
@@ -159,13 +157,6 @@ def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist():
                 node = node[step]
 
 
-def test_one_line_sums_up(good, loops, law):
-    findings = check_verdict(good, Thresholds(slew=0.0, error=1.0))
-    bad = [each.code for each in findings if each.severity != "note"]
-    assert bad and f"weak in {len(bad)} of 13" in check_lines(findings)[-1]
-    assert "NOT stable at 2 of 2" in check_lines(check_verdict(check(loops(law(-1.0, 0.0)), SMALL)))[-1]
-
-
 def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts, law):
     # The weakest swing of tests/checking/test_simulation.py: the input is held, which takes more damping than there is.
     circling = check(loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), SMALL)
@@ -190,19 +181,6 @@ def test_of_margins_that_disagree_the_lesser_count(good, gain, delay, counts):
     assert found["gain_margin"].values["small"] and not by_name(good)["gain_margin"].values["small"]
 
 
-@pytest.fixture(scope="module")
-def unobserved(loops):
-    return check(loops(), Settings((-0.4,), (0.4,), points=2, seconds=8.0, grid=3, draws=2))
-
-
-def test_an_error_that_is_just_too_large_is_shown_to_be(unobserved):
-    """The typical size of p is 2 m, of which a twentieth is allowed."""
-    found = largest_error(unobserved, torch.tensor([[0.10003]], dtype=torch.float64), Thresholds())
-    assert found["error"] > found["limit"] == pytest.approx(0.1) and found["share"] > 0.05
-    assert "0.10003 m" in str(note("check.steady_error", begin="0", **found))
-    assert largest_error(unobserved, torch.tensor([[torch.inf]]), Thresholds())["error"] == math.inf
-
-
 def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):
     """Of a cart on a spring with friction: what JSON holds is what the check found, in the same order."""
     found = check(loops(model=carts(spring=1.0, friction=0.5)), Settings((-0.4,), (0.4,), points=2, grid=3, draws=1))
@@ -216,12 +194,3 @@ def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):
     settling = found.spread.settling
     assert settling is not None
     assert [change["settling"] for change in held["changes"]] == settling[:, :-1].amax(0).tolist()
-
-
-def test_what_may_mend_several_findings_stands_behind_the_first_weak_one(good):
-    margin = Margins(1.5, 0.2, 20.0, 0.5, 1.0)  # of which gain and phase are weak
-    findings = check_verdict(replace(good, margins=[[margin], [margin]]), Thresholds(slew=0.0))
-    texts = {line[6:].partition(":")[0]: line for line in check_lines(findings)}
-    assert texts["gain margin"].startswith("WEAK") and "planning.gain_range=" not in texts["phase margin"]
-    assert "gain_range=" in texts["gain margin"] and "rate_weight" in texts["slew"]
-    assert texts["disk margin"].startswith("ok")

@@ -210,20 +210,6 @@ def test_what_the_controller_estimates_is_not_among_what_it_reads_and_what_may_b
         controller.act({"theta": 0.1, "speed": 0.0}, [0.3])
 
 
-def test_an_infinite_measurement_is_refused_behind_sensors_too():
-    env, policy = setting()
-    controller = Controller(policy, ControlSetup(env.task, env.dt, env.substeps), watching(env))
-    with pytest.raises(ValueError, match="measurement"):
-        controller.act([math.inf, math.nan], [0.3])
-
-
-def test_an_observer_that_has_not_learnt_is_refused():
-    env, policy = setting()
-    observer = Observer(pendulum_model(), Sensors({"theta": {}}, rates={"theta": "Omega"}), env)
-    with pytest.raises(ValueError, match="learnt"):
-        Controller(policy, ControlSetup(env.task, env.dt), observer)
-
-
 @pytest.mark.parametrize("observed", [False, True])
 @pytest.mark.parametrize("integral", [None, {"band": 0.5}])
 def test_a_number_beyond_all_limits_is_refused_and_changes_nothing(observed, integral):

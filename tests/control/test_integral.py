@@ -103,23 +103,6 @@ def test_a_row_that_begins_anew_forgets_alone():
     assert action.integral.flatten().tolist() == pytest.approx([0.02] * 3)  # another batch begins at zero
 
 
-@pytest.mark.parametrize("name", ["gain", "band", "limit", "rate"])
-def test_each_number_must_be_positive(name):
-    env, proportional = setting()
-    with pytest.raises(ValueError, match=f"{name}=0.0"):
-        IntegralAction(proportional, env, **{name: 0.0})
-    with pytest.raises(ValueError, match=f"{name}=nan"):
-        IntegralAction(proportional, env, **{name: math.nan})
-    IntegralAction(proportional, env, **{name: 1e-3})
-
-
-def test_a_task_without_a_reference_is_refused():
-    env, proportional = setting()
-    env.task = object()
-    with pytest.raises(TypeError, match="object"):
-        IntegralAction(proportional, env)
-
-
 def test_band_limit_and_rate_count_in_boxes_of_targets():
     """Half the box and twice the numbers are the same controller."""
     plant, states = Pendulum(), []

@@ -8,11 +8,9 @@ import pytest
 import torch
 
 import dynasindy
-from dynasindy.control import save
-from dynasindy.control.period import as_planned, other_period, suited_period
+from dynasindy.control.period import other_period, suited_period
 from dynasindy.data.recording import Recording
 from dynasindy.envs.rollout_data import record_plant
-from dynasindy.evaluation.scenarios import Scenario, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.findings import Finding, note, weak
 from dynasindy.identification.source import Source, closest_period
@@ -112,13 +110,6 @@ def test_a_control_period_is_never_shorter_than_a_sample(step, period):
     assert closest_period(logged(step, known(1.0, 0.1).signature)) == pytest.approx(period)
 
 
-def test_a_control_period_that_is_asked_for_is_kept_whatever_the_log():
-    fast = logged(0.001, known(1.0, 0.1).signature)
-    assert closest_period(fast, 0.05) == 0.05 and closest_period(None) == 0.05 and closest_period(None, 0.02) == 0.02
-    with pytest.raises(ValueError, match="time"):
-        closest_period(fast, 0.0)
-
-
 def rubbing(hertz, damping, friction):
     """Return a spring that dry friction holds, v' = w^2 (u - p) - 2 z w v - friction tanh(200 v)."""
     smooth = known(hertz, damping)
@@ -146,17 +137,6 @@ def test_a_swing_that_friction_hides_at_rest_counts_where_the_log_moves(seen):
     log = logged(0.005, model.signature)
     found = suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), log if seen else blind(log))
     assert found.seconds == pytest.approx(0.02) and found.why == chosen(0.02, "oscillation", 0.10692)
-
-
-def test_a_swing_that_few_places_of_a_log_show_does_not_count():
-    """A log that stands still but for its last tenth."""
-    model = rubbing(9.4, 0.1, 40.0)
-    log = logged(0.005, model.signature)
-    still = torch.arange(len(log.training)) < 0.9 * len(log.training)
-    x = log.training.x.clone()
-    x[still] = 0.0
-    log = replace(log, training=replace(log.training, x=x))
-    assert suited_period(model, tracking_task(model, {"p": (-0.5, 0.5)}), log).seconds == pytest.approx(0.05)
 
 
 NAMES_OF_TANK = ["h", "p", "v", "u"]
@@ -301,29 +281,3 @@ def test_the_period_of_a_slow_difference_equation_is_as_many_steps_as_a_plan_nee
     log = replace(plain, signature=model.signature, **first)
     found, wanted = suited_period(model, tracking_task(model, {"x": (-0.5, 0.5)}), log), SETTLED * 4000 / 80
     assert wanted * 0.99 <= found.seconds < 1.03 * wanted + 1 and found.seconds == round(found.seconds)
-
-
-def test_no_other_period_is_told_for_a_difference_equation():
-    """It swings in 0.6 s, two of its steps; a period of a fifth of that is none that it has."""
-    model = mapped(-0.6, 1.0, 0.3)
-    task = tracking_task(model, {"x": (-0.5, 0.5)})
-    assert other_period(model, task, None, 0.3) is None and other_period(model, task, None, 0.6) is None
-
-
-def test_a_task_that_is_planned_for_twice_is_planned_for_once():
-    """The commands ask with the task as it is given, and `plan` with the one that the log has made of it."""
-    model = tank(4000)
-    task, log = tracking_task(model, {"h": (-0.5, 0.5)}), tank_log(1.0, model)
-    once = as_planned(task, model, log)
-    assert suited_period(model, task, log) == suited_period(model, once, log)
-    assert torch.equal(once.start, as_planned(once, model, log).start)
-
-
-def test_a_controller_out_of_a_file_that_fails_is_told_which_period_to_try(tmp_path):
-    model, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
-    log = logged(0.005, model.signature)
-    controller = dynasindy.plan(model, targets, log, dt=0.05, updates=1, rollouts=4, window=5)
-    save(controller, tmp_path / "controller.json")
-    steps = Scenario("step", step_references([-0.5], [0.5], 4), 4, 2.0)
-    found = dynasindy.forecast(dynasindy.load(tmp_path), model, log, steps).findings
-    assert [each.values["wanted"] for each in found if each.code == "control.other_period"] == [pytest.approx(0.02)]

@@ -221,15 +221,6 @@ def test_an_imagined_episode_begins_where_the_environment_does():
     assert float(angle.min()) < -2.5 and float(angle.max()) > 2.5 and 0.5 < float(x[:, 2].abs().max()) <= 1.0
 
 
-def test_an_imagined_environment_draws_by_its_own_seed():
-    env = pendulum(seed=2)
-
-    def begun(**seed):
-        return env.with_system(Turning(env.system.signature), **seed).reset()["state"]
-
-    assert torch.equal(begun(), begun(seed=0)) and not torch.equal(begun(seed=1), begun(seed=0))
-
-
 class Turning(Pendulum):
     """A stand-in for a fitted model."""
 
@@ -239,51 +230,6 @@ class Turning(Pendulum):
 
     def forward(self, x, u):
         return torch.zeros_like(x)
-
-
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
-        ("CartPole-v1", {}, r"CartPole-v1 has the action space Discrete\(2\); a plant needs a Box"),
-        ("Blackjack-v1", {}, "has the observation space Tuple"),
-        ("None-v0", {}, r"env.id=None-v0: Environment `None` doesn't exist; give an environment"),
-        ("Pendulum-v1", {"states": ["a"]}, r"has 3 states and 1 inputs, plant.states names 1 \(a\)"),
-        ("Pendulum-v1", {"inputs": ["a", "b"]}, r"plant.inputs 2 \(a, b\); name each"),
-        ("Pendulum-v1", {"options": {"weight": 1}}, "unexpected keyword argument 'weight'"),
-        (
-            "Pendulum-v1",
-            {"states": ["w", "c"], "observed": ["c", "s"]},
-            r"has 3 states and 1 inputs, plant.observed names 2 \(c, s\)",
-        ),
-        ("Pendulum-v1", {"stops": ["w"]}, "plant.stops names w, Pendulum-v1 has the states x1, x2, x3"),
-    ],
-)
-def test_what_is_no_plant_is_refused_in_one_line(name, settings, words):
-    with pytest.raises(ValueError, match=words) as refused:
-        Foreign(name, **settings)
-    assert "\n" not in str(refused.value)
-
-
-def test_inputs_without_ends_are_refused():
-    gymnasium.register("by_hand/Free-v0", Free)
-    with pytest.raises(ValueError, match="without ends"):
-        Foreign("by_hand/Free-v0")
-
-
-class Free(Steps):
-    """Inputs of any size."""
-
-    action_space = spaces.Box(-math.inf, math.inf, (2,), dtype=np.float64)
-
-
-def test_other_plants_and_finer_samples_are_refused():
-    system = Pendulum()
-    task = Tracking(system.signature, Step([[0.0]]), ["theta"], (), TrackingReward((4.0,)))
-    with pytest.raises(TypeError, match="ControlEnv"):
-        GymnasiumEnv(system, task)
-    env = pendulum()
-    with pytest.raises(ValueError, match=r"env\.substeps=5"):
-        GymnasiumEnv(env.system, env.task, substeps=5)
 
 
 def test_rows_that_stay_where_they_ended_have_not_moved():
@@ -332,24 +278,3 @@ def test_an_angle_goes_on_over_whole_turns_in_both_directions():
         for angle in true[1:]:
             x = observed.state(shown(angle), x)
             assert x[0, 0].item() == pytest.approx(angle, abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("names", "states", "angles", "words"),
-    [
-        (["s", "s"], ["s"], {}, "twice"),
-        (
-            NAMES,
-            ["w", "q"],
-            {},
-            r"plant\.states",
-        ),
-        (NAMES, ["w"], {"a": ["s", "c"]}, r"\[s, c\]"),
-        (NAMES, ["a"], {"a": ["s", "z"]}, r"\[s, z\]"),
-        (NAMES, ["a"], {"a": ["s"]}, r"\[s\]"),
-        (NAMES, ["w"], {"w": ["s", "c"]}, r"plant\.angles"),
-    ],
-)
-def test_what_is_no_state_is_refused(names, states, angles, words):
-    with pytest.raises(ValueError, match=words):
-        _Observed(names, states, angles)

@@ -73,18 +73,6 @@ def test_actions_out_of_range_are_clipped() -> None:
     np.testing.assert_array_equal(*results)
 
 
-def test_mistakes_get_one_line() -> None:
-    with pytest.raises(ValueError, match="trms33"):
-        twin_rotor(plant="helicopter")
-    with pytest.raises(ValueError, match="render_mode"):
-        twin_rotor(render_mode="human")
-    with pytest.raises(RuntimeError, match="reset"):
-        twin_rotor().step(np.zeros(2, dtype=np.float32))
-    system = Tras()
-    with pytest.raises(ValueError, match="one row"):
-        _GymControl(ControlEnv(system, Tracking(system.signature, Step([[0.0, 0.0]])), batch_size=(3,)))
-
-
 def test_spaces_and_the_papers_references_are_those_documented() -> None:
     env = twin_rotor(render_mode="rgb_array")
     assert env.observation_space.shape == (8,) and env.action_space.shape == (2,)
@@ -120,13 +108,6 @@ def test_pictures_show_the_present_and_are_made_only_when_asked_for() -> None:
     silent = twin_rotor()
     silent.reset(seed=0)
     assert silent.render() is None
-
-
-def test_a_task_that_tracks_nothing_is_refused() -> None:
-    env = ControlEnv(Tras(), Tracking(Tras().signature, Step([[0.0, 0.0]])))
-    env.task = object()
-    with pytest.raises(TypeError, match="object"):
-        _GymControl(env)
 
 
 def test_an_environment_that_steps_in_its_own_way_is_played_as_it_is() -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from dynasindy.evaluation.ablation import (
     Level,
-    _summarise_run,
     gather,
     read_ablation,
     to_markdown,
@@ -122,17 +121,6 @@ def test_the_table_has_interquartile_means_and_says_never(tmp_path):
     assert good.startswith("| xi | dyna | good | 5 | 3 or 4 or 5 or 30 | 5/5 | 4.333 [3")
     assert bad.startswith("| xi | dyna | bad | 5 | 2 or 3 | 1/5 | never [")
     assert (tmp_path / "ablation.md").read_text() == text
-
-
-def test_a_run_without_any_axis_never_reaches_the_level():
-    line = dict.fromkeys(HEADER.split(",")[:8], 1.0)
-    assert _summarise_run([line] * 3, LEVEL)["episodes_to_level"] is None
-
-
-@pytest.mark.parametrize("settings", [{"error": 0.0}, {"consecutive": 0}, {"share": 0.0}])
-def test_impossible_levels_are_refused(settings):
-    with pytest.raises(ValueError, match="count"):
-        Level(**settings)
 
 
 def test_figures_at_the_end_are_those_of_the_last_evaluation(tmp_path):

@@ -85,11 +85,6 @@ def test_a_model_promises_nothing_of_itself():
     assert "NOT CONTROLLED" in far.summary()
 
 
-def test_what_is_asked_for_is_an_argument():
-    assert Forecast((seen(0.02),), within=0.03).promised
-    assert not Forecast((seen(0.02),), within=0.015).promised
-
-
 @pytest.mark.parametrize("share", [0.0, 0.009, 0.011])
 @pytest.mark.parametrize("worst", [0.02, 0.099, 0.101])
 @pytest.mark.parametrize("away", [{}, {"cart": 0.1}])
@@ -188,13 +183,6 @@ def test_the_inputs_of_a_model_act_as_late_as_it_says(delay):
     np.testing.assert_allclose(shown.inputs[0, :, 0].numpy(), inputs, atol=1e-6)
 
 
-def test_a_delay_is_not_negative():
-    plant = Pendulum()
-    task = Tracking(plant.signature, Step([[0.3]]), ("theta",), ("Omega",), TrackingReward((4.0,)))
-    with pytest.raises(ValueError, match="more"):
-        DelayedEnv.around(ControlEnv(plant, task), -0.1)
-
-
 def test_a_plan_that_was_too_short_is_told_from_one_that_diverges():
     """A controller that swings, or only misses, wants more updates; one that loses the plant something else."""
     longer = weak("forecast.longer_plan")
@@ -216,14 +204,6 @@ def test_a_doubt_breaks_a_promise():
     assert "NOT promised" in doubted.summary() and str(doubt) in doubted.summary()
 
 
-def test_a_prediction_says_when_the_end_is_and_how_far_a_flight_went_beyond_its_target():
-    (told,) = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 62.0}).findings
-    assert (told.code, told.severity, told.values["seconds"]) == ("forecast.errors", "note", 400)
-    assert told.values["outputs"]["theta"]["overshoot"] == 62
-    (told,) = Forecast((seen(0.001),), seconds=400.0, overshoot={"theta": 19.0}).findings
-    assert told.values["outputs"]["theta"]["overshoot"] is None
-
-
 def test_the_overshoot_is_that_of_flights():
     """A car that is pushed with 0.5 goes to 0.5 as 0.5 (1 - exp(-t)), beyond targets of 0.2, 0.25 and 0.4."""
     car = Car()
@@ -235,13 +215,6 @@ def test_the_overshoot_is_that_of_flights():
 
     found = predict([car], ControlEnv(car, task, dtype=torch.float64), constant, Scenario("step", steps, 3, 12.0))
     assert found.seconds == 12.0 and found.overshoot == {"Omega": pytest.approx(100.0, abs=0.1)}
-
-
-@pytest.mark.parametrize(("flights", "told"), [((None,), True), ((seen(0.02),), True), ((seen(0.001),), False)])
-def test_a_period_to_try_is_told_in_place_of_a_longer_plan_where_a_plan_fails(flights, told):
-    period = weak("control.other_period", cause="settles", value=9.0, periods=4.0, wanted=2.0, log=False)
-    found = Forecast(flights, period=period).findings
-    assert (found[-1] == period) == told and "forecast.longer_plan" not in [each.code for each in found]
 
 
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():

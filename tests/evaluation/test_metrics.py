@@ -94,22 +94,6 @@ def test_batched_equals_row_by_row() -> None:
                 torch.testing.assert_close(batched[name][i, j], value, equal_nan=True)
 
 
-@pytest.mark.parametrize("bad", ["short", "moment", "reference", "input"])
-def test_shapes_that_do_not_agree_are_refused(bad: str) -> None:
-    time, y = torch.arange(4.0), torch.zeros(4, 2)
-    r, u = y, y
-    if bad == "short":
-        time, y, r, u = time[:1], y[:1], y[:1], y[:1]
-    elif bad == "moment":
-        time = time[0]
-    elif bad == "reference":
-        r = y[:, :1]
-    else:
-        u = y[:3]
-    with pytest.raises(ValueError, match="must"):
-        tracking_metrics(time, y, r, u)
-
-
 def record(y: list[float], target: float, dt: float = 0.5, start: float = 0.0) -> tuple[torch.Tensor, ...]:
     time = start + dt * torch.arange(len(y), dtype=torch.float64)
     column = torch.tensor(y, dtype=torch.float64).unsqueeze(-1)

@@ -86,15 +86,6 @@ def row(text: str, start: str) -> list[str]:
     return next(line for line in text.splitlines() if line.startswith(start)).split()
 
 
-def test_times_of_a_slow_plant_are_told_in_minutes_or_hours() -> None:
-    slow = {"rise_time": torch.full((3, 2), 1800.0), "settling_time": torch.tensor([[1800.0, 7200.0]] * 3)}
-    text = to_text(summarise(evaluation(**slow)), steady=900.0)
-    assert row_of(text, "rise time (10-90 %) [min]") == ["30", "30"]
-    assert row_of(text, "settling time (5 %) [h]") == ["0.5", "2"]
-    assert row(text, "steady-state error (last 15 min) [rad]")
-    assert row_of(text, "settled within the run [%]") == ["100", "100"]
-
-
 @pytest.mark.parametrize(
     ("signal", "kept"), [(torch.sin, False), (lambda t: torch.sin(t).sign(), True), (torch.ones_like, True)]
 )

@@ -5,7 +5,6 @@ import math
 import os
 import re
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,11 +15,11 @@ from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
 from dynasindy.export import controller_sources
-from dynasindy.export.c_code import Native, _Filter
+from dynasindy.export.c_code import Native
 from dynasindy.sensing import Observer, Sensors
-from dynasindy.sindy import Oracle, SindyModel
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
-from dynasindy.systems.compiler import STRICT, compile_library, compiler
+from dynasindy.systems.compiler import compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -229,15 +228,6 @@ int main(void)
     np.testing.assert_allclose([float(line) for line in done.stdout.split()], expected, atol=1e-9)
 
 
-def test_a_policy_or_a_model_of_another_kind_is_refused(pendulum):
-    controller = pendulum()
-    controller.policy = lambda tensordict: tensordict
-    with pytest.raises(ValueError, match="actor"):
-        controller_sources(controller)
-    with pytest.raises(ValueError, match="'1 a'"):
-        controller_sources(pendulum(), "1 a")
-
-
 @needs_compiler
 def test_names_of_a_file_become_no_code(pendulum, hostile):
     sources = controller_sources(pendulum(signature=hostile))
@@ -257,50 +247,6 @@ def test_the_header_tells_the_targets_of_the_plan_where_they_are_known():
         task = Tracking(signature, Step([[9.0]]), ("h",), ("v",), TrackingReward((1.0,)), **ends)
         controller = Controller(actor(task.n_o, 1, (4,)).requires_grad_(False), ControlSetup(task, 0.1))
         assert f" * {line}\n" in controller_sources(controller).header
-
-
-@pytest.mark.parametrize(
-    ("limits", "narrower", "said"), [([[0, 1]], None, "0 to 1"), ([[0, 1]], [[0.1], [0.75]], "0.1 to 0.75")]
-)
-def test_the_header_says_once_between_which_ends_an_input_is(pendulum, limits, narrower, said):
-    """A motor of 0 to 12 V, and one whose log goes from 1.2 to 9 V only, which the controller keeps to."""
-    signature = Signature(("q", "w"), ("rad", "rad/s"), ("u",), (1.0, 3.0), [[-12, 12]], limits, ["V"])
-    controller = pendulum(signature=signature)
-    if narrower is not None:
-        controller.setup.task.input_limits = torch.tensor(narrower)
-    header = controller_sources(controller).header
-    assert header.count(f"0  u [-], from {said}\n") == 1 and "[-1, 1]" not in header and "[0, 1]" not in header
-    assert header.count("the plant's u is 12 V times the controller's") == 1
-
-
-@needs_compiler
-def test_the_header_tells_the_places_of_names(pendulum, tmp_path):
-    sources = controller_sources(pendulum(), "ctl")
-    text = '#include "ctl.h"\n'
-    text += "int place(void) { return 100 * ctl_x_Omega + 10 * ctl_u_u + ctl_r_theta; }\n"
-    for name, content in {**sources.files(), "shim.c": text}.items():
-        (tmp_path / name).write_text(content)
-    options = ["-Wno-missing-prototypes", *STRICT]
-    library = ctypes.CDLL(
-        str(compile_library([tmp_path / "shim.c", tmp_path / "ctl.c"], tmp_path / "shim.so", options))
-    )
-    assert library.place() == 100
-    assert "theta [rad]" in sources.header and "Period: 0.04 s" in " ".join(sources.header.split())
-
-
-def test_a_model_of_another_kind_is_refused(pendulum):
-    observer = pendulum().observer
-    observer.model = Oracle(observer.model.signature, system=observer.model)
-    with pytest.raises(ValueError, match="Oracle"):
-        _Filter.of(observer)
-
-
-@pytest.mark.parametrize("positions", [(7,), (-1,), ("0",)])
-def test_stops_at_states_that_do_not_exist_are_refused(pendulum, positions):
-    controller = pendulum()
-    controller.observer.stops = replace(controller.observer.stops, positions=positions)
-    with pytest.raises(ValueError, match="0 to 1"):
-        controller_sources(controller)
 
 
 GLITCHES = (1e6, -1e38, 1e60, -1e150, 1e155, 1e160, 1e308, math.inf, -math.inf, math.nan)

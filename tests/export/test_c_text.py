@@ -57,10 +57,3 @@ def test_lines_stay_where_their_flags_are_set(template):
     assert fill("t.c", {}, {"x"}).split() == ["a", "b", "f"]
     assert fill("t.c", {}, {"x", "y"}).split() == ["a", "b", "c", "f"]
     assert fill("t.c", {}, {"y"}).split() == ["a", "d", "e", "f"]
-
-
-def test_a_word_that_looks_like_a_gap_opens_none(template):
-    template.write_text("@one@ @two@\n")
-    assert fill("t.c", {"one": "@two@\n@if x", "two": 2}) == "@two@\n@if x 2\n"
-    with pytest.raises(KeyError, match="two"):
-        fill("t.c", {"one": 1})

@@ -74,15 +74,6 @@ def test_the_same_controller_is_the_same_file_and_another_has_another_token(pend
     assert tokens[0] != tokens[1]
 
 
-def test_what_is_no_version_or_has_no_inputs_is_refused(pendulum, pendulum_model, tmp_path):
-    with pytest.raises(ValueError, match=r"FMI 1 .*2 and 3"):
-        controller_fmu(pendulum(), tmp_path / "c.fmu", version=1)
-    alone = SindyModel(Signature(("a",), ("-",), (), (1.0,)), ["a"])
-    with pytest.raises(ValueError, match="none"):
-        plant_fmu(alone, tmp_path / "p.fmu", 0.01)
-    assert not list(tmp_path.iterdir())
-
-
 OK, ERROR = 0, 3
 """Statuses of both standards."""
 

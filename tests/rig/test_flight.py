@@ -154,19 +154,6 @@ def test_an_error_of_the_rig_at_the_end_does_not_leave_the_watchdog_alone(tmp_pa
     assert threading.active_count() == before
 
 
-def test_what_cannot_be_logged_or_guarded_is_found_before_anything_moves(tmp_path):
-    rig = Noticing()
-    (tmp_path / "log.csv").write_text("mine")
-    with pytest.raises(ValueError, match="already"):
-        run_flight(rig, swing, WIRING, 2, tmp_path / "log.csv", PATIENT)
-    with pytest.raises(ValueError, match="thta"):
-        run_flight(rig, swing, WIRING, 2, tmp_path / "other.csv", Guard(low={"thta": -1.0}))
-    with pytest.raises(ValueError, match="keeps"):
-        Guard(low={"theta": 1.0}, high={"theta": 0.5})
-    assert rig.told == []
-    assert (tmp_path / "log.csv").read_text() == "mine"
-
-
 def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
     def act(y, t):
         if t > 0.2:

@@ -353,17 +353,3 @@ def test_the_error_is_that_of_the_last_half_of_each_step():
     said = flown(-2.0, targets)
     left = np.mean(targets) * np.exp(-2 * DT * np.arange(40))
     assert float(re.search(r"y to (\S+) m$", said)[1]) == pytest.approx(left[20:].mean(), rel=0.005)
-
-
-def test_a_flight_that_runs_away_is_told():
-    assert flown(40.0, (0.5,)).endswith("runs away")
-
-
-def test_a_wiring_says_what_is_measured():
-    assert Wiring(Pendulum().signature, [1, 0], 0.02).seen == (True, False)
-
-
-@pytest.mark.parametrize(("seen", "dt"), [((True,), 0.1), ((False, False), 0.1), ((True, True), 0.0)])
-def test_what_is_no_wiring_is_refused(seen, dt):
-    with pytest.raises(ValueError, match="bool"):
-        Wiring(Pendulum().signature, seen, dt)

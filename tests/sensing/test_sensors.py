@@ -67,31 +67,6 @@ def test_rates_are_those_entries_that_name_two_states():
     assert sensors.rate_indices(SIGNATURE) == {0: 1}
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"channels": None}, r"sensors.channels is empty; .* plant.sensors"),
-        ({"channels": {}}, "sensors.channels is empty"),
-        ({"channels": {"a": {"width": 1.0}}}, "sensors.channels.a is .* allowed are the keys resolution and noise"),
-        ({"channels": {"a": {"noise": -1.0}}}, "give finite numbers >= 0"),
-        ({"channels": {"a": {"resolution": math.inf}}}, "give finite numbers >= 0"),
-        ({"lost": 1.0}, r"probability in \[0, 1\)"),
-        ({"lost": math.nan}, r"probability in \[0, 1\)"),
-        ({"delay": -1}, "delays of 0 to 10"),
-        ({"actuator_delay": 11}, "delays of 0 to 10"),
-        ({"process_noise": 0.0}, "give a number > 0, or null"),
-    ],
-)
-def test_settings_that_are_none_are_refused(wrong, said):
-    with pytest.raises(ValueError, match=said):
-        Sensors(**({"channels": {"a": {}}} | wrong))
-
-
-def test_a_sensor_of_no_state_is_refused():
-    with pytest.raises(ValueError, match=r"'z'.* a, b, c"):
-        Sensors({"z": {}}).variance(SIGNATURE)
-
-
 def test_exact_sensors_measure_all_states_as_they_are():
     signature = Pendulum().signature
     sensors, x = Sensors.exact(signature), torch.tensor([[0.123456789, -4.0]], dtype=torch.float64)

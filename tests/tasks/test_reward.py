@@ -29,21 +29,3 @@ def test_the_bonus_is_paid_per_axis_inside_the_band():
 def test_each_shape_is_its_formula_in_plain_numbers(shape, cost, sign):
     paid = pay((0.0, sign * 0.3), error_weights=(5.0, 2.0), error_shape=shape, width=0.2, bonus=0.0)
     assert paid == pytest.approx(-2 * cost)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"error_weights": (1.0, -1.0)},
-        {"rate_weight": -1.0},
-        {"tolerance": -1.0},
-        {"stop_penalty": -1.0},
-        {"bonus": -1.0},
-        {"width": 0.0},
-        {"error_shape": "cubic"},
-    ],
-)
-def test_no_weight_may_be_negative_and_all_may_be_zero(settings):
-    with pytest.raises(ValueError, match=r"-1|0\.0|cubic"):
-        TrackingReward(**settings)
-    assert pay((0.3, 0.3), (1.0, 1.0), True, error_weights=[0, 0], rate_weight=0, bonus=0, stop_penalty=0) == 0.0

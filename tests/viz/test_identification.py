@@ -72,13 +72,6 @@ def test_training_data_draw_their_columns_and_inputs_to_the_end_of_the_last_peri
     assert axis.lines[0].get_drawstyle() == "steps-post" and axis.get_ylim() == (-1.08, 1.08)
 
 
-def test_a_rate_that_nobody_measured_has_no_empty_panel() -> None:
-    x = np.stack([STATES[:, 0], np.full(100, np.nan)], -1)
-    figure = training_data(TIME, x, STATES[:, 2:3], PENDULUM)
-    assert [axis.get_ylabel() for axis in figure.axes] == [r"$\theta$ [rad]", "$u$ [-]"]
-    np.testing.assert_array_equal(figure.axes[0].lines[0].get_ydata(), STATES[:, 0])
-
-
 def test_lines_break_between_stretches_of_a_log_and_gaps_are_marked_unless_they_are_everywhere() -> None:
     segment = np.repeat([0, 1, 4], [30, 50, 20])
     axis = training_data(TIME, STATES, segment=segment).axes[0]

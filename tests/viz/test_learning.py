@@ -97,20 +97,6 @@ def test_controls_stand_by_what_they_vary_beside_the_reference_where_it_compares
     assert len({axis.get_ylim() for axis in found["controls_xi_dyna"].axes}) == 1
 
 
-@pytest.mark.parametrize("changed", [{"system": "../../x"}, {"experiment": "x/../../../y"}, {"system": "/tmp/x"}])
-def test_cells_of_a_table_do_not_choose_where_figures_go(tmp_path, changed):
-    (tmp_path / "results").mkdir()
-    write_ablation(tmp_path / "results" / "ablation_curves.csv", rows({"a": 0.1}, **changed))
-    with pytest.raises(ValueError, match="file"):
-        draw_ablation(tmp_path / "results", 0.05)
-    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["ablation_curves.csv"]
-
-
-def test_a_setting_with_signs_of_mathematics_is_drawn_as_it_stands(tmp_path):
-    write_ablation(tmp_path / "ablation_curves.csv", rows({"$\\frac{$,x=<b>": 0.1}, episodes=(1,)))
-    assert draw_ablation(tmp_path, 0.05)
-
-
 def test_errors_of_outputs_in_several_units_are_drawn_as_per_cent_of_the_target_range(drawn):
     table = [
         row

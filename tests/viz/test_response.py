@@ -72,19 +72,6 @@ def test_error_fan_draws_the_median_of_the_absolute_error() -> None:
     assert figure.axes[0].get_yscale() == "log"
 
 
-def test_small_errors_are_drawn_as_they_are_and_no_curve_lies_on_the_frame() -> None:
-    """Four rows whose errors are 1e-6 to 4e-6 rad, of which the first one is exact from the middle on."""
-    errors = 1e-6 * torch.arange(1.0, 5.0).reshape(4, 1, 1).repeat(1, 400, 2).double()
-    errors[0, 200:] = 0.0
-    figure = error_fan(TIME, REFERENCE.double() + errors, REFERENCE.double().expand(4, 400, 2))
-    axis = figure.axes[0]
-    median = np.asarray(axis.lines[0].get_ydata())
-    np.testing.assert_allclose(median, 2.5e-6, rtol=1e-3)
-    outer, inner = (fill.get_paths()[0].vertices[:, 1] for fill in axis.collections)
-    assert inner.min() > 1.05 * axis.get_ylim()[0], "the middle half is inside"
-    assert np.ptp(outer[outer < 1.5e-6]) > 0  # not on one floor
-
-
 def test_inputs_are_drawn_in_the_units_of_their_actuators() -> None:
     """A motor of 0 to 12 V at the quarter of its power has 3 V."""
     volts = replace(SIGNATURE, input_ends=((-12, 12), (-1, 1)), input_limits=((0, 1), (-1, 1)), input_units=("V", "-"))
@@ -139,13 +126,6 @@ def test_the_gust_is_shaded_in_every_panel(figures) -> None:
             assert [(shade.get_x(), shade.get_width()) for shade in shades] == [(1, 1)]
 
 
-def test_without_references_all_states_are_drawn_and_no_errors(settle, figures) -> None:
-    env = ControlEnv(Pendulum(), settle(Pendulum().signature), substeps=1)
-    drawn = figures(evaluate(env, rest(1), Scenario("task", None, 3, 1.0)))
-    assert list(drawn) == ["task"]
-    assert [len(axis.lines) for axis in drawn["task"].axes] == [1, 1, 1]
-
-
 def test_the_episode_that_begins_farthest_is_drawn_with_the_labels_of_its_plant(figures) -> None:
     system = Pendulum()
     task = Tracking(
@@ -175,13 +155,6 @@ def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planne
         assert axis.lines[-1].get_xdata() == pytest.approx([0.5, 0.5])
     low, high = figure.axes[-1].get_xlim()
     assert low == 0.0 and 2.0 <= high < 2.1
-
-
-def test_the_range_of_the_guard_is_drawn_where_it_is_near() -> None:
-    figure = draw_flight(ENDED, WIRING, Guard(low={"theta": -5.0}, high={"theta": 0.45}), "flight_1")
-    lines = [line for line in figure.axes[0].lines if line.get_linestyle() == "-." and len(line.get_xdata())]
-    levels = [line.get_ydata()[0] for line in lines]
-    assert levels == [0.45]
 
 
 def test_an_excitation_shows_what_was_measured_and_the_range_that_ended_it() -> None:

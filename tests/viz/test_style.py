@@ -11,7 +11,6 @@ from dynasindy.viz.style import (
     panels,
     spell_names,
     symbol,
-    time_axis,
     time_span,
 )
 
@@ -29,17 +28,6 @@ def test_names_in_a_sentence_become_words():
 )
 def test_symbols(name: str, expected: str) -> None:
     assert symbol(name) == expected
-
-
-WORDS = ("angle_rate", "theta_rate", "x_dot", "angle", "heater_on", "arm_angle_raw", "a__b", "_x", "x_")
-OTHERS = ("room temperature", "left arm_rate", "x'", "x''_1", "T.in", "T-in_a")
-
-
-@pytest.mark.parametrize("name", WORDS + OTHERS)
-def test_a_name_that_is_no_symbol_stays_a_word(name: str) -> None:
-    """Mathematics would lose its spaces, or refuse it."""
-    assert symbol(name) == name
-    parse_math(f"d{symbol(name)}/dt of {label(name, 'm/s^2')}")
 
 
 @pytest.mark.parametrize("name", ["größe", "x12", "T_in2", "theta_1", "u"])
@@ -64,29 +52,6 @@ def test_the_axis_of_an_input_has_the_range_and_the_unit_of_its_actuator(ends, l
     _, (shown,) = panels(1)
     input_axis(shown, Signature(("x",), ("m",), ("u_a", "u_b"), (1.0,), ends, limits, units), 1)
     assert (*shown.get_ylim(), shown.get_ylabel()) == pytest.approx(axis)
-
-
-@pytest.mark.parametrize(
-    ("end", "what", "ticks"),
-    [
-        (20.0, "time [s]", {0.0: "0", 10.0: "10"}),
-        (800.0, "time [s]", {0.0: "0", 400.0: "400"}),
-        (1800.0, "time [min]", {0.0: "0", 600.0: "10"}),
-        (86400.0, "time [h]", {0.0: "0", 36000.0: "10"}),
-    ],
-)
-def test_the_time_of_a_slow_plant_is_drawn_in_minutes_or_hours(end, what, ticks):
-    figure, (upper, lower) = panels(2)
-    for axis in (upper, lower):
-        axis.plot([0.0, end], [0.0, 1.0])
-    time_axis(lower, [0.0, 40000.0])  # what is planned may be longer or shorter than what was flown
-    time_axis(lower, [0.0, end])
-    lower.set_xlim(0.0, end)
-    figure.draw_without_rendering()
-    assert lower.get_xlabel() == what
-    found = {place: text.get_text() for place, text in zip(lower.get_xticks(), lower.get_xticklabels(), strict=True)}
-    assert ticks.items() <= found.items()
-    assert list(upper.get_xticks()) == list(lower.get_xticks())
 
 
 @pytest.mark.parametrize(
