@@ -118,11 +118,10 @@ def assert_close(one, other):
             torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("planning", ["none", "dyna"])
-def test_torch_code_learns_and_imagines_what_machine_code_does(planning):
-    plain = trained(planning, model=NoCode, machine_code=False)
-    assert_close(plain, trained(planning))
-    assert planning == "none" or len(plain[0].replay.model) > 100
+def test_torch_code_learns_and_imagines_what_machine_code_does():
+    plain = trained("dyna", model=NoCode, machine_code=False)
+    assert_close(plain, trained("dyna"))
+    assert len(plain[0].replay.model) > 100
 
 
 @pytest.mark.parametrize("name", ["tpu", "cuda:99", "meta"])

@@ -72,7 +72,7 @@ def test_a_log_of_a_map_that_no_differential_equation_is_leads_to_a_controller_o
     log = logged(tmp_path)
     model = dynasindy.identify(log, "polynomial", time="discrete")
     assert model.equations() == ["a[k+1] = -0.6 a + 0.3 u + 0.2 b^2", "b[k+1] = -0.4 a + 0.5 b"]
-    controller = dynasindy.plan(model, {"a": (-0.1, 0.1)}, log=log)
+    controller = dynasindy.plan(model, {"a": (-0.1, 0.1)}, log=log, updates=150)
     assert controller.dt == DT and controller.observer is None  # what is exact needs none, however it jumps
     prediction = dynasindy.forecast(controller, model, log)
     assert prediction.controlled

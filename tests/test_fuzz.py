@@ -34,7 +34,7 @@ CRYPTIC = re.compile(
     "|positional argument|must be real number|unsupported operand|cannot unpack|values to unpack|not iterable|Traceback"
     "|could not convert|invalid literal|^list index|empty sequence|Expected all|cannot be interpreted"
 )
-EACH = {"train": 60, "identify": 20, "files": 10, "csv": 40, "model": 24}
+EACH = {"train": 30, "identify": 15, "files": 10, "csv": 40, "model": 24}
 """Inputs of each kind."""
 
 

@@ -95,7 +95,7 @@ def test_it_starts_in_a_process_of_its_own(tmp_path):
 def test_a_run_is_the_same_whatever_the_order_of_words_in_a_set(tmp_path):
     kept = []
     for seed in ("1", "2"):
-        words = ("experiment=smoke", "scenario.episodes=2", f"hydra.run.dir={tmp_path / seed}")
+        words = ("experiment=smoke", "scenario.episodes=2", "excitation.duration=3", f"hydra.run.dir={tmp_path / seed}")
         environment = os.environ | {"PYTHONHASHSEED": seed}
         command = [sys.executable, str(ROOT / "scripts" / "train.py"), *words]
         subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=300, check=True)

@@ -128,8 +128,9 @@ def workers(folder):
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM"])
 def test_an_ablation_that_is_stopped_leaves_no_workers_and_goes_on(command, tmp_path, how):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
-    words = (*ABLATION, "seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    words = (*ABLATION, "seed=1,2")
     program = [sys.executable, str(ROOT / "scripts" / "ablation.py"), *words]
+    program += ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
     child = subprocess.Popen(program, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     while not (done := jobs(tmp_path)) and child.poll() is None:
         time.sleep(0.1)
@@ -141,6 +142,6 @@ def test_an_ablation_that_is_stopped_leaves_no_workers_and_goes_on(command, tmp_
         time.sleep(0.2)
     assert not workers(tmp_path)
     before = done[0].stat().st_mtime_ns
-    again = command("ablation", *words, cwd=tmp_path)
+    again = command("ablation", *words, "hydra/launcher=basic", cwd=tmp_path)
     assert again.code == 0 and done[0].stat().st_mtime_ns == before, again
     assert len(jobs(tmp_path)) == 4 and (tmp_path / "results" / "ablation.md").is_file()

@@ -261,7 +261,9 @@ sys.addaudithook(_opened)
         ("check", ("run=run", *CHECK)),
         ("export", ("run=run", "formats=[c,onnx,fmu,model]")),
         pytest.param(
-            "train", ("experiment=gradient_smoke", "env.substeps=1", "hydra.run.dir=new"), marks=pytest.mark.slow
+            "train",
+            ("experiment=gradient_smoke", "env.substeps=1", "excitation.duration=3", "hydra.run.dir=new"),
+            marks=pytest.mark.slow,
         ),
     ],
 )

@@ -30,9 +30,6 @@ class Task(base.Task):
         raise NotImplementedError
 
 
-VALVE = {"valve": {"name": "valve", "low": 0, "high": 100}}
-
-
 def written(path, values, heading="valve [%]"):
     """Write a log of a tank that a valve fills, and return its path."""
     rows = [(0.1 * k, math.sin(0.07 * k), float(value)) for k, value in enumerate(values)]
@@ -144,39 +141,12 @@ def test_an_input_that_hardly_moved_asks_for_its_ends(tmp_path, most, small):
         assert "log.small_input" not in [each.code for each in again.findings]
 
 
-@pytest.mark.parametrize("most", [0.4, 1.0, 1.0004])
-def test_an_input_within_one_is_taken_as_it_is(tmp_path, most):
-    values = levels(-most, most)
-    found = LoggedData(written(tmp_path / "log.csv", values), inputs=["valve"]).recording(None)
-    assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
-    assert found.signature.input_ends == () and not found.findings[1:]
-
-
 def test_ends_of_minus_one_and_one_keep_the_numbers(tmp_path):
     values = levels(-12.0, 12.0)
     kept = {"valve": {"name": "valve", "low": -1, "high": 1}}
     found = LoggedData(written(tmp_path / "log.csv", values), inputs=kept).recording(None)
     assert np.array_equal(found.transitions.u[:, 0].numpy(), values[:-1])
     assert found.findings[1:] == (weak("log.beyond_ends", input="valve", least=-12, most=12),)
-
-
-@pytest.mark.parametrize(
-    "ends",
-    [
-        {"low": 0},
-        {"low": 5, "high": 5},
-        {"low": 0, "high": "x"},
-        {"low": 0, "high": math.inf},
-        {"rest": 0},
-        {"low": 0, "high": 9, "rest": "x"},
-    ],
-)
-def test_ends_that_are_none_are_refused(tmp_path, ends):
-    log = LogReader(
-        written(tmp_path / "log.csv", levels(0, 9)), {"level": "level"}, {"valve": {"name": "valve", **ends}}
-    )
-    with pytest.raises(ValueError, match="both, low < high"):
-        log.recording()
 
 
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (5, 100.5), (0, 99.9)])
@@ -187,11 +157,6 @@ def test_ends_that_the_column_goes_beyond_are_refused(tmp_path, low, high):
         log.recording()
     ends = {"input": "valve", "low": low, "high": high, "least": 0, "most": 100}
     assert error.value.finding == wrong("log.input_ends", file=path, **ends)
-
-
-def test_an_input_may_leave_its_ends_by_rounding(tmp_path):
-    path = written(tmp_path / "log.csv", levels(0.0, 100.04))
-    assert LogReader(path, {"level": "level"}, VALVE).recording().signature.input_limits == ((0.0, 1.0),)
 
 
 PLANT = BlackBox({"level": "m"}, {"valve": {"low": 4, "high": 20, "unit": "mA"}}).signature

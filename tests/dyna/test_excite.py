@@ -258,18 +258,3 @@ def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_ne
     elsewhere = abs(kept_share(rate, 5) - kept_share(rate, 10)) * most
     wanted = weak("plant.coarse_steps", apart=pytest.approx(elsewhere, rel=0.01), needed=steps)
     assert told == (None if steps is None else wanted)
-
-
-def test_a_plant_that_jumps_is_not_told_that_more_steps_would_do():
-    class Jumping(System):
-        """v' = 60 u - 50 sign(v)."""
-
-        def __init__(self):
-            super().__init__(Signature(("v",), ("m/s",), ("u",), (1.0,)))
-
-        def forward(self, x, u):
-            return 60 * u - 50 * torch.sign(x)
-
-    experiment = parts(Jumping(), duration=2.0)
-    told = coarse(experiment.plant, excite(experiment))
-    assert told.code == "plant.coarse_steps" and told.values["needed"] is None

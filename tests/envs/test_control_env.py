@@ -109,15 +109,6 @@ def test_another_system_keeps_stops_task_and_settings():
     assert env.with_system(Xi(), torch.float32).float_type == torch.float32
 
 
-def test_another_task_keeps_system_stops_and_settings():
-    env = make(Tras(azimuth_stop=1.5, pitch_stop=0.3), dt=0.1, substeps=4, dtype=torch.float64).with_system(Xi())
-    task = Tracking(Xi().signature, RandomStep([0.1, 0.1], [0.2, 0.2]), max_steps=3)
-    other = env.with_task(task)
-    assert other.task is task and other.system is env.system and other.stops == env.stops != Xi().stops
-    assert (other.dt, other.substeps, other.float_type) == (0.1, 4, torch.float64)
-    assert len(other.rollout(9)) == 3
-
-
 def test_environments_made_of_another_draw_by_their_own_seed():
     def drawn(env):
         return env.reset()["reference"]

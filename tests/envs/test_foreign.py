@@ -1,8 +1,6 @@
 """A Gymnasium environment as the plant, against the environment stepped by hand."""
 
 import math
-import tomllib
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -54,18 +52,6 @@ def pendulum(**settings):
 def car(max_steps=300):
     states = {"p": 1.2, "v": 0.07}
     return environment("MountainCarContinuous-v0", {"p": 0.47}, max_steps, states=states, dt=1.0)
-
-
-def test_a_mujoco_that_is_missing_is_named_by_the_extra_that_installs_it(monkeypatch):
-    def _make(*_, **__):
-        raise gymnasium.error.DependencyNotInstalled('MuJoCo is not installed, run `pip install "gymnasium[mujoco]"`')
-
-    monkeypatch.setattr(gymnasium, "make", _make)
-    with pytest.raises(ValueError, match="installed") as error:
-        Foreign("Reacher-v5", states={"x": 1.0}, inputs=["u"])
-    assert "install" in str(error.value)
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    assert any("mujoco" in each for each in project["optional-dependencies"]["mujoco"])
 
 
 def resting(tensordict):
@@ -230,15 +216,6 @@ class Turning(Pendulum):
 
     def forward(self, x, u):
         return torch.zeros_like(x)
-
-
-def test_rows_that_stay_where_they_ended_have_not_moved():
-    """An evaluation counts the steps that the environment made, and no more."""
-    env = car().with_task(car().task)
-    rows = env.rollout(300, pumping, break_when_any_done=False)
-    moved = rows["next", "moved"].squeeze(-1)
-    assert int(moved.sum()) == int((rows["next", "own_reward"].squeeze(-1) != 0).sum()) < 200
-    assert bool(moved[: int(moved.sum())].all())
 
 
 def test_an_angle_instead_of_sine_and_cosine_moves_as_the_pendulum_by_hand():

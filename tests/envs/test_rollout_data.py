@@ -57,13 +57,6 @@ def test_a_linear_plant_moves_as_the_matrix_exponential_says():
     assert torch.equal(data.u, u) and data.dt == 0.05 and data.segment.unique().tolist() == [0]
 
 
-def test_fewer_runge_kutta_steps_err_more_by_the_fourth_order():
-    u = inputs()
-    motion = exact(u.numpy(), 0.2, np.zeros(2))[1:]
-    errors = [np.abs(record_plant(Oscillator(), u, 0.2, substeps=n).x_next.numpy() - motion).max() for n in (1, 2)]
-    assert 12 < errors[0] / errors[1] < 20
-
-
 def test_a_recording_starts_at_rest_in_double_precision_without_gradients():
     data = record_plant(Oscillator(), inputs(3).float().requires_grad_(), 0.05)
     assert data.x[0].tolist() == [0.0, 0.0]
@@ -88,16 +81,6 @@ def test_noise_does_not_leak_over_a_gap():
     noisy = disturb(clean, 0.1, seed=3)
     assert not torch.equal(noisy.x[30] - clean.x[30], noisy.x_next[29] - clean.x_next[29])
     assert disturb(clean, 0.0, seed=3) is clean
-
-
-def test_by_default_ten_steps_are_taken_between_two_samples():
-    u = inputs(3)
-    assert torch.equal(
-        record_plant(Oscillator(), u, 0.5).x_next, record_plant(Oscillator(), u, 0.5, substeps=10).x_next
-    )
-    assert not torch.equal(
-        record_plant(Oscillator(), u, 0.5).x_next, record_plant(Oscillator(), u, 0.5, substeps=9).x_next
-    )
 
 
 def test_noise_is_its_seeds_numbers_times_the_spread_of_each_state():

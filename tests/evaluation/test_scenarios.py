@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from dynasindy.agents import TD3
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate, step_references
@@ -127,16 +126,6 @@ def test_wrappers_are_applied_in_order() -> None:
     torch.testing.assert_close(result.trajectory["action"][0, 0], torch.tensor([0.3, 0.5]))
 
 
-def test_a_policy_of_another_network_is_told_from_one_without_an_action() -> None:
-    short, odd = Scenario("short", seconds=0.1), TD3(5, 2, hidden=(8,)).deployed
-    wanted = r"no action for an observation of 8 numbers \(mat1.*trained on this plant"
-    with pytest.raises(ValueError, match=wanted) as error:
-        evaluate(make(), odd, short)
-    assert "\n" not in str(error.value)
-    with pytest.raises(ValueError, match="found"):
-        evaluate(make(), lambda td: td, short)
-
-
 def test_a_plant_that_runs_away_is_left_where_its_numbers_would_overflow() -> None:
     class Growing(System):
         """x' = 5 x + 5 u: from 0 under u = 1, x = e^(5 t) - 1; under u = 0 it stays at 0."""
@@ -162,16 +151,6 @@ def test_a_plant_that_runs_away_is_left_where_its_numbers_would_overflow() -> No
     assert not x[1].any()
     assert flown.lost.tolist() == [True, False]
     assert bool(flown.returns.isfinite().all())
-
-
-def test_a_plant_without_a_number_is_not_laid_on_the_policy() -> None:
-    class Edge(Tras):
-        def forward(self, x, u):
-            return torch.full_like(x, math.nan)
-
-    scenario = Scenario("edge", seconds=2.0, plant=lambda _: Edge(), windows=[(1.0, 2.0)])
-    with pytest.raises(Diverged, match="edge"):
-        evaluate(make(), TD3(8, 2, hidden=(8,)).deployed, scenario)
 
 
 def test_a_simulation_that_breaks_down_by_its_steps_alone_says_so() -> None:

@@ -16,7 +16,6 @@ from dynasindy import Controller, load
 from dynasindy.agents.networks import actor
 from dynasindy.control.controller import ControlSetup
 from dynasindy.excitation import Multisine
-from dynasindy.identification.identify import LoggedData
 from dynasindy.rig import Guard, UdpRig, Wiring
 from dynasindy.rig.session import Knowledge, Session, _forecast_flight, targets_within
 from dynasindy.rig.simulated import SimulatedRig
@@ -83,18 +82,6 @@ def test_a_controller_of_another_plant_is_refused_before_anything_moves(session)
     with pytest.raises(ValueError, match="torque"):
         session.run_flight(Controller(policy, ControlSetup(task, 0.05)), [[0.1]], 1.0)
     assert not session.flights
-
-
-@pytest.mark.parametrize(("ends", "lines"), [((), 0), (((0.0, 12.0),), 1)])
-def test_units_of_inputs_are_told_before_a_flight(session, ends, lines):
-    """Of 0 to 12 V, zero is 6 V."""
-    told = []
-    session.tell, session.wiring = told.append, replace(session.wiring, seen=(True, True))
-    signature = replace(session.wiring.signature, input_ends=ends)
-    task = Tracking(signature, RandomStep([-1.0], [1.0]), ("theta",), ("Omega",), TrackingReward((1.0,)))
-    session.run_flight(Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05)), [[0.1]], 0.1)
-    begun = told.index("flight 1: 0.1 s")
-    assert begun == lines and all("controller" in line for line in told[:begun])
 
 
 def test_an_excitation_beyond_an_actuator_is_refused_and_the_words_that_are_told_fit(tmp_path):
@@ -190,30 +177,6 @@ def test_a_rig_of_which_names_and_units_are_known_is_identified_and_held_though_
     session.run_flight(controller, [[0.4], [-0.2]], 6.0)
     assert not session.failed
     assert abs(float(rig.x[0]) + 0.2) < 0.02
-
-
-def test_the_ranges_of_states_are_those_of_the_logs(tmp_path):
-    session, _ = blind(tmp_path)
-    session.excite(multisine())
-    largest = np.abs(np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)[:, 1]).max()
-    assert 0.3 * largest < session._source(False).signature.x_scale[0] <= 1.01 * largest
-    assert session._source(True).signature.x_scale == (1.0,)
-
-
-def test_a_log_of_a_rig_known_by_names_says_the_same_in_a_session_and_to_the_commands(tmp_path):
-    """The command `data=csv system=arm` reads the numbers, the ends, the limits and the rate that the session has."""
-    pump = {"u": {"low": 0, "high": 12, "unit": "V"}}
-    session, _ = blind(tmp_path, inputs=pump)
-    session.excite(Multisine(1, duration=10, dt=0.05, amplitude=0.3, offset=0.4, seed=0))
-    mine = session._source(False).with_rates({"theta": "Omega"})
-    plant, known = BlackBox({"theta": "rad"}, pump), {"theta": "Omega"}
-    theirs = LoggedData(str(tmp_path / "excitation.csv"), known=known).load(plant, None)
-    assert mine.signature.alike(theirs.signature) and theirs.signature.state_names == ("theta", "Omega")
-    assert mine.signature.x_scale == pytest.approx(theirs.signature.x_scale)
-    assert theirs.signature.input_limits == ((0.0, 1.0),) and theirs.signature.input_units == ("V",)
-    table = np.genfromtxt(tmp_path / "excitation.csv", delimiter=",", skip_header=1)
-    np.testing.assert_array_equal(theirs.whole.u.numpy(), table[:-1, 2:])
-    assert torch.equal(mine.training.u, theirs.whole.u) and theirs.whole.x[:, 1].isnan().all()
 
 
 def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_path):

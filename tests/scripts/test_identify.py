@@ -81,7 +81,7 @@ def next_command(done):
 @pytest.mark.slow
 def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(tmp_path, write_log):
     """The angle of a pendulum alone: its rate is lacking if nobody may add it, then a plan is to be made."""
-    data = record_plant(Pendulum(), Aprbs(1, 10.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
+    data = record_plant(Pendulum(), Aprbs(1, 6.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
     given = [
         "data=csv",

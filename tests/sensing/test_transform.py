@@ -23,7 +23,7 @@ from dynasindy.excitation import Chirp, Multisine
 from dynasindy.planning import Gate, ImaginedReplay
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import Oracle
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, Wave
 
 COUNT = 2 * math.pi / 4096
@@ -104,27 +104,6 @@ def test_observation_and_reward_are_those_of_the_estimates():
         assert row["next", "reward"].item() != row["next", "true_reward"].item()
 
 
-def test_what_a_plant_itself_pays_is_known_as_it_is():
-    class Own(Tracking):
-        own = True
-
-    _, sensing, sensed = behind(task=Own(Tras().signature, Wave([0.3, 0.2], [0.5, 0.4])))
-    rows = sensed.rollout(5, chirp())
-    torch.testing.assert_close(rows["next", "reward"], rows["next", "true_reward"].float())
-    again = sensing.reestimated(rows, torch.zeros(6, 6))
-    assert torch.equal(again["next", "reward"], rows["next", "reward"])
-    assert (again["next", "state"] == 0).all()
-
-
-def test_the_filter_is_better_than_what_the_sensors_say():
-    _, sensing, sensed = behind()
-    sensing.observer.q = torch.full((6,), 1e-3, dtype=torch.float64)
-    seen = sensed.rollout(200, chirp(200))
-    error = (seen["next", "state"] - seen["next", "true_state"]).square().mean(0).sqrt()
-    assert error[0] < COUNT / 2 and error[1] < COUNT / 2 and (error[2:4] < 0.01).all() and (error[4:] < 15).all()
-    assert 0.5 < seen["next", "observer", "nis"].mean() < 1.5
-
-
 @pytest.mark.parametrize(("actuator", "late"), [(1, 0), (2, 0), (0, 2), (1, 1)])
 def test_an_estimate_is_for_the_time_at_which_the_next_action_arrives(actuator, late):
     """A model that knows the delay sees the plant of `actuator` periods later, through sensors `late` periods late."""
@@ -172,18 +151,6 @@ def test_rows_of_a_batch_are_those_of_single_episodes():
     both, first = fly(starts), fly(starts[:1])
     torch.testing.assert_close(both["state"][:1], first["state"], rtol=1e-9, atol=1e-9)
     assert not torch.equal(both["state"][0], both["state"][1])
-
-
-def test_a_reset_of_some_rows_leaves_the_others():
-    _, _, sensed = behind()
-    start = sensed.reset(sensed.reset().expand(3).clone(), set_state=False)
-    done = sensed.step(start.set("action", torch.full((3, 2), 0.2)))
-    moved = sensed.step_mdp(done)
-    again = sensed.reset(moved.clone().set("_reset", torch.tensor([[False], [True], [False]])), set_state=False)
-    for key in ("true_state", "state", ("observer", "mean"), ("observer", "inputs"), "step_count"):
-        torch.testing.assert_close(again[key][[0, 2]], moved[key][[0, 2]], rtol=0, atol=0)
-    assert not again["true_state"][1].any() and not again["observer", "inputs"][1].any()
-    assert again["observer", "inputs"][0].any()
 
 
 TRUTH = ("true_state", "true_reward")
@@ -381,16 +348,3 @@ def test_noise_of_a_scenario_is_of_the_measurement_and_the_observer_filters_it()
     without = Scenario("s", Step([[0.3, 0.2]]), 16, 3.0)
     flights = [evaluate(env, policy(), each, sensing).trajectory["true_state"] for each in (quiet, without)]
     assert torch.equal(*flights)
-
-
-def test_a_task_without_references_pays_for_the_commands_behind_sensors(settle):
-    plant = Pendulum()
-    env = ControlEnv(plant, settle(plant.signature, price=2.0), dtype=torch.float64)
-    sensors = Sensors({"theta": {}}, {"theta": "Omega"}, actuator_delay=1, disturbance=True)
-    sensing = Sensing(env, Observer(plant, sensors, env), torch.Generator().manual_seed(0))
-    act = sensing.controller(lambda td: td.set("action", 0.1 * (1.0 + td["step_count"]).float()))
-    rollout = TransformedEnv(env, sensing).rollout(5, act)
-    x, u = rollout["next", "state"], rollout["action"]
-    paid = -x[:, 0].square() - (x[:, 1] / 3.0).square() - 2.0 * u[:, 0].double().square()
-    torch.testing.assert_close(rollout["next", "reward"][:, 0].double(), paid, rtol=1e-5, atol=1e-6)
-    assert len(u.unique()) == 5

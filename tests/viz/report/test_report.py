@@ -10,7 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from dynasindy.safe_io import DamagedFileError
-from dynasindy.viz.report import SECTIONS, TITLE, Results, build, pages
+from dynasindy.viz.report import SECTIONS, TITLE, Results, pages
 from dynasindy.viz.report.document import Picture, Section, TextTable, Verdict, render_html, render_markdown
 from dynasindy.viz.response import tracking
 
@@ -146,30 +146,6 @@ def test_steps_and_waves_are_those_of_the_runs(results):
         lines = {line.get_label(): line.get_ydata() for line in axis.lines}
         np.testing.assert_allclose(lines["800 rollouts"] - lines["reference"], 0.01, atol=1e-12)
         np.testing.assert_allclose(lines["no planning"] - lines["reference"], 0.2, atol=1e-12)
-
-
-def test_hyperparameters_are_those_of_the_saved_runs(saved):
-    section = next(section for section in saved if section.title.startswith("Table 1"))
-    (table,) = tables(section)
-    paper = OmegaConf.load(RESULTS / "runs/xi_paper_rollouts_800/config.yaml")
-    values = [float(OmegaConf.select(paper, row[3].strip("`"))) for row in table.rows]
-    assert [float(row[4]) for row in table.rows] == values
-    assert [float(row[4]) for row in table.rows] == [float(row[2]) for row in table.rows]
-
-
-def test_without_any_result_every_section_stands_and_says_what_makes_it(saved, tmp_path):
-    html, markdown, *figures = build(Results(tmp_path), tmp_path / "report")
-    assert not figures and html.is_file()
-    titles = [line for line in markdown.read_text().splitlines() if line.startswith("## ")]
-    assert titles == [f"## {section.title}" for section in saved]
-    empty = pages(Results(tmp_path))
-    for section in empty[3:]:  # the drawings are of no run
-        assert missing(section) and all("`python scripts/" in words for words in missing(section)), section.title
-    everything, nothing = (
-        {(finding.case, finding.statement) for section in page for finding in section.findings}
-        for page in (saved, empty)
-    )
-    assert everything == nothing and len(nothing) == 62
 
 
 @pytest.mark.parametrize(
