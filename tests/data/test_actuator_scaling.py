@@ -69,15 +69,6 @@ def test_zero_stays_zero_and_what_an_actuator_does_not_reach_are_limits(tmp_path
     assert Task(signature).input_limits.flatten().tolist() == pytest.approx(limits)
 
 
-def test_what_becomes_zero_can_be_given(tmp_path):
-    """A servo rests in the middle of its pulses."""
-    given = {"servo": {"name": "valve", "low": 1000, "high": 2000, "rest": 1500}}
-    values = levels(1100.0, 1900.0)
-    found = LogReader(written(tmp_path / "log.csv", values), {"level": "level"}, given).recording()
-    assert found.transitions.u[:, 0].numpy() == pytest.approx((values[:-1] - 1500) / 500)
-    assert found.signature.input_ends == ((1000.0, 2000.0),) and found.signature.input_limits == ()
-
-
 @pytest.mark.parametrize(
     ("low", "high", "rest", "reach"),
     [
@@ -115,18 +106,6 @@ def test_an_input_within_one_that_never_leaves_one_side_is_asked_about(tmp_path,
     assert found.signature.input_ends == () == found.signature.input_limits
     assert found.ends == {"valve": {"name": "valve", "low": ends[0], "high": ends[1]}}
     assert found.findings[1:] == (note("log.one_sided", input="valve", least=low, most=high, inputs=found.ends),)
-
-
-def test_ends_far_wider_than_the_log_are_asked_about(tmp_path):
-    """10 V of 10,000 V are a thousandth."""
-    path = written(tmp_path / "log.csv", levels(0.0, 10.0), "valve [V]")
-    wide = {"valve": {"name": "valve", "low": 0, "high": 10_000}}
-    found = LoggedData(path, inputs=wide).recording(None).findings[1]
-    assert (found.code, found.severity) == ("log.hardly_moved", "weak")
-    assert found.values["percent"] == pytest.approx(0.1)
-    fair = {"valve": {"name": "valve", "low": 0, "high": 100}}
-    codes = [each.code for each in LoggedData(path, inputs=fair).recording(None).findings]
-    assert codes == ["log.time", "log.scaled"]
 
 
 @pytest.mark.parametrize(("most", "small"), [(0.04, True), (0.06, False)])
@@ -198,13 +177,3 @@ def test_a_log_that_contradicts_its_plant_is_refused(tmp_path, heading, given, m
     path = written(tmp_path / "log.csv", levels(6.0, 12.0), heading)
     with pytest.raises(ValueError, match=message):
         LoggedData(path, inputs={"valve": {"name": "valve", **given}}).recording(PLANT)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0, 1), (-12, 12), (0, 100)])
-def test_two_levels_of_an_input_are_told_and_three_are_not(tmp_path, low, high):
-    """A relay is on or off; a single sample between, as of a valve that was turned, is a third level."""
-    values = np.tile(np.repeat([float(low), float(high)], 10), 5)
-    told = weak("log.two_levels", input="valve", low=low, high=high)
-    for between, said in ((values, True), (np.r_[values, (low + high) / 2], False)):
-        found = LoggedData(written(tmp_path / "log.csv", between), inputs=["valve"]).recording(None).findings
-        assert (told in found) == ("log.two_levels" in [each.code for each in found]) == said

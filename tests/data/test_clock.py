@@ -85,14 +85,6 @@ def test_a_counter_gets_a_hint_and_what_the_hint_says_mends_it(tmp_path):
     assert named.transitions.dt == pytest.approx(1e-3) and named.findings[0].values["unit"] == "ms"
 
 
-@pytest.mark.parametrize("heading", ["Time [ms]", "Time (ms)"])
-@pytest.mark.parametrize("named", ["Time", "Time [ms]", "Time (ms)", "Time[ms]"])
-def test_a_time_is_named_with_its_unit_or_without(heading, named):
-    found = clock_of([heading, "T [degC]", "u"], named)
-    assert (found.heading, found.seconds("log.csv")) == (heading, 1e-3)
-    assert clock_of([heading, "T [degC]", "u"], "Time [s]").heading not in (heading, "Time")
-
-
 def decimals(places):
     return lambda t: f"{t:.{places}f}"
 

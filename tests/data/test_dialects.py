@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
 
 ROWS = 300
@@ -52,13 +51,6 @@ def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
     found = recording(tmp_path / "l.csv", table(["time", angle, rate, "u"], T, *degrees, COMMAND, separator=";"))
     require_truth(found)
     assert found.signature.state_units == ("rad", "rad/s")
-
-
-@pytest.mark.parametrize(("unit", "turn"), [("gon", 400), ("cdeg", 36_000), ("mdeg", 360_000)])
-def test_parts_of_degrees_are_angles_too(tmp_path, unit, turn):
-    columns = (T, ANGLE * turn / (2 * np.pi), RATE, COMMAND)
-    found = recording(tmp_path / "l.csv", table(["time", f"angle [{unit}]", "rate [rad/s]", "u"], *columns))
-    require_truth(found)
 
 
 def _grouped(mark, decimal):
@@ -186,27 +178,6 @@ def test_samples_of_a_sensor_that_froze_in_motion_are_masked(tmp_path):
     (stop,) = [each for each in found.findings if each.code == "log.stop"]
     assert stop.values == {"count": 40, "state": "angle", "value": pytest.approx(ANGLE[60], abs=1e-6)}
     assert len(found.transitions) == ROWS - 1 - 41
-
-
-def test_labels_that_hardly_change_are_said(tmp_path):
-    trial = [f"{k // 100}" for k in range(ROWS)]
-    clock = np.tile(T[:100], 3)
-    found = recording(
-        tmp_path / "l.csv", table(["time", "trial", "angle", "rate", "u"], clock, trial, ANGLE, RATE, COMMAND)
-    )
-    (labels,) = [each for each in found.findings if each.code == "log.labels"]
-    assert labels.values == {"columns": ["trial"], "states": ["angle", "rate"]}
-    path = str(tmp_path / "l.csv")
-    assert LoggedData(path, states=labels.values["states"]).recording(None).signature.state_names == ("angle", "rate")
-
-
-def test_a_time_without_values_is_named_or_replaced_by_the_sampling_time(tmp_path):
-    text = table(["X_Value", "angle", "rate", "u"], [""] * ROWS, ANGLE, RATE, COMMAND, separator="\t")
-    with pytest.raises(LogError) as error:
-        recording(tmp_path / "l.txt", text)
-    assert error.value.finding.code == "log.column_without_numbers"
-    assert error.value.finding.values["column"] == "X_Value"
-    require_truth(recording(tmp_path / "l.txt", text, dt=0.01))
 
 
 @pytest.mark.parametrize(

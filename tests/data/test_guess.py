@@ -7,7 +7,7 @@ import pytest
 
 from dynasindy.data.columns import guess_columns, infer, row_counter
 from dynasindy.data.table import summarise_columns
-from dynasindy.findings import LogError, note, weak, wrong
+from dynasindy.findings import LogError, note, weak
 from dynasindy.identification.identify import LoggedData
 
 
@@ -82,17 +82,6 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     assert guess["time"] == guess["counter"] == "row"
 
 
-def test_a_command_of_words_is_told_how_to_write_it(tmp_path):
-    path = tmp_path / "log.csv"
-    rows = [f"{0.1 * k},{math.sin(k)},{'ON' if k % 9 < 4 else 'OFF'}" for k in range(80)]
-    for heading, named in (("u", None), ("heater", ["heater"])):
-        path.write_text("\n".join([f"time,angle,{heading}", *rows]))
-        with pytest.raises(LogError) as error:
-            infer(str(path), inputs=named)
-        assert error.value.finding == wrong("log.worded_input", file=str(path), column=heading, text="ON")
-    assert note("log.text_columns", columns={"heater": "ON"}) in refused(lambda: infer(str(path))).values["left_out"]
-
-
 def rows_of_a_swing(path, headings, columns):
     """Write rows of numbers; `columns` makes them of the number of the row."""
     path.write_text("\n".join([headings, *(",".join(map(str, columns(k))) for k in range(80))]))
@@ -165,15 +154,6 @@ def test_the_only_column_with_a_unit_of_time_is_the_clock_whatever_it_is_called(
     path.write_text("\n".join([f"{heading},y,u", *(",".join(map(repr, row)) for row in rows)]))
     found = LoggedData(str(path)).recording(None)
     assert found.transitions.dt == pytest.approx(0.01) and found.signature.state_names == ("y",)
-
-
-def test_a_column_with_a_unit_of_time_is_no_clock_where_another_may_be_or_it_does_not_rise_evenly(tmp_path):
-    loop, path = closed_loop(), tmp_path / "log.csv"
-    for headings, second in (("left [ms],right [s],y,u", loop["t"]), ("left [ms],right,y,u", loop["y"])):
-        first = 1000 * loop["t"] if second is loop["t"] else np.exp(10 * loop["t"])
-        rows = np.stack([first, second, loop["y"], loop["u"]], -1).tolist()
-        path.write_text("\n".join([headings, *(",".join(map(repr, row)) for row in rows)]))
-        assert refused(lambda: LoggedData(str(path)).recording(None)).code == "log.no_roles"
 
 
 @pytest.mark.parametrize("name", ["referencia", "sollwert", "consigna", "y_ref", "SetPoint", "target_1", "SP"])

@@ -59,23 +59,6 @@ def test_whole_numbers_that_are_hardly_seconds_ask_for_their_unit(tmp_path):
     assert found.transitions.dt == pytest.approx(0.01)
 
 
-def test_names_of_a_pair_get_the_same_role(tmp_path):
-    held = np.arange(ROWS) // 20 % 3 - 1.0
-    found = recording(tmp_path / "l.csv", "time,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
-    assert found.signature.input_names == ("Heater 1", "Heater 2")
-    with pytest.raises(LogError) as error:
-        recording(tmp_path / "l.csv", "Zeit,T1,T2,Heater 1,Heater 2", T, ANGLE, ANGLE**2, held, COMMAND)
-    assert error.value.finding.values["guess"]["inputs"] == ["Heater 1", "Heater 2"]
-
-
-def test_the_guess_leaves_a_state_to_a_matrix_without_names(tmp_path):
-    held = np.arange(ROWS) // 20 % 3 - 1.0
-    with pytest.raises(LogError) as error:
-        recording(tmp_path / "l.csv", "data[0],data[1],data[2]", T, ANGLE, held)
-    guess = error.value.finding.values["guess"]
-    assert (guess["inputs"], guess["states"]) == (["data_2"], ["data_1"])
-
-
 def test_rows_of_two_streams_are_one_log(tmp_path):
     """A command in every second row stands until the next; a measurement stands where it was made."""
     odd = np.arange(ROWS) % 2 == 1
@@ -85,12 +68,6 @@ def test_rows_of_two_streams_are_one_log(tmp_path):
     data, rows = found.transitions, np.arange(1, ROWS - 1)
     assert data.x[:, 0].isfinite().tolist() == [bool(k % 2) for k in rows]
     assert data.u[:, 0].numpy() == pytest.approx(COMMAND[rows - rows % 2])
-
-
-def test_an_input_that_is_lost_at_random_costs_its_rows(tmp_path):
-    lost = np.random.default_rng(0).random(ROWS) < 0.3
-    found = recording(tmp_path / "l.csv", "time,angle,u", T, ANGLE, np.where(lost, np.nan, COMMAND), dt=0.01)
-    assert len(found.transitions) == (~lost[1:] & ~lost[:-1]).sum()
 
 
 def test_rates_are_known_by_their_headings(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.data.columns import Column
-from dynasindy.data.rates import check_rates, is_speed_in_rpm, require_consistent_rates, with_rates
+from dynasindy.data.rates import check_rates, is_speed_in_rpm, require_consistent_rates
 from dynasindy.envs.rollout_data import disturb, record_plant
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.findings import LogError, weak
@@ -62,23 +62,6 @@ def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, no
     factor = pytest.approx(factor, rel=0.03)
     assert found.code == "log.rate_units"
     assert told == {"state": "angle", "rate": "rate", "factor": factor, "guessed": True}
-
-
-@pytest.mark.parametrize(
-    ("angle", "rate", "cause"),
-    [
-        (1.0, 60.0, "a rate per minute"),
-        (6.0, 1.0, "degrees beside rpm"),
-        (2 * math.pi, 1.0, "rad beside revolutions per second"),
-        (1.0, 2 * math.pi, "revolutions beside rad/s"),
-        (100.0, 1.0, "as cm beside m/s"),
-        (1.0, 100.0, "m beside cm/s"),
-        (1.0, 1e6, "a time in us without its unit"),
-    ],
-)
-def test_causes_whose_factors_are_near_each_other_are_told_apart_where_nothing_is_noisy(angle, rate, cause):
-    (found,) = mismatched(swing(angle, rate), SIGNATURE)
-    assert found["cause"].removeprefix("hundredths of a unit beside the unit, ") == cause
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
@@ -196,14 +179,6 @@ def test_a_state_that_moves_by_something_else_contradicts_its_rate():
     (told,) = contradicted(mixed, {"angle": "rate"})
     assert (told.code, told.values["state"]) == ("log.rate_contradicted", "angle")
     assert abs(told.values["correlation"]) < 0.5
-
-
-def test_rates_that_are_known_and_no_states_yet_are_added_in_their_unit():
-    signature = Signature(("angle", "h", "Omega"), ("rad", "-", "rad/s"), ("u",), (1.0, 2.0, 3.0))
-    wide = with_rates(signature, {"angle": "rate", "h": "dh", "Omega": "-2 Omega", "other": "v"})
-    assert wide.state_names == ("angle", "h", "Omega", "rate", "dh")
-    assert wide.state_units == ("rad", "-", "rad/s", "rad/s", "1/s")
-    assert with_rates(signature, {"angle": "Omega"}) == signature
 
 
 def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minute_has():

@@ -9,7 +9,7 @@ import torch
 
 from dynasindy.data.columns import Column, infer
 from dynasindy.data.recording import LogReader
-from dynasindy.findings import Finding, LogError, note, wrong
+from dynasindy.findings import Finding, LogError, note
 
 STATES = {"q": Column("angle", "rad"), "v": Column("rate", "rad/s")}
 INPUTS = {"u": "volt"}
@@ -54,14 +54,6 @@ def test_a_file_is_read_to_the_last_digit(tmp_path, separator):
     assert found.signature.state_units == ("rad", "rad/s") and found.signature.input_names == ("u",)
     assert found.signature.x_scale == pytest.approx(np.abs(table[:, 1:3]).max(0))
     assert [each.code for each in found.findings] == ["log.time"]
-
-
-def test_an_empty_file_and_no_file_are_refused(tmp_path):
-    (tmp_path / "empty.csv").write_text("")
-    assert "empty" in refusal(str(tmp_path / "empty.csv"))
-    assert refused(write(tmp_path / "headings.csv", [])).code == "log.too_few"
-    with pytest.raises(FileNotFoundError):
-        LogReader(str(tmp_path / "absent.csv"), STATES, INPUTS).recording()
 
 
 def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the_file_is_refused(tmp_path):
@@ -168,13 +160,6 @@ def test_time_is_read_in_its_unit(tmp_path, unit, factor, heading):
     assert data.dt == pytest.approx(0.01) and len(data) == 79
 
 
-def test_a_heading_that_stands_twice_is_refused(tmp_path):
-    path = write(tmp_path / "log.csv", log(), ("time", "angle", "angle", "volt"))
-    assert "2 columns 'angle'" in refusal(path, states={"q": "angle"})
-    with pytest.raises(ValueError, match="once"):
-        infer(write(tmp_path / "units.csv", log(), ("time", "angle [rad]", "angle [deg]", "u")))
-
-
 def test_decimal_commas_between_semicolons_are_numbers(tmp_path):
     path = Path(write(tmp_path / "log.csv", log(), separator=";"))
     path.write_text(path.read_text().replace(".", ","))
@@ -212,16 +197,6 @@ def test_inputs_and_rates_are_scaled_by_their_own_factors(tmp_path):
     assert found.signature.state_units == ("rad", "rad/s", "rad/s")
     largest = [np.radians(table[:, 1]).max(), 3 * 0.10471975511965977]
     assert found.signature.x_scale[:2] == pytest.approx(largest, rel=1e-12)
-
-
-def test_the_sampling_time_is_the_median_unless_given(tmp_path):
-    table = np.delete(log(100, dt=0.02), [50, 51], 0)
-    assert LogReader(write(tmp_path / "log.csv", table), STATES, INPUTS).recording().transitions.dt == pytest.approx(
-        0.02
-    )
-    fine = LogReader(str(tmp_path / "log.csv"), STATES, INPUTS, dt=0.015).recording()
-    last = fine.findings[-1]
-    assert fine.transitions.dt == 0.015 and last.code == "log.resampled" and last.values["dt"] == 0.015
 
 
 def test_a_gap_is_more_than_one_and_a_half_sampling_times_and_jitter_up_to_two_percent_is_even(tmp_path):
@@ -357,25 +332,3 @@ def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_pa
     told = error.value.finding.values
     assert told["left_out"] == [note("log.counters", columns=["row"])]
     assert (told["guess"]["inputs"], told["guess"]["states"]) == (["volt"], ["angle", "rate"])
-
-
-def test_a_column_of_nan_alone_is_told_and_refused_where_it_is_named(tmp_path):
-    path = tmp_path / "log.csv"
-    rows = [f"{0.1 * k},{math.sin(k)},NaN,{math.cos(k)}" for k in range(20)]
-    path.write_text("\n".join(["time,angle [rad],speed [rpm],volts [V]", *rows]))
-    empty = note("log.empty_columns", columns=["speed"])
-    states, inputs = infer(str(path), inputs=["volts"], findings=(found := []))
-    assert list(states) == ["angle"] and list(inputs) == ["volts"] and found == [empty]
-    for states_, inputs_ in ((["angle", "speed"], ["volts"]), (None, ["speed [rpm]"])):
-        with pytest.raises(LogError) as error:
-            infer(str(path), states=states_, inputs=inputs_)
-        assert error.value.finding == wrong("log.column_without_numbers", file=str(path), column="speed")
-    worded = [f"{row},{'ON' if k % 3 else 'OFF'}" for k, row in enumerate(rows)]
-    path.write_text("\n".join(["time,angle [rad],speed [rpm],volts [V],pump", *worded]))
-    infer(str(path), inputs=["volts"], findings=(both := []))
-    assert both == [note("log.text_columns", columns={"pump": "OFF"}), empty]
-    path.write_text("\n".join(["time,speed [rpm],volts [V]", *(f"{0.1 * k},,{math.cos(k)}" for k in range(20))]))
-    with pytest.raises(LogError) as error:
-        infer(str(path), inputs=["volts"])
-    told = error.value.finding
-    assert told.code == "log.nothing_moves" and told.values["driven"] and told.values["left_out"] == [empty]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynasindy.data.table import read_columns, seconds_of_date, select_columns
+from dynasindy.data.table import read_columns, select_columns
 
 
 def write(folder: Path, text: str) -> Path:
@@ -97,19 +97,3 @@ def test_the_end_of_a_name_is_its_unit_where_the_name_stays_its_own(tmp_path, he
     assert list(read_columns(write(tmp_path, text)).headings) == plain
     assert read_columns(tmp_path / "log.csv").values.tolist() == [list(range(k, k + count)) for k in range(3)]
     assert select_columns(tmp_path / "log.csv", headings.split(",")).headings == tuple(plain)
-
-
-@pytest.mark.parametrize(
-    ("text", "seconds"),
-    [
-        ("1970-01-02", 86400.0),
-        ("02.01.1970", 86400.0),
-        ("2.1.1970 0:00", 86400.0),
-        ("01.01.1970 00:00:01.25", 1.25),
-        ("01.01.1970 00:00:01,25", 1.25),
-        ("01.03.2024 00:00:00", 1709251200.0),
-        ("1970-01-01T02:00:00+02:00", 0.0),
-    ],
-)
-def test_a_date_is_so_many_seconds_after_1970(text, seconds):
-    assert seconds_of_date(text) == pytest.approx(seconds, abs=1e-6)

@@ -31,11 +31,6 @@ def test_a_turn_is_two_pi_in_any_unit(unit, becomes, turn):
     assert found == becomes and turn * factor == pytest.approx(TURN)
 
 
-@pytest.mark.parametrize("unit", ["rad", "rad/s", "m", "degC", "°C", "deg C", "deg/min", "", "-"])
-def test_other_units_stay(unit):
-    assert in_radians(unit) == (unit, 1.0)
-
-
 def test_turns_per_minute_are_those_of_an_angle_or_stay():
     """A rotor's speed is no rate of the pitch that it moves."""
     headings = ["pitch [deg]", "pitch_rate [rpm]", "rotor [rpm]", "motor [rpm]"]
@@ -68,16 +63,6 @@ def test_a_log_in_degrees_is_read_in_radians_and_says_so_in_a_line(tmp_path):
     kept = LoggedData(path, told.values["kept"]).recording(None)
     assert kept.signature.state_units == ("deg", "deg/s") and not kept.findings[1:]
     assert kept.transitions.x.numpy() == pytest.approx(np.degrees(np.stack([np.sin(t), np.cos(t)], -1)[:-1]))
-
-
-def test_a_rate_that_is_known_or_differentiated_is_one_of_radians(tmp_path):
-    path, t = written(tmp_path / "log.csv", "time [s],angle [deg],speed [deg/s],u")
-    alone = LoggedData(path, ["angle"], known={"angle": "angle_rate"}).load(None, None)
-    assert alone.signature.state_units == ("rad", "rad/s")
-    states = {"angle": "angle", "w": {"derivative_of": "angle", "unit": "deg/s"}}
-    slope = LoggedData(path, states).recording(None)
-    assert slope.signature.state_units == ("rad", "rad/s")
-    assert slope.transitions.x[:, 1].numpy() == pytest.approx(np.cos(t)[:-1], abs=1e-4)
 
 
 def swinging(path, headings, speed=30 / math.pi, noise=0.0):

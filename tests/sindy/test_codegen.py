@@ -200,20 +200,6 @@ def test_a_model_has_machine_code_for_what_it_can_compute_and_as_it_is_now(monke
     assert integrate(alone, x.detach(), u, 0.1, 2)[0].shape == (6, 2, 2)
 
 
-def test_a_model_that_moves_otherwise_than_its_equations_has_none():
-    class Slowed(SindyModel):
-        def forward(self, x, u):
-            return 0.5 * super().forward(x, u)
-
-    library, xi = made([A, B, U])
-    model = Slowed(SIGNATURE, library)
-    model.set_coefficients(xi)
-    x, u = drawn(6)
-    assert model.compiled(x, u) is None
-    wanted = reference(library, 0.5 * xi, x, u, 0.1, 2)[0]
-    torch.testing.assert_close(integrate(model, x, u, 0.1, 2)[0], wanted.float())
-
-
 def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
     register_function("third_test", lambda z: z / 3, formula="1 / 3 * {0}")
     register_function("half_test", lambda z: z / 2, formula="{0} / 2")

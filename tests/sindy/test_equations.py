@@ -59,17 +59,6 @@ def test_what_is_divided_by_the_same_is_written_over_it_once(values, written):
     assert equations(library, torch.tensor([values, (0,) * 5]).mT) == [f"alpha_p' = {written}", "b' = 0"]
 
 
-def test_latex_has_the_paper_s_form():
-    written = coefficient_tables(LIBRARY, COEFFICIENTS)["tex"]
-    assert written.startswith("\\begin{tabular}{|c|c|c|}\n\\hline\n") and written.endswith("\\end{tabular}\n")
-    rows = [line for line in written.splitlines() if line.endswith(r"\\ \hline")]
-    assert len(rows) == 5 and all(row.count("&") == 2 for row in rows)
-    assert rows[0] == r"Library function & $\dot{\alpha_{p}}$ & $\dot{b}$ \\ \hline"
-    assert rows[3] == r"$u^{2} \, \sin \alpha_{p}$ & 0 & 0 \\ \hline"
-    assert rows[4] == r"$\cos \alpha_{p}$ & $-1$ & $1.2346\times10^{6}$ \\ \hline"
-    assert written.count("{") == written.count("}")
-
-
 def test_csv_holds_every_digit_and_the_units():
     library, xi = LIBRARY, COEFFICIENTS / 3
     header, *rows = csv.reader(io.StringIO(coefficient_tables(library, xi)["csv"]))

@@ -38,22 +38,6 @@ def test_unexplained_parts_are_those_of_the_samples():
     assert found.terms == {"a": 1, "b": 2} and found.samples == 90 and found.seconds == 0.25
 
 
-def test_a_state_that_does_not_move_has_no_unexplained_part():
-    theta, _ = rows()
-    sums = RunningSums(3, 2)
-    sums.add((theta, torch.zeros(90, 2)))
-    assert FitReport.of(LIBRARY, torch.zeros(3, 2).double(), sums, 0.0).residual == {"a": 0.0, "b": 0.0}
-
-
-def test_later_samples_and_coefficients_do_not_change_a_report():
-    found, sums = report(rows())
-    again, _ = report(rows())
-    sums.add(rows(1, noise=9.0))
-    assert found.samples == 90
-    assert found.identifiability.condition == again.identifiability.condition
-    assert found.identifiability is found.identifiability
-
-
 def test_the_text_says_how_well_coefficients_are_known():
     found, _ = report(rows())
     assert found.accuracy == []

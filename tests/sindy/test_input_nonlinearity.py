@@ -31,15 +31,6 @@ def test_what_is_flat_between_its_edges_is_a_dead_zone_and_what_is_flat_outside_
     assert read_nonlinearity(model, 0, "u") == expected
 
 
-@pytest.mark.parametrize("product", [False, True])
-def test_a_dead_zone_is_read_off_its_two_bends_unless_the_input_acts_in_products_too(product):
-    """Twice u + 0.3 + max(0, u - 0.2) - max(0, u + 0.3)."""
-    model = SindyModel(SIGNATURE, ["1", "v", "u", "max(0, u - 0.2)", "max(0, u - -0.3)", "u v"])
-    xi = torch.tensor([[0.6], [-1.0], [2.0], [2.0], [-2.0], [float(product)]], dtype=torch.float64)
-    model.set_coefficients(xi)
-    assert read_nonlinearity(model, 0, "u") == (None if product else InputNonlinearity("u", "dead zone", -0.3, 0.2))
-
-
 def in_what_is_left_over(acts, noise=0.0):
     """Return the bend that a straight fit lacks of v' = 3 f(u) - 2 v under held inputs, v measured with such noise."""
     u = np.random.default_rng(0).uniform(-1, 1, 300).repeat(5)

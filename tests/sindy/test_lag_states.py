@@ -11,7 +11,6 @@ from dynasindy.findings import note
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.lag_states import (
     TIMES,
-    completed,
     lag_state_candidates,
     lag_state_ranges,
     widened,
@@ -157,17 +156,6 @@ def test_a_delay_alone_is_no_lag():
 def test_an_oven_of_one_store_has_no_second_one(noise):
     data = oven(noise=noise, wall=0.0)
     assert lag_state_candidates(of_oven(data), data) == []
-
-
-def test_a_recording_gets_the_states_that_its_model_has_and_no_others():
-    data, model = arm(), made()
-    model.fit(data)
-    assert completed(data, ("q", "w"), model) is data
-    wide = lag_state_candidates(model, arm(lag=0.15))[0].model
-    assert completed(data, ("q", "w"), wide).x.shape[-1] == 3
-    for names, other in ((("q", "v"), wide), (("q",), model)):
-        with pytest.raises(ValueError, match="model"):
-            completed(data, names, other)
 
 
 def test_states_that_follow_begin_where_the_log_had_them():

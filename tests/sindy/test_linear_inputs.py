@@ -6,7 +6,7 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lsim
 
-from dynasindy.identification.forecast_errors import LinearModel, forecast_errors, with_start_states
+from dynasindy.identification.forecast_errors import forecast_errors, with_start_states
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.refinement import Refinement
@@ -116,16 +116,6 @@ def test_a_delayed_line_is_that_line_at_both_ends(delay):
     for ours, times in ((late.u, t[:-1]), (late.u_end, t[1:])):
         wanted = [np.interp(times - delay, t, column) for column in lines.T]
         np.testing.assert_allclose(ours.numpy().T, wanted, atol=1e-12)
-
-
-def test_a_linear_model_reads_the_input_at_the_end_of_an_interval():
-    data = swung(200)
-    held = Transitions(data.x, data.u, data.x_next, DT, data.segment)
-    starts = torch.tensor([50, 120])
-    later = starts.unsqueeze(-1) + torch.arange(20)
-    model, other = (LinearModel.fit(part, 20, 1) for part in (data, held))
-    torch.testing.assert_close(model.predict(data, starts, later), data.x_next[later], rtol=0, atol=1e-8)
-    assert float((other.predict(held, starts, later) - data.x_next[later]).abs().max()) > 0.01
 
 
 def test_forecasts_and_start_states_read_both_ends():

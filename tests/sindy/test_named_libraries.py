@@ -15,7 +15,6 @@ from dynasindy.sindy.named_libraries import (
     build_library,
     dead_zone,
     fourier,
-    mechanical,
     paper_equation,
     paper_table,
     polynomial,
@@ -220,17 +219,3 @@ def test_the_pole_on_a_cart_is_found_with_its_quotient(data):
     over = f"/(1 + {shape.frequency:g} cos(theta)^2)"
     assert found[f"force {over}"] == pytest.approx(LARGEST / (CART + POLE), rel=1e-4)
     assert found[f"sin(theta) cos(theta) {over}"] == pytest.approx(-0.75 * POLE * GRAVITY / (CART + POLE), rel=1e-4)
-
-
-def test_a_pendulum_alone_needs_no_quotient():
-    pendulum = Signature(("angle", "rate"), ("rad", "rad/s"), ("u",), (1.0, 3.0))
-    names = mechanical(pendulum).names
-    assert "sin(angle)" in names and not any("/(" in name for name in names)
-    assert "u^2" in auto(pendulum).names
-
-
-def test_what_has_no_angle_gets_polynomials():
-    tank = Signature(("level", "rate"), ("m", "m/s"), ("u",), (1.0, 1.0))
-    assert auto(tank).names == polynomial(tank).names
-    for names, units in ((("angle",), ("rad",)), (("angle", "rate"), ("deg", "deg/s"))):
-        assert not any("sin" in name for name in mechanical(Signature(names, units, ("u",), (1.0,) * len(names))).names)

@@ -11,14 +11,13 @@ from scipy.integrate import solve_ivp
 
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.library import CONSTANT, Constraints, Library, of, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.reconstruction import (
     find_missing_rates,
     rate_states,
     reconstruct,
     simulate_hidden_states,
-    with_rate_ranges,
 )
 from dynasindy.systems import Signature
 from dynasindy.systems.smoothing import local_cubic
@@ -72,29 +71,6 @@ def test_a_rate_that_was_measured_is_itself_and_lost_samples_are_filled():
     np.testing.assert_allclose(guess.x_next[:, 2], cubic(-t[1:]), atol=1e-9)
 
 
-def store(spread=None):
-    """A library of T' = -0.2 (T - b) + u, b' = (T - b) / 4, and its constraints and coefficients."""
-    signature = Signature(("T", "b"), ("K", "K"), ("u",), (1.0, 1.0))
-    library = Library(signature, [variable("T"), variable("u"), of("ahead", "T", "b")])
-    constraints = Constraints.build(library, {}, {"b": ["(T - b)"]} if spread is None else spread, {})
-    return library, constraints, torch.tensor([[0.0, 0.0], [1.0, 0.0], [-0.2, 0.25]], dtype=torch.float64)
-
-
-def followed(library, constraints):
-    model = SindyModel(library.signature, library)
-    model.constraints = constraints
-    return model.followed
-
-
-def test_a_state_follows_if_its_equation_may_have_nothing_else():
-    library, constraints, _ = store()
-    assert followed(library, constraints) == {"b": "T"}
-    assert followed(*store({"b": ["(T - b)", "u"]})[:2]) == {} == followed(*store({"b": ["T"]})[:2])
-    assert followed(*store({"T": ["(T - b)"], "b": ["T"]})[:2]) == {}  # T' of itself and of what follows it
-    fixed = Constraints.build(library, {}, {"b": []}, {"b": {"(T - b)": 0.25}})
-    assert followed(library, fixed) == {"b": "T"}
-
-
 def test_rates_are_read_off_the_equations_that_are_known():
     def found(**known: str) -> dict[int, int]:
         return rate_states(LIBRARY, Constraints.build(LIBRARY, known, {}, {}))
@@ -125,17 +101,6 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     np.testing.assert_allclose(found.x[1:24, 2], expected[:23], atol=1e-5)
     assert found.x[[0, 24], 2].tolist() == [0, 0]
     assert torch.equal(found.x[:, :2], guess.x[:, :2]) and torch.equal(found.x_next[:, :2], guess.x_next[:, :2])
-
-
-def test_a_rate_without_a_sensor_has_the_range_in_which_its_state_moved():
-    """Of a = 3 sin 2t the rate is 6 cos 2t."""
-    t = DT * np.arange(400)
-    data = recording(3 * np.sin(2 * t), lost(400), lost(400))
-    found = with_rate_ranges(SIGNATURE, data, {"a": "w"})
-    assert found.x_scale == (1.0, pytest.approx(6.0, rel=0.01), 1.0)
-    assert with_rate_ranges(SIGNATURE, data, {"a": "2 w", "h": "u"}).x_scale == SIGNATURE.x_scale
-    seen = recording(3 * np.sin(2 * t), 6 * np.cos(2 * t), lost(400))
-    assert with_rate_ranges(SIGNATURE, seen, {"a": "w"}).x_scale == SIGNATURE.x_scale
 
 
 PERIOD, N = 0.02, 600

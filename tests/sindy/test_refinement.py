@@ -135,17 +135,6 @@ def test_a_plant_that_is_pushed_is_fitted_by_predictions_and_noise_of_sensors_by
     assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
 
 
-def test_only_the_method_auto_chooses_the_error_unasked():
-    data = oscillator(0.05, 0.01, True, 2)
-    for settings, chosen in (({}, False), ({"error": "simulation"}, False), ({"error": "auto"}, True)):
-        assert bool(fitted(data, **settings)[1]) == chosen
-    model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("auto"), known={"y": "w"})
-    report = model.fit(data)
-    assert chosen_in(report.findings) == ["prediction"] and report.in_pieces
-    report = model.fit(oscillator(0.0, 0.01, True, 2))  # nothing pushes it
-    assert chosen_in(report.findings) == ["simulation"] and not report.in_pieces
-
-
 def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
     """A store of 40 s is read every second, 14 s late; its noise is three times what it moves in a second."""
     generator, phi, late, y = np.random.default_rng(0), math.exp(-1 / 40), 14, [0.0]
@@ -170,21 +159,3 @@ def test_functions_that_noise_hides_from_single_steps_are_found():
     model.fit(data)
     assert torch.equal(model.coefficients != 0, case.truth() != 0)
     torch.testing.assert_close(model.coefficients, case.truth(), rtol=0.05, atol=0.0)
-
-
-STORE = Signature(("y",), ("m",), ("u",), (1.0,))
-
-
-def of_store(error):
-    refinement = Refinement("trajectory", error=error)
-    return SindyModel(STORE, ["1", "y", "u"], Regression("bic"), refinement)
-
-
-def test_a_log_that_one_simulation_follows_is_not_cut_into_pieces():
-    u = torch.from_numpy(np.repeat(np.random.default_rng(0).uniform(0, 1, 20), 10))[:, None]
-    y = [torch.ones(1, dtype=torch.float64)]
-    for held in u:
-        y.append(2 * held + (y[-1] - 2 * held) * np.exp(-0.05))
-    seen = torch.stack(y) + 0.02 * torch.randn(201, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    report = of_store("auto").fit(Transitions.from_trajectory(seen, u, 0.1))
-    assert not report.in_pieces

@@ -92,15 +92,6 @@ def test_elimination_finds_the_best_of_all_256_subsets(noise):
     assert torch.equal(found != 0, xi != 0)
 
 
-def test_of_functions_that_repeat_each_other_one_stays():
-    theta, dx, xi = problem(noise=0.0)
-    twins = torch.cat([theta, 5 * theta], -1)
-    sums = sums_of(twins, dx)
-    found = Regression("bic").solve(sums, torch.ones(16, 2, dtype=torch.bool), torch.zeros(16, 2).double())
-    assert torch.allclose(found[:8] + 5 * found[8:], xi, rtol=1e-8, atol=1e-12)
-    assert (found != 0).sum(0).tolist() == [3, 3]
-
-
 @pytest.mark.parametrize("method", ["stlsq", "bic"])
 def test_given_coefficients_stay_and_silent_functions_get_none(method):
     theta, dx, xi = problem(noise=0.0)

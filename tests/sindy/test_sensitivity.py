@@ -1,9 +1,7 @@
 """Derivatives of functions and predictions are those of autograd, of differences and of closed forms."""
 
-import numpy as np
 import pytest
 import torch
-from scipy.linalg import expm
 
 from dynasindy.sindy import functions, sensitivity
 from dynasindy.sindy.codegen import simulate
@@ -112,17 +110,6 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
     by_gain = by_gain[..., fitted[0], fitted[1]] if observed else by_gain[..., 0, :0]
     wanted = torch.cat([by_x, by_gain, by_number, by_xi.mT.flatten(-2)], -1)
     torch.testing.assert_close(s, wanted, rtol=1e-11, atol=1e-13)
-
-
-def test_start_states_move_with_the_matrix_exponential_and_chain_over_intervals(path):
-    signature = Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 1.0))
-    matrix = np.array([[0.0, 1.0], [-4.0, -0.4]])
-    library = Library(signature, [variable("a"), variable("b"), variable("u")])
-    xi = torch.from_numpy(np.vstack([matrix.T, [[0.0, 3.0]]]))
-    propagator = Propagator(library, xi, Parameters.where(torch.zeros(3, 2).bool()))
-    s = propagator.trajectories(draw(4, 2), draw(4, 3, 1), 0.1, 10)[1]
-    for k in range(3):
-        assert np.allclose(s[:, k], expm(0.1 * (k + 1) * matrix), atol=1e-8)
 
 
 def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula(path):

@@ -94,16 +94,6 @@ def test_functions_that_resemble_an_error_that_lasts_are_left_out_where_errors_a
     assert kept[True] == 0 < kept[False]
 
 
-@pytest.mark.parametrize("outlier", [1e8, -1e30])
-def test_an_outlier_from_which_the_model_runs_away_is_said(outlier):
-    data = recording(0)
-    data.x[20, 0] = data.x_next[19, 0] = outlier
-    start = column(A, B, 0.0, 1.0)
-    free = torch.ones(4, 1, dtype=torch.bool)
-    with pytest.raises(ValueError, match="runs away"):
-        coefficients_of(refine_trajectory, LIBRARY, start, free, data, 20)
-
-
 def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states():
     data = recording(0)
     measured = np.append(data.x[:1, 0].numpy(), data.x_next[:, 0].numpy())

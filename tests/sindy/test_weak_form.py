@@ -59,12 +59,6 @@ def test_a_rate_that_was_not_measured_is_the_second_difference_of_its_state():
     torch.testing.assert_close(again, weak_form(theta, data, data, {}, 6)[1])
 
 
-def test_of_a_state_that_nobody_saw_the_guess_is_differentiated():
-    data = chain(30, 2)
-    functions, rates = weak_form(theta, without(data, 2), data, {}, 4)
-    torch.testing.assert_close(rates, functions @ XI)
-
-
 def test_no_row_reaches_over_two_segments_and_short_ones_have_short_bumps():
     parts = [chain(30, 5), chain(1, 6), chain(7, 7), chain(2, 8)]
     functions, rates = weak_form(theta, whole := Transitions.cat(parts), whole, {}, 5)

@@ -4,14 +4,15 @@ YAML that it has opened before is a copy of what it read then. It composes once 
 of our files that of an ablation alone says anything: for the others `-m` decides.
 """
 
-import copy
+import pickle
 from pathlib import Path
 from typing import Any, TextIO
 
 from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-PARSED: dict[str, DictConfig | ListConfig] = {}
+PARSED: dict[str, bytes] = {}
+"""What was read, pickled: a copy out of that takes a quarter of the time of a deep copy."""
 _load, _get_mode = OmegaConf.load, Hydra.get_mode
 WITHOUT_MODE = ("train", "identify", "evaluate", "check", "export", "rig", "report")
 
@@ -23,8 +24,8 @@ def _load_once(file_: str | Path | TextIO) -> DictConfig | ListConfig:
     text = file_.read()
     if text not in PARSED:
         file_.seek(0)  # from the file, whose name is in the errors
-        PARSED[text] = _load(file_)
-    return copy.deepcopy(PARSED[text])
+        PARSED[text] = pickle.dumps(_load(file_))
+    return pickle.loads(PARSED[text])
 
 
 def _mode(hydra: Hydra, config_name: str | None, overrides: list[str]) -> Any:
