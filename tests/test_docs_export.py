@@ -1,6 +1,5 @@
 """The C program that docs/export.md shows compiles, and acts as the controller in Python."""
 
-import math
 import re
 import subprocess
 import sys
@@ -11,7 +10,7 @@ import pytest
 import torch
 
 from dynasindy.agents.networks import actor
-from dynasindy.control import Controller, save
+from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.export import controller_sources
 from dynasindy.sensing import Observer, Sensors
@@ -23,6 +22,7 @@ from dynasindy.tasks import Step, Tracking, TrackingReward
 REPOSITORY = Path(__file__).parents[1]
 PAGE = (REPOSITORY / "docs" / "export.md").read_text()
 PROGRAM = re.search(r"```c\n(.*?)```", PAGE, re.S)[1]
+(ONNX,) = re.findall(r"```python\n(import numpy.*?)```", PAGE, re.S)
 COMMAND = re.search(r"^    gcc (.*)$", PAGE, re.M)[1].split()
 
 
@@ -40,15 +40,45 @@ def controller():
         return Controller(actor(task.n_o, 1, (6, 5)).requires_grad_(False), setup, observer, {})
 
 
+@pytest.fixture
+def trained():
+    """The controller of the main job, which sees all states as they are."""
+    return load(REPOSITORY / "docs" / "results" / "policies" / "tras")
+
+
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
-def test_the_program_of_the_page_acts_as_the_controller(controller, tmp_path):
-    for name, text in {**controller_sources(controller).files(), "main.c": PROGRAM}.items():
-        (tmp_path / name).write_text(text)
+@pytest.mark.parametrize("name", ["controller", "trained"])
+def test_the_program_of_the_page_acts_as_the_controller(name, request, tmp_path):
+    controller = request.getfixturevalue(name)
+    for file, text in {**controller_sources(controller).files(), "main.c": PROGRAM}.items():
+        (tmp_path / file).write_text(text)
     done = subprocess.run([compiler(), *STRICT[1:], *COMMAND], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     printed = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True).stdout
-    u = [controller.act([0.1, math.nan], [0.0])[0] for _ in range(100)]
-    assert float(printed) == pytest.approx(u[-1], abs=1e-6) and abs(u[-1]) > 1e-3
+    u = actions(controller)
+    assert float(printed) == pytest.approx(u[0], abs=1e-6) and abs(u[0]) > 1e-3
+
+
+@pytest.mark.parametrize("name", ["controller", "trained"])
+def test_the_lines_of_the_page_on_onnx_act_as_the_controller(name, request, tmp_path, monkeypatch):
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    controller = request.getfixturevalue(name)
+    save(controller, tmp_path / "run" / "controller.json")
+    command = [sys.executable, str(REPOSITORY / "scripts" / "export.py"), "run=run", "formats=[onnx]"]
+    done = forked.run(command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    monkeypatch.chdir(tmp_path / "run" / "export")
+    names = {}
+    exec(compile(ONNX, "docs/export.md", "exec"), names)
+    assert names["u"].tolist() == pytest.approx(actions(controller), abs=1e-5)
+
+
+def actions(controller):
+    """Return the action after 100 periods of the same measurement, 0.1 of the first state."""
+    y, r = [0.1] + [0.0] * (controller.signature.n_x - 1), [0.0] * len(controller.outputs)
+    controller.reset()
+    return [controller.act(y, r) for _ in range(100)][-1].tolist()
 
 
 def test_the_command_writes_what_the_page_says(controller, tmp_path):
