@@ -62,7 +62,6 @@ def test_the_program_of_the_page_acts_as_the_controller(name, request, tmp_path)
 @pytest.mark.parametrize("name", ["controller", "trained"])
 def test_the_lines_of_the_page_on_onnx_act_as_the_controller(name, request, tmp_path, monkeypatch):
     pytest.importorskip("onnxruntime")
-    pytest.importorskip("onnxscript")
     controller = request.getfixturevalue(name)
     save(controller, tmp_path / "run" / "controller.json")
     command = [sys.executable, str(REPOSITORY / "scripts" / "export.py"), "run=run", "formats=[onnx]"]
