@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Unpack
 
@@ -79,12 +78,11 @@ class PrintedChirp(Excitation):
         return torch.cos(math.pi * share * (1 - share)).expand(*t.shape, self.n_u)
 
 
-class Sphs(Excitation):
-    """Give the Schroeder-phased harmonic sequence, a flat spectrum of small peaks.
+class Multisine(Excitation):
+    """Give harmonics with random phases, another signal for every seed.
 
-    `sqrt(2/K) sum_{i=1..K} cos(2 pi i t/T + theta_i)`, `theta_i = (2 pi/K) i(i+1)/2` (Schroeder 1970), T the duration,
-    divided by its peak. Harmonic i belongs to input `i mod n_u`, so that the spectra of the inputs interleave and
-    nothing of one input can be mistaken for another.
+    `sqrt(2/K) sum_{i=1..K} cos(2 pi i t/T + theta_i)`, T the duration, divided by its peak. Harmonic i belongs to input
+    `i mod n_u`, so that the spectra of the inputs interleave and nothing of one input can be mistaken for another.
 
     Args:
         n_u: number of inputs.
@@ -112,12 +110,10 @@ class Sphs(Excitation):
         self._check_size(min(self.dt, self.duration / 4096), harmonics)
         i = torch.arange(1, harmonics + 1, dtype=torch.float64)
         self.numbers = (i.unsqueeze(-1) - 1) * n_u + torch.arange(1, n_u + 1, dtype=torch.float64)
-        self.phases = self._phases(i)
+        generator = torch.Generator().manual_seed(self.seed)
+        self.phases = 2 * math.pi * torch.rand(harmonics, n_u, generator=generator, dtype=torch.float64)
         self.peak = torch.ones(n_u, dtype=torch.float64)
         self.peak = self.wave(torch.linspace(0, self.duration, 4096, dtype=torch.float64)).abs().amax(0)
-
-    def _phases(self, i: Tensor) -> Tensor:
-        return (math.pi / len(i) * i * (i + 1)).unsqueeze(-1).expand(-1, self.n_u)
 
     def wave(self, t: Tensor) -> Tensor:
         """Give the sum of harmonics in [-1, 1] at times `(*batch,)` [s], `(*batch, n_u)`."""
@@ -125,20 +121,12 @@ class Sphs(Excitation):
         return math.sqrt(2 / len(self.phases)) * torch.cos(angle).sum(-2) / self.peak
 
 
-class Multisine(Sphs):
-    """Give the same harmonics with random phases, another signal for every seed."""
-
-    def _phases(self, i: Tensor) -> Tensor:
-        generator = torch.Generator().manual_seed(self.seed)
-        return 2 * math.pi * torch.rand(len(i), self.n_u, generator=generator, dtype=torch.float64)
-
-
 HELD = 10
 """Control periods for which a level is held where no time is given."""
 
 
-class _Switching(Excitation):
-    """Hold random levels; each input jumps at its own times.
+class Aprbs(Excitation):
+    """Hold uniformly random levels, each input on its own (amplitude-modulated pseudo-random binary sequence).
 
     Args:
         n_u: number of inputs.
@@ -169,11 +157,8 @@ class _Switching(Excitation):
         self.hold = float(hold)
         self._check_size(self.hold, 1)
         generator = torch.Generator().manual_seed(self.seed)
-        self.levels = self._levels(int(self.duration / self.hold) + 3, generator)
-
-    @abstractmethod
-    def _levels(self, n: int, generator: torch.Generator) -> Tensor:
-        """Draw levels in [-1, 1], `(n, n_u)`."""
+        count = int(self.duration / self.hold) + 3
+        self.levels = 2 * torch.rand(count, n_u, generator=generator, dtype=torch.float64) - 1
 
     def wave(self, t: Tensor) -> Tensor:
         """Give the held levels at times `(*batch,)` [s], `(*batch, n_u)`; after the end they start again."""
@@ -181,17 +166,3 @@ class _Switching(Excitation):
         # The small part of a hold keeps times that are multiples of it on one side of the jump.
         place = (t.unsqueeze(-1) / self.hold + shift + 1e-9).floor().long() % len(self.levels)
         return self.levels.gather(0, place.reshape(-1, self.n_u)).reshape(*t.shape, self.n_u)
-
-
-class Aprbs(_Switching):
-    """Hold uniformly random levels (amplitude-modulated pseudo-random binary sequence)."""
-
-    def _levels(self, n: int, generator: torch.Generator) -> Tensor:
-        return 2 * torch.rand(n, self.n_u, generator=generator, dtype=torch.float64) - 1
-
-
-class Prbs(_Switching):
-    """Switch at random between the two ends of the range (pseudo-random binary sequence)."""
-
-    def _levels(self, n: int, generator: torch.Generator) -> Tensor:
-        return 2.0 * torch.randint(0, 2, (n, self.n_u), generator=generator).to(torch.float64) - 1

@@ -88,7 +88,7 @@ def test_a_plant_of_which_nobody_says_that_it_stays_is_moved_little_at_first():
         (["rig=udp"], 0.1),
         (["rig=udp", "excitation=chirp", "plant.first=0.02"], 0.1),
         (["rig=udp", "~plant.first"], 0.1),
-        (["rig=udp", "excitation=prbs", "excitation.first=1.0"], 1.0),
+        (["rig=udp", "excitation=aprbs", "excitation.first=1.0"], 1.0),
         (["rig=simulated"], 1.0),
     ],
 )
@@ -209,7 +209,7 @@ def test_the_excitation_of_the_default_is_a_thousand_samples():
     assert parts.model_env.log_dt == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("signal", ["multisine", "aprbs", "prbs"])
+@pytest.mark.parametrize("signal", ["multisine", "aprbs"])
 def test_runs_over_seeds_do_not_share_their_random_excitation(signal):
     one, again, other = (
         build.__wrapped__(f"excitation={signal}", f"seed={s}")[1].excitation.samples() for s in (1, 1, 2)

@@ -2,14 +2,13 @@
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.excitation import Aprbs, Chirp, Multisine, Prbs, PrintedChirp, Sphs
+from dynasindy.excitation import Aprbs, Chirp, Multisine, PrintedChirp
 
-MOVING = [Chirp, Aprbs, Multisine, Prbs, Sphs]
+MOVING = [Chirp, Aprbs, Multisine]
 
 
 @pytest.mark.parametrize("kind", [*MOVING, PrintedChirp])
@@ -144,11 +143,8 @@ def test_a_signal_is_the_loop_over_its_holds():
     assert torch.equal(after[0], after[1])  # nine levels of half a second, then again
 
 
-def test_levels_fill_the_range_evenly_and_both_ends_come_as_often():
+def test_levels_fill_the_range_evenly():
     uniform = Aprbs(2, duration=1000.0, hold=0.5, seed=0).levels
     assert abs(float(uniform.mean())) < 0.03 and abs(float(uniform.std()) - 3**-0.5) < 0.02
     assert float(uniform.min()) < -0.99 and float(uniform.max()) > 0.99
-    binary = Prbs(2, duration=1000.0, hold=0.5, seed=0).levels
-    assert sorted(binary.unique().tolist()) == [-1.0, 1.0] and abs(float(binary.mean())) < 0.06
-    for levels in (uniform, binary):
-        assert abs(float(torch.corrcoef(levels.mT)[0, 1])) < 0.06
+    assert abs(float(torch.corrcoef(uniform.mT)[0, 1])) < 0.06

@@ -27,7 +27,7 @@ def read(line):
     ("words", "keys", "kept"),
     [
         (["data=csv", "data.path=my log.csv", "folder=x"], ["folder"], ["data=csv", "data.path=my log.csv"]),
-        (["excitation=prbs", "data.noise=0.1", "formats=[pdf]"], ["data", "formats"], ["excitation=prbs"]),
+        (["excitation=aprbs", "data.noise=0.1", "formats=[pdf]"], ["data", "formats"], ["excitation=aprbs"]),
         (["+plant.bounds={z: 1}", "hydra/launcher=basic"], ["hydra"], ["+plant.bounds={z: 1}"]),
         (["plant.known={q: w}", "+plant.start={q: 1}"], ["plant.known"], ["+plant.start={q: 1}"]),
     ],
