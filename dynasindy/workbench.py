@@ -249,11 +249,7 @@ def _advised(found: Forecast, controller: Controller, model: SindyModel, log: So
 
 
 def _steps(task: Tracking) -> Scenario:
-    """Return steps to targets over the whole range of a task, as long as its episodes.
-
-    Raises:
-        ValueError: It has no range of targets.
-    """
+    """Return steps to targets over the whole range of a task, as long as its episodes."""
     if task.ends is None:
         raise ValueError("the task has no range of targets, low and high, to fly steps in; give forecast a scenario")
     return Scenario("step", step_references(*task.ends, FLOWN), FLOWN, None)
@@ -304,11 +300,7 @@ def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:
 
 
 def _watching(model: SindyModel, sensors: Sensors, setup: ControlSetup, log: Source | None) -> Observer:
-    """Return an observer that has learnt its process noise from a log.
-
-    Raises:
-        ValueError: There is no log, or its longest stretch has no two control periods.
-    """
+    """Return an observer that has learnt its process noise from a log."""
     if log is None:
         raise ValueError("sensors need an observer, and it learns its noise levels from a log; give log=")
     data = log.training

@@ -160,11 +160,7 @@ def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
 
 
 def _check(config: DictConfig) -> None:
-    """Check the config of a sweep, its launcher, its log and where the results of an ablation go.
-
-    Raises:
-        ValueError: There is nothing to run, or the score of the jobs would be the same for all.
-    """
+    """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
     from settings import check  # it imports torch, and this module is imported before anything is shown
 
     from dynasindy.limits import device

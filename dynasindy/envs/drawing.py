@@ -1,6 +1,6 @@
-"""Pictures of a controlled plant: a dial or a bar per tracked output and, of the twin rotor, the beam in space.
+"""Pictures of a controlled plant: its tracked outputs and, of the twin rotor, the beam in space.
 
-An angle is a dial, and any other output is a bar with its unit. The beam's shadow on the floor shows its azimuth. The
+An angle is a dial, and any other output a number with its unit. The beam's shadow on the floor shows its azimuth. The
 plant is blue; the reference is dashed and black, as in every figure.
 
 Drawn with Pillow at twice the size and scaled down, which smooths the edges.
@@ -27,7 +27,7 @@ HEIGHT = 360
 _ZOOM = 2
 _INK, _GHOST = (30, 30, 30, 255), (0, 0, 0, 255)
 _PLANT, _MAIN, _TAIL, _FAINT = (0, 114, 178, 255), (230, 159, 0), (0, 158, 115), (215, 215, 215, 255)
-_FLOOR, _SHADOW, _LABEL = (244, 244, 244, 255), (190, 190, 190, 255), (120, 120, 120, 255)
+_FLOOR, _SHADOW = (244, 244, 244, 255), (190, 190, 190, 255)
 _VIEW = (
     math.radians(-90.0),
     math.radians(28.0),
@@ -42,7 +42,6 @@ def draw(
     reference: Sequence[float],
     outputs: Sequence[int],
     time: float | None = None,
-    ends: Sequence[tuple[float, float]] | None = None,
     longest: float | None = None,
 ) -> Frame:
     """Draw one state of a plant.
@@ -53,8 +52,6 @@ def draw(
         reference: `(n_r,)` reference of each tracked output; drawn dashed and black.
         outputs: Indices of the tracked outputs in `x`.
         time: Time to write into the corner [s].
-        ends: Lowest and highest value that the bar of each tracked output shows [unit of the output]; if omitted it
-            shows zero in the middle, and its range or the reference.
         longest: Length of the run, in whose unit the time is written [s]; if omitted it is as for a clock that runs on.
 
     Returns:
@@ -71,9 +68,8 @@ def draw(
         if turn_of(unit) < math.inf:
             zero = -0.5 * math.pi if signature.state_names == _HANGING else 0.0
             _draw_dial(image, corner, unit, (value, float(reference[k])), zero)
-        else:
-            reach = max(signature.x_scale[index], 1.25 * abs(float(reference[k])))
-            _draw_bar(image, corner, unit, (value, float(reference[k])), ends[k] if ends else (-reach, reach))
+        _write(image, (corner[0] + 8, corner[1] + 152), f"{value:+z.3f} {unit}", _PLANT)
+        _write(image, (corner[0] + 94, corner[1] + 152), f"{float(reference[k]):+z.3f}", _GHOST)
     if time is not None:
         clock = duration_unit(time, running=True) if longest is None else duration_unit(longest)
         _write(image, (10, 8), f"t = {time / clock.seconds:.2f} {clock.name}")
@@ -128,40 +124,6 @@ def _draw_dial(
         turned = angle * 2 * math.pi / turn_of(unit) + zero
         tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
         line([(_ZOOM * u, _ZOOM * v) for u, v in (centre, tip)])
-    _write_values(image, corner, f"{value:+z.3f} {unit}", f"{reference:+z.3f}")
-
-
-def _draw_bar(
-    image: Image.Image,
-    corner: tuple[int, int],
-    unit: str,
-    values: tuple[float, float],
-    ends: tuple[float, float],
-) -> None:
-    """Draw a value as a bar from zero, or from the lower end where zero is outside; its reference is a dashed line."""
-    pen, (low, high) = ImageDraw.Draw(image, "RGBA"), ends
-    left, right, top, bottom = corner[0] + 66, corner[0] + 114, corner[1] + 30, corner[1] + 142
-
-    def _height(value: float) -> float:
-        share = (min(max(value, low), high) - low) / (high - low) if math.isfinite(value) else 0.0
-        return _ZOOM * (bottom - share * (bottom - top))
-
-    value, reference = values
-    base, tip = sorted((_height(value), _height(0.0)))
-    pen.rectangle([_ZOOM * left, base, _ZOOM * right, tip], fill=_PLANT)
-    pen.rectangle([_ZOOM * left, _ZOOM * top, _ZOOM * right, _ZOOM * bottom], outline=_FAINT, width=2 * _ZOOM)
-    wanted = _height(reference)
-    _dashed(pen, [(_ZOOM * (left - 10), wanted), (_ZOOM * (right + 10), wanted)])
-    # As many digits as tell a thousandth of the bar.
-    digits, sign = max(0, 2 - math.floor(math.log10(high - low))), "+" if low < 0 else ""
-    for end, level in ((high, top), (low, bottom)):
-        _write(image, (right + 14, level - 8), f"{end:.3g}", _LABEL)
-    _write_values(image, corner, f"{value:{sign}z.{digits}f} {unit}", f"{reference:{sign}z.{digits}f}")
-
-
-def _write_values(image: Image.Image, corner: tuple[int, int], value: str, reference: str) -> None:
-    _write(image, (corner[0] + 8, corner[1] + 152), value, _PLANT)
-    _write(image, (corner[0] + 94, corner[1] + 152), reference, _GHOST)
 
 
 def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: Sequence[float]) -> None:

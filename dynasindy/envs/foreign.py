@@ -240,11 +240,7 @@ class GymnasiumEnv(ControlEnv):
         return out
 
     def _next(self, copy: int, action: Any, step: int) -> tuple[Any, Any, bool]:
-        """Return observation, reward and end of a step of one copy.
-
-        Raises:
-            ValueError: The environment gives other than five values, or an observation that is not finite.
-        """
+        """Return observation, reward and end of a step of one copy."""
         try:
             seen, reward, terminated, _, _ = self.copies.pool[copy].step(action)
         except ValueError as error:

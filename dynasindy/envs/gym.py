@@ -91,12 +91,9 @@ class _GymControl(gymnasium.Env[Array, Array]):
         if self.render_mode is None or self._steps is None:
             return None
         reference = self._task.reference(self._params, self._t).tolist()
-        rows = zip(*self._task.ends, self._task.boxes().tolist()) if self._task.ends else ()
-        # A third of the range beyond each end of the targets, in which an output may overshoot.
-        bars = [(low - box / 3, high + box / 3) for low, high, box in rows]
         signature, time = self.env.system.signature, float(self._t)
         longest = self._task.max_steps * self.env.dt
-        return draw(signature, self._x.tolist(), reference, self._task.outputs, time, bars, longest)
+        return draw(signature, self._x.tolist(), reference, self._task.outputs, time, longest)
 
     def _observed(self) -> tuple[Array, dict[str, Any]]:
         observation = self._task.observation(self._x, self._params, self._t).float().numpy()

@@ -216,11 +216,7 @@ def _read_table(path: Path) -> list[Row]:
 
 
 def _read_run(folder: Path, root: Path, level: Level) -> tuple[Row, list[Row]]:
-    """Return the row of a run and those of its evaluated episodes.
-
-    Raises:
-        DamagedFileError: What the run wrote cannot be read.
-    """
+    """Return the row of a run and those of its evaluated episodes."""
     with reading(folder):
         place, curve = _place(folder, root), _curve(folder)
         if ranges := _ranges(folder):

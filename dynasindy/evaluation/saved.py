@@ -134,11 +134,7 @@ def _copy(source: Path, target: Path, model: bool) -> None:
 
 
 def _origin_without_machine(folder: Path) -> dict[str, str]:
-    """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say.
-
-    Raises:
-        DamagedFileError: It says something else.
-    """
+    """Return which command and commit made a run, without paths of the machine; "unknown" where it does not say."""
     file = folder / "origin.json"
     if not file.is_file():
         return {"command": "unknown", "commit": "unknown"}

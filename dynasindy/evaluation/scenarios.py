@@ -101,8 +101,6 @@ class Evaluation:
         windows: Times `(start, end)` at which the plant was disturbed [s], where that was not all the time.
         boxes: Extents of the outputs' targets, `(n_r,)`, of an angle one turn at most; one of each unit if empty.
         disturbances: What disturbed it and by how much, in words.
-        bounds: Lower and upper limit of each tracked state [its unit], infinite where there is none; empty if no task
-            tells them.
         ends: Lower and upper end of the targets of each tracked state [its unit]; empty if no task tells them.
     """
 
@@ -115,7 +113,6 @@ class Evaluation:
     windows: tuple[Window, ...] = ()
     boxes: tuple[float, ...] = ()
     disturbances: tuple[str, ...] = ()
-    bounds: tuple[tuple[float, float], ...] = ()
     ends: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -326,11 +323,7 @@ def _run(
 
 
 def _require_fine(env: ControlEnv, rows: TensorDictBase, where: str) -> None:
-    """Refuse a simulation whose numbers go wrong because its Runge-Kutta steps are too long.
-
-    Raises:
-        Diverged: With shorter steps they would not.
-    """
+    """Refuse a simulation whose numbers go wrong because its Runge-Kutta steps are too long."""
     lost = ~rows["next", "samples"].flatten(1).isfinite().all(-1) & rows["state"].isfinite().all(-1)
     if type(env) is not ControlEnv or not bool(lost.any()):
         return
@@ -379,10 +372,6 @@ def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: Tensor
     boxes = task.boxes().minimum(turns) if isinstance(task, Tracking) else torch.ones(len(outputs))
     windows = tuple((start, end) for start, end in scenario.windows or ()) if scenario.plant else ()
     metrics = tracking_metrics(time, y, r, u, boxes, min((start for start, _ in windows), default=math.inf))
-    limits = task.bounds[:, outputs].T.tolist() if isinstance(task, Tracking) else []
-    bounds = tuple((low, high) for low, high in limits)
     ends = tuple(zip(*task.ends, strict=True)) if isinstance(task, Tracking) and task.ends else ()
     extents, signature, columns = tuple(boxes.tolist()), env.system.signature, tuple(outputs)
-    return Evaluation(
-        scenario.name, signature, columns, time, trajectory, metrics, windows, extents, bounds=bounds, ends=ends
-    )
+    return Evaluation(scenario.name, signature, columns, time, trajectory, metrics, windows, extents, ends=ends)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -27,25 +26,6 @@ FULL = (7500.0, 3800.0)
 """Speeds of tail and main rotor at which the drawn blades turn a radian per picture [rpm]; real ones would blur."""
 
 
-def bar_limits(evaluation: Evaluation, row: int, output: int) -> tuple[float, float]:
-    """Return the ends of the bar of an output [its unit]: the plant's bounds, so that a level reads as a level.
-
-    Where there are none, the bar begins at zero, or at the lowest value if that is below, and it reaches up to the
-    typical range of the state, or to the highest value or target if that is above.
-
-    Args:
-        evaluation: What is shown.
-        row: Which of its references.
-        output: Which of its outputs.
-    """
-    low, high = evaluation.bounds[output] if evaluation.bounds else (-math.inf, math.inf)
-    values = torch.cat([evaluation.outputs[row, :, output], evaluation.references[row, :, output]]).double()
-    shown, scale = values[values.isfinite()].tolist(), evaluation.signature.x_scale[evaluation.columns[output]]
-    low = low if math.isfinite(low) else min([0.0, *shown])
-    high = high if math.isfinite(high) else max([scale, *shown])
-    return low, high if high > low else low + scale
-
-
 def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Frame]:
     """Yield a picture of each `every`-th sample of one row of an evaluation: the plant, and its outputs so far.
 
@@ -62,7 +42,6 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
     )
     speed = every * RATE * float(time[1] - time[0])
     fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
-    ends = [bar_limits(evaluation, row, n) for n in range(len(evaluation.columns))]
     turned, unit = [0.0, 0.0], duration_unit(evaluation.seconds)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(HEIGHT / 100, HEIGHT / 100), dpi=100)
@@ -79,7 +58,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
             turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
             scene = draw_beam(x[k], r[k].tolist(), turned, words)
         else:
-            of_run = float(time[k]), ends, evaluation.seconds
+            of_run = float(time[k]), evaluation.seconds
             scene = draw(evaluation.signature, x[k], r[k].tolist(), evaluation.columns, *of_run)
         for n, (axis, (past, now)) in enumerate(zip(axes, curves, strict=True)):
             past.set_data(time[: k + 1], y[: k + 1, n])

@@ -58,31 +58,6 @@ def plant(unit: str, scale: float = 1.0) -> Signature:
     return Signature(("h",), (unit,), ("u",), (scale,))
 
 
-def bar(value: float, reference: float, ends: tuple[float, float]) -> tuple[int, int, float]:
-    """Top and bottom row of a bar's colour, and the row of the reference beside it."""
-    frame = draw(plant("m"), [value], [reference], [0], ends=[ends]).astype(int)
-    rows = np.nonzero(np.abs(frame[:, 80] - BEAM).max(-1) < 12)[0]
-    line = np.nonzero(np.abs(frame[:, 60] - np.array([0, 0, 0])).max(-1) < 40)[0]
-    return (int(rows.min()), int(rows.max()), float(line.mean())) if len(rows) else (0, 0, float(line.mean()))
-
-
-def test_a_level_is_a_bar_as_high_as_its_share_and_its_reference_a_line() -> None:
-    full = bar(0.8, 0.8, (0.0, 0.8))
-    half = bar(0.4, 0.6, (0.0, 0.8))
-    height = full[1] - full[0]
-    assert height > 90 and half[1] == pytest.approx(full[1], abs=2)
-    assert half[1] - half[0] == pytest.approx(height / 2, abs=3)
-    assert full[1] - half[2] == pytest.approx(0.75 * height, abs=3)
-
-
-def test_a_bar_hangs_below_zero_and_stays_within_its_ends() -> None:
-    above, below = bar(0.5, 0.0, (-1.0, 1.0)), bar(-0.5, 0.0, (-1.0, 1.0))
-    assert above[1] == pytest.approx(below[0], abs=7) and above[2] == pytest.approx(above[1], abs=4)
-    assert bar(7.0, 0.0, (-1.0, 1.0)) == bar(1.0, 0.0, (-1.0, 1.0))
-    for lost in (math.inf, math.nan):
-        assert draw(plant("K"), [lost], [340.0], [0]).shape == (360, 180, 3)
-
-
 def test_angles_are_dials_in_any_unit_and_all_else_is_not() -> None:
     right = np.s_[:, 100:140]  # where the needle of a dial lies at zero
     away = {"rad": math.pi, "deg": 180.0}

@@ -1,20 +1,18 @@
 """Animations: real time, one picture per shown sample, and one line for what cannot be written."""
 
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.drawing import draw_beam
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
-from dynasindy.systems import Pendulum, Signature, Tras
+from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
-from dynasindy.viz.animation import FULL, animate, bar_limits, frames
+from dynasindy.viz.animation import FULL, animate, frames
 
 
 @pytest.fixture(scope="module")
@@ -42,29 +40,6 @@ def test_other_plants_are_drawn_with_their_dial() -> None:
     shown = evaluate(env, lambda td: td.set("action", torch.zeros(*td.batch_size, 1)), swing)
     (first, _) = frames(shown)
     assert first.shape == (360, 180 + 360, 3)
-
-
-def tank(levels: list[float], bounds: tuple[tuple[float, float], ...] = (), length: int = 5) -> Evaluation:
-    """Levels [m] of a tank that is wanted at 1 m, a value every second; `length` seconds in all."""
-    time = torch.arange(length, dtype=torch.float64)
-    y = torch.tensor(levels + levels[-1:] * (length - len(levels))).reshape(1, -1, 1)
-    trajectory = TensorDict({"state": y, "reference": torch.ones_like(y)}, y.shape[:2])
-    signature = Signature(("h",), ("m",), ("q",), (0.5,))
-    return Evaluation("tank", signature, (0,), time, trajectory, {}, bounds=bounds)
-
-
-@pytest.mark.parametrize(
-    ("levels", "bounds", "ends"),
-    [
-        ([1.0, 1.4], ((0.0, 2.0),), (0.0, 2.0)),
-        ([1.0, 1.4], ((-math.inf, 2.0),), (0.0, 2.0)),
-        ([1.0, 1.5], (), (0.0, 1.5)),
-        ([0.25, 0.75], (), (0.0, 1.0)),  # the target is 1 m
-        ([-0.25, 0.75], ((-math.inf, math.inf),), (-0.25, 1.0)),
-    ],
-)
-def test_a_bar_begins_at_zero_or_where_the_plant_ends(levels, bounds, ends) -> None:
-    assert bar_limits(tank(levels, bounds), 0, 0) == ends
 
 
 def test_a_gif_runs_in_real_time(evaluation: Evaluation, tmp_path: Path) -> None:
