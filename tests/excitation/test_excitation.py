@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -100,15 +101,14 @@ def test_the_printed_form_is_its_formula():
     assert torch.allclose(printed, torch.tensor(expected, dtype=torch.float64).unsqueeze(-1).expand(3, 2), atol=1e-12)
 
 
-def test_schroeders_sum_is_its_formula_in_plain_numbers():
+def test_a_multisine_is_its_formula_in_plain_numbers():
     """K = 3 harmonics of each of two inputs: 1, 3, 5 and 2, 4, 6 turns in 4 s, divided by the peak."""
-    t = np.linspace(0, 4, 20001)
-    given = Sphs(2, duration=4.0, harmonics=3, amplitude=1.0).signal(torch.from_numpy(t)).numpy()
-    for column, numbers in enumerate(((1, 3, 5), (2, 4, 6))):
-        phases = [2 * np.pi / 3 * i * (i + 1) / 2 for i in (1, 2, 3)]
-        bare = sum(np.cos(2 * np.pi * n * t / 4 + phase) for n, phase in zip(numbers, phases, strict=True))
+    t, signal = np.linspace(0, 4, 20001), Multisine(2, duration=4.0, harmonics=3, amplitude=1.0, seed=3)
+    given, phases = signal.signal(torch.from_numpy(t)).numpy(), signal.phases.numpy()
+    for column, turns in enumerate(((1, 3, 5), (2, 4, 6))):
+        bare = sum(np.cos(2 * np.pi * n * t / 4 + phase) for n, phase in zip(turns, phases[:, column], strict=True))
         np.testing.assert_allclose(given[:, column], bare / np.abs(bare).max(), atol=1e-5)
-    assert np.abs(given).max() <= 1
+    assert np.abs(given).max() <= 1 and len(np.unique(phases)) == 6
 
 
 def test_a_multisine_has_lines_of_one_height_and_phases_all_around():
