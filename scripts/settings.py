@@ -107,6 +107,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
     Raises:
         ValueError: A value is not what its key allows, or an argument does not exist or is not given.
     """
+    _require_global(cfg)
     try:
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
         if "train" not in tree and not file and (tree.get("data") or {}).get("path"):
@@ -128,6 +129,20 @@ def check(cfg: DictConfig, file: str = "") -> None:
         raise ValueError(f"{what}, which is not given, or no group of keys; give the keys as conf/ does") from error
     except ValueError as error:
         raise ValueError(f"{file}: {error}" if file else str(error)) from error
+
+
+def _require_global(cfg: DictConfig) -> None:
+    """Refuse the file of a plant whose keys ended up below its own group.
+
+    Raises:
+        ValueError: They did.
+    """
+    raw: Any = OmegaConf.to_container(cfg, resolve=False)
+    if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
+        raise ValueError(
+            "system holds a group of keys that belongs beside it, as a plant's file does without its header: "
+            "let '# @package _global_' be the first line of the file that `system=` names"
+        )
 
 
 def _require_plant_settings(plant: Any, text: str) -> None:

@@ -48,7 +48,7 @@ def test_every_option_is_built(option):
 
 def test_the_environment_of_the_page_is_built_of_its_own_words(tmp_path):
     page = (CONF.parent / "docs" / "gymnasium.md").read_text()
-    (block,) = re.findall(r"```yaml\n# my_conf/system/my_env.yaml\n(.*?)```", page, re.S)
+    (block,) = re.findall(r"`my_conf/system/my_env.yaml`\n\n```yaml\n(.*?)```", page, re.S)
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "my_env.yaml").write_text(block)
     with initialize_config_dir(str(CONF), version_base="1.3"):

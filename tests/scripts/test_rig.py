@@ -21,7 +21,7 @@ def command(*words):
 
 def test_the_file_of_the_page_is_a_rig_that_only_a_connection_is_missing_of(tmp_path):
     page = (ROOT / "docs" / "rig.md").read_text()
-    (block,) = re.findall(r"```yaml\n# my_rig/system/arm.yaml\n(.*?)```", page, re.S)
+    (block,) = re.findall(r"`my_rig/system/arm.yaml`\n\n```yaml\n(.*?)```", page, re.S)
     (tmp_path / "system").mkdir()
     (tmp_path / "system" / "arm.yaml").write_text(block)
     words = ["--config-dir", str(tmp_path), "system=arm", f"folder={tmp_path}/run"]

@@ -32,6 +32,15 @@ def composed(command, *overrides):
     return cfg
 
 
+def test_the_file_of_a_plant_without_its_header_is_named_as_such(tmp_path):
+    (tmp_path / "system").mkdir()
+    (tmp_path / "system" / "mine.yaml").write_text(
+        "system: {_target_: a.B}\nplant: {outputs: [p], low: [0], high: [1]}\n"
+    )
+    with pytest.raises(ValueError, match="# @package _global_"):
+        check(composed("train", "system=mine", f"hydra.searchpath=[file://{tmp_path}]"))
+
+
 @pytest.mark.parametrize("command", ALL)
 def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
     cfg = composed(command)
