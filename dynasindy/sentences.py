@@ -1063,6 +1063,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.simulation": _one_simulation,
     "fit.shorter_shooting": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
     "pieces of {short}",
+    "fit.library_cut": "of the {whole} functions of library {library} {kept} were taken, the simplest ones and those "
+    "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
     "fit.rates_added": _rates_added,

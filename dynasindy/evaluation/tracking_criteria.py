@@ -21,8 +21,9 @@ LOST = 10.0
 """Multiple of the error asked for beyond which the worst reference counts as not held."""
 UNREST = 0.5
 """Ranges that a state may move by at the end of a run whose references stand still."""
-LONGER = 5.0
-"""Multiple of a run's length in which it shows whether a state that has not come to rest at its end is about to."""
+LONGER = (5.0, 20.0)
+"""Multiples of a run's length in which it shows whether a state that has not come to rest at its end is about to; the
+larger one where the smaller one does not show it, as of long chains."""
 DECAYED = 0.7
 """Share of its motion at the end of a run that such a state may still have there."""
 
@@ -76,11 +77,13 @@ def judge_tracking(
     gone = {i: share for i, share in enumerate(shares) if share and i not in evaluation.columns}
     near = (~far.any(0)).tolist()
     swinging = [i for i in gone if bool(matter[i]) and near[i]]
-    longer = None
+    decaying: set[int] = set()
     if swinging and evaluation.columns and rerun is not None and bool((errors.mean(0) <= LOST * WITHIN).all()):
         with suppress(Diverged, ValueError, MemoryError, RuntimeError):  # torch's own where memory runs out
-            longer = rerun("whether swings die away", LONGER * evaluation.seconds)
-    decaying = set() if longer is None else _decaying(evaluation, longer)
+            for factor in LONGER:
+                decaying = _decaying(evaluation, rerun("whether swings die away", factor * evaluation.seconds))
+                if decaying.issuperset(swinging):
+                    break
     ringing = {names[i]: gone.pop(i) for i in swinging if i in decaying}
     return TrackingCriteria(
         share=_named(evaluation, errors.mean(0)),

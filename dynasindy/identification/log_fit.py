@@ -44,7 +44,7 @@ from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.regression import least_squares
+from dynasindy.sindy.regression import SAMPLES_EACH, least_squares
 from dynasindy.sindy.shape_parameters import is_quotient
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
@@ -87,8 +87,6 @@ LEADERS = 3
 """Models with other functions each that longer simulations are fitted by, those first that predict best."""
 MANY = 80
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-SAMPLES_EACH = 5
-"""Samples for each function without which those of a library are not chosen from."""
 STRUCTURES = 2
 """Linear models of other states each to which functions are added, those first that predict best."""
 SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.5, 0.15

@@ -125,6 +125,10 @@ FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "warm_start", "g
 GIVEN_UP, SHORTER = 0.02, 0.1
 """Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
 that has to be held, and the factor on the learning rate then; an error of the whole range costs 4 a period."""
+EXACT, GAIN, ROUNDS = 0.005, 0.05, 6
+"""Error at the end of imagined episodes up to which a policy is good enough [target ranges], half of what verdicts ask
+for; share of its score that a further round of updates must gain for another one to follow, and how many there are at
+most."""
 FENCE = 40.0
 """Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
 error of a whole target range costs 4."""
@@ -137,7 +141,8 @@ class GradientPlanning(Planner):
         env: Imagined environment, `real.with_system(world_model)`.
         agent: Agent whose actor learns, or an actor alone.
         replay: Storages; imagined episodes may begin at real states. None where there are none.
-        updates: Gradient updates of the first planning phase. This, `window`, `lr`, `patience`, `substeps`,
+        updates: Gradient updates of the first planning phase; where None, a phase goes on in rounds while imagined
+            errors at the end of episodes are large and fall. This, `window`, `lr`, `patience`, `substeps`,
             `warm_start` and `gain_range` follow the plant where they are None, see `dynasindy.planning.plan_settings`.
         more_updates: Gradient updates of each later phase, which goes on from the policy as it is.
         rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
@@ -266,35 +271,26 @@ class GradientPlanning(Planner):
             if margin is not None:
                 rows.strength = margin.ends(rows.params)
                 best = self.test() if best > -math.inf else best
-        optimizer = _optimizer(self.network, lr)
-        best_weights, failures, done, made = self._weights(), 0, 0, 0
-        for done in range(1, updates + 1):
-            report_progress("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
-            optimizer.param_groups[0]["lr"] = lr * _schedule(done - 1, updates)
-            made += self._update(episodes, optimizer)
-            if done % self.check_every == 0 or done == updates:
-                # Without a step so far the rest of the phase would bring none either.
-                score = self.test() if made else -math.inf
-                failures = 0 if score > best else failures + 1
-                if score > best:
-                    best, best_weights = score, self._weights()
-                elif rests is not None and pace.warm_start and best - score > max(abs(best), GIVEN_UP):
-                    # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
-                    lr, failures = SHORTER * lr, 0
-                    self.network.load_state_dict(best_weights)
-                    optimizer = _optimizer(self.network, lr)
-                if failures >= pace.patience or not made:
-                    break
-        finite = self._finite()
-        self.network.load_state_dict(best_weights)
-        if best == -math.inf:
-            raise self._diverged(done, made, episodes.diverged, finite, lr)
+        held = rests is not None and pace.warm_start
+        best, done, made = self._descend(episodes, best, updates, lr, held)
+        imagined, learnt = begun.imagined, begun.updates
+        for _ in range(0 if "updates" in self.given else ROUNDS):
+            if rests is None or pace.afar or self.inexact() <= EXACT:
+                break
+            if not held:  # the law of the model, where that is better than what the gradient has found
+                law = hold(self.network, self.env, rests, self.test, self.rng, search=False)
+                imagined, learnt, held, best = imagined + law.imagined, learnt + law.updates, True, self.test()
+            before = best
+            best, more, steps = self._descend(episodes, best, updates, 0.3 * lr, held)
+            done, made = done + more, made + steps
+            if best - before <= GAIN * abs(before):
+                break
         improved = Improvement(best, 0, 0)
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
         self._deploy()
-        imagined = begun.imagined + done * self.rollouts * pace.window + improved.imagined
-        return Planned(imagined, begun.updates + made + improved.updates)
+        imagined += done * self.rollouts * pace.window + improved.imagined
+        return Planned(imagined, learnt + made + improved.updates)
 
     def distrust(self) -> None:
         """Do nothing: no imagined data are kept."""
@@ -319,10 +315,72 @@ class GradientPlanning(Planner):
     def test(self, network: Network | None = None) -> float:
         """Return the policy's mean reward per control period over held-out imagined references, its inputs limited."""
         rows, task = self.held_out, self.env.task
-        policy: Network = network or self.network
-        flown = (lambda observation: task.limit(policy(observation))) if task.limited else policy
-        whole = imagine(self.env, self.env.system, flown, rows, task.max_steps)
+        whole = imagine(self.env, self.env.system, self._limited(network or self.network), rows, task.max_steps)
         return imagined_rewards(self.env, rows, whole).mean().item()
+
+    def inexact(self) -> float:
+        """Return the mean error in the last quarter of held-out imagined episodes, of the worst output [target ranges].
+
+        Inputs are those of the model, and references that move are left out; 0 where all do.
+        """
+        env, task = self.env, self.env.task
+        assert isinstance(task, Tracking)
+        rows, last = dataclasses.replace(self.held_out, strength=None, late=None, kept=False), task.max_steps // 4
+        params, times = rows.params, env.dt * torch.arange(task.max_steps - last, task.max_steps + 1)
+        reference = task.reference(params, times.reshape(-1, 1, 1).expand(-1, len(params), 1))
+        rests = (reference == reference[-1]).all(-1).all(0)
+        if not bool(rests.any()):
+            return 0.0
+        whole = imagine(env, env.system, self._limited(self.network), rows, task.max_steps)
+        error = (whole.states[-last - 1 :][..., task.outputs] - reference).abs() / task.boxes()
+        error = error.where(whole.alive[-1, :, None], torch.inf)
+        return float(error[:, rests].mean((0, 1)).amax())
+
+    def _limited(self, network: Network) -> Network:
+        """Return a policy whose inputs keep the task's limits."""
+        task = self.env.task
+        return (lambda observation: task.limit(network(observation))) if task.limited else network
+
+    def _descend(self, episodes: _Episodes, best: float, updates: int, lr: float, held: bool) -> tuple[float, int, int]:
+        """Follow the gradient, and leave the policy as the best that was tested.
+
+        Args:
+            episodes: Imagined episodes, which are carried on.
+            best: Score of the policy as it is; -inf if it was not tested.
+            updates: Gradient updates at most.
+            lr: Learning rate at the start.
+            held: Whether the policy holds the plant at the start, and is gone back to where steps lose it.
+
+        Returns:
+            Score of the policy, updates, and those of a finite gradient.
+
+        Raises:
+            Diverged: No policy has a finite return.
+        """
+        optimizer, rate = _optimizer(self.network, lr), lr
+        best_weights, failures, done, made = self._weights(), 0, 0, 0
+        for done in range(1, updates + 1):
+            report_progress("planning", done, updates, "updates", f"score {best:.3g}" if math.isfinite(best) else "")
+            optimizer.param_groups[0]["lr"] = rate * _schedule(done - 1, updates)
+            made += self._update(episodes, optimizer)
+            if done % self.check_every == 0 or done == updates:
+                # Without a step so far the rest of the phase would bring none either.
+                score = self.test() if made else -math.inf
+                failures = 0 if score > best else failures + 1
+                if score > best:
+                    best, best_weights = score, self._weights()
+                elif held and best - score > max(abs(best), GIVEN_UP):
+                    # Steps so long that episodes are no longer held: go on from the best policy in shorter ones.
+                    rate, failures = SHORTER * rate, 0
+                    self.network.load_state_dict(best_weights)
+                    optimizer = _optimizer(self.network, rate)
+                if failures >= self.pace.patience or not made:
+                    break
+        finite = self._finite()
+        self.network.load_state_dict(best_weights)
+        if best == -math.inf:
+            raise self._diverged(done, made, episodes.diverged, finite, rate)
+        return best, done, made
 
     def _held(self, rests: Equilibria) -> WarmStart:
         """Let the policy begin as a law that holds the plant: a regulator that bears late inputs, or ways from afar.

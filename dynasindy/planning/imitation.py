@@ -75,7 +75,12 @@ class WarmStart:
 
 
 def hold(
-    network: nn.Module, env: ControlEnv, rests: Equilibria, score: Callable[[Network], float], rng: torch.Generator
+    network: nn.Module,
+    env: ControlEnv,
+    rests: Equilibria,
+    score: Callable[[Network], float],
+    rng: torch.Generator,
+    search: bool = True,
 ) -> WarmStart:
     """Let a policy begin as the best of some laws, if that earns more than the policy as it is.
 
@@ -85,6 +90,7 @@ def hold(
         rests: Equilibria of its model.
         score: What a policy earns in the model.
         rng: Source of starts, references and batches.
+        search: Whether ways from afar are searched for where no regulator brings every episode home.
     """
     # Departure: the paper's policy begins with random weights; on a plant that runs away ours begins as a law of the
     # model.
@@ -92,7 +98,7 @@ def hold(
     regulators = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
     earned: dict[float, _Law] = {score(law): law for law in regulators if law is not None}
     afar, imagined = False, 0
-    if earned and not arrives(earned[max(earned)], env, rests, rng):
+    if search and earned and not arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
         if paths is not None and (scored := score(paths)) > max(earned):
             afar, earned[scored] = True, paths

@@ -130,6 +130,12 @@ class Feature:
         """Collect the states and inputs it reads."""
         return {v for factor in self.factors for v in factor.variables}
 
+    @property
+    def complexity(self) -> float:
+        """Return the sum of its powers; half a step more for one function that is not the identity, as a sine."""
+        size = sum(abs(factor.power) for factor in self.factors)
+        return size if size != 1 or self.factors[0].function == "id" else 1.5
+
     def reading(self, name: str, other: str) -> Feature:
         """Return the same function with one variable in the place of another.
 

@@ -36,7 +36,7 @@ from dynasindy.sindy.equations import equations, require_finite
 from dynasindy.sindy.fit_report import FitReport
 from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_function
 from dynasindy.sindy.library import Constraints, Feature, Library
-from dynasindy.sindy.named_libraries import LibraryBuilder, build_library
+from dynasindy.sindy.named_libraries import GENERAL, LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
     DelayedRecording,
     RegressionData,
@@ -46,7 +46,7 @@ from dynasindy.sindy.reconstruction import (
     simulate_hidden_states,
 )
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.regression import DEPENDENT, Regression, Rows, RunningSums, integral_form
+from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums, integral_form, screen
 from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
@@ -65,6 +65,8 @@ from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 FORMAT = "dynasindy sparse model 1"
+FEWEST_EACH = 2
+"""Samples for each function below which a library that a word names is cut to the size of the data."""
 POINTS = 64
 """Points within the ranges of states and inputs at which a model's fastest motion is looked for."""
 LONGEST = 1e9
@@ -84,7 +86,8 @@ class SindyModel(WorldModel):
 
     Args:
         signature: names, units and ranges of the plant.
-        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words.
+        library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words. One
+            that a name selects is cut to the size of the data by the first fit.
         regression: settings of the sparse regression; the paper's by default.
         refinement: settings of the refinement on the prediction error; none by default.
         known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
@@ -123,12 +126,14 @@ class SindyModel(WorldModel):
         self.findings: tuple[Finding, ...] = ()
         self.linear_inputs: tuple[str, ...] = ()
         self.machine_code, self.library = machine_code, _with_time(build_library(library, signature), time)
+        self.named, self.places = library if isinstance(library, str) else None, list[int]()
         self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
         self._field_of: tuple[Tensor, int, Library] | None = None
         self._fastest: float | None = None
         self.regression, self.refinement = regression or Regression(), refinement
         self.constraints = Constraints.build(self.library, known or {}, allowed or {}, fixed or {})
+        self._uncut = self.library, self.constraints
         guess = Constraints.build(self.library, {}, {}, initial or {}, "plant.initial").offset
         self.initial = None if initial is None else guess
         self.initial_delay: float | None = None  # of the inputs in that guess [s]; None: not known
@@ -249,7 +254,20 @@ class SindyModel(WorldModel):
         """Return what `state_dict` keeps besides the coefficients: the running sums, the fitted factors, the delay."""
         shapes = [shape.frequency for shape in self.library.shapes]
         sums, known = {"r": self.sums.r, "count": self.sums.count}, self.covariance and tuple(self.covariance)
-        return {**sums, "shapes": shapes, "delay": self.delay, "step": self.step, "covariance": known}
+        return {
+            **sums,
+            "places": self.places,
+            "shapes": shapes,
+            "delay": self.delay,
+            "step": self.step,
+            "covariance": known,
+        }
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
+        """Cut the library as it was cut when the state was kept, before coefficients are read."""
+        if places := state_dict.get(f"{prefix}_extra_state", {}).get("places"):
+            self._keep(places)
+        super()._load_from_state_dict(state_dict, prefix, *others)
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore what `get_extra_state` returned."""
@@ -265,11 +283,11 @@ class SindyModel(WorldModel):
             return super().kept()
         # A fit replaces these and changes nothing inside of them, but for the sums.
         library, coefficients, sums = self.library, self.coefficients.clone(), self.sums.copy()
-        delay, covariance = self.delay, self._covariance
+        delay, covariance, constraints = self.delay, self._covariance, self.constraints
 
         def _go_back() -> None:
-            self.library, self.sums, self.delay = library, sums.copy(), delay
-            self.set_coefficients(coefficients)
+            self.library, self.sums, self.delay, self.constraints = library, sums.copy(), delay, constraints
+            self.coefficients = coefficients.clone()
             self.covariance = covariance
 
         return _go_back
@@ -346,7 +364,9 @@ class SindyModel(WorldModel):
             guess = replace(started, u=data.u, u_end=data.u_end)
         recording = DelayedRecording.of(data, guess, rates, delay)
         seen = recording.seen(delay)
-        rows = self._rows(seen)
+        rows, cut = self._rows(seen), list[Finding]()
+        if self.named in GENERAL and not earlier and len(data) < FEWEST_EACH * len(self.library):
+            rows, cut = self._cut(rows)
         self.sums.add(rows)
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
         constraints = replace(self.constraints, free=free)
@@ -359,6 +379,7 @@ class SindyModel(WorldModel):
             self.set_coefficients(first)
         self.delay = delay
         findings, fields = self._refine(data, guess, constraints, None if first is None else self.initial_delay)
+        findings = cut + findings
         if self.refinement is not None:
             findings += unmoved_shapes(self.library, self.coefficients)
         of, seconds = (self.library, self.coefficients), time.perf_counter() - start
@@ -498,7 +519,7 @@ class SindyModel(WorldModel):
                 f"{self.signature.n_u}, as in the signature: check the columns"
             )
         library, data = (self.library, data) if self.step is None else _step_rows(self.library, data)
-        if len(data) + self.sums.count < len(self.library):
+        if len(data) + self.sums.count < len(self.library) and self.named not in GENERAL:
             kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
                 f"fit got {len(data) + self.sums.count} {kind}; allowed are {len(self.library)} or more, one per "
@@ -514,7 +535,9 @@ class SindyModel(WorldModel):
         if self.refinement is None:
             return [], {}
         try:
-            found = self.refinement.run(self.library, self.coefficients, constraints, data, guess, late)
+            found = self.refinement.run(
+                self.library, self.coefficients, constraints, data, guess, late, self.named in GENERAL
+            )
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
@@ -535,6 +558,23 @@ class SindyModel(WorldModel):
             return list(found.findings), fields
         chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)
         return [*found.findings, chosen], fields
+
+    def _cut(self, rows: Rows) -> tuple[Rows, list[Finding]]:
+        """Cut a library that a word names to the size of the data, and return its rows and what was done."""
+        constraints, whole = self.constraints, len(self.library)
+        sizes = [feature.complexity for feature in self.library.features]
+        places = screen(rows, constraints.free, constraints.offset, sizes, len(rows[0]) // SAMPLES_EACH)
+        self._keep(places)
+        found = note("fit.library_cut", library=self.named, kept=len(places), whole=whole, samples=len(rows[0]))
+        return (rows[0][:, places], rows[1]), [found]
+
+    def _keep(self, places: list[int]) -> None:
+        """Keep functions of the whole library, and forget what was learnt."""
+        (library, constraints), self.places = self._uncut, places
+        self.library = library.subset(places)
+        self.constraints = Constraints(constraints.free[places], constraints.offset[places])
+        self.coefficients = self.constraints.offset.clone()
+        self.sums = RunningSums(len(places), self.signature.n_x)
 
     def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change of what regressions read."""

@@ -304,6 +304,8 @@ NAMED: dict[str, LibraryBuilder] = {
     "auto_rig": auto_rig,
 }
 """Libraries that a word selects."""
+GENERAL = ("auto", "auto_rig", "mechanical", "polynomial")
+"""Those for any plant, which hold more than a plant has: a fit takes what its data need."""
 
 
 def build_library(library: str | Sequence[str] | Library | LibraryBuilder, signature: Signature) -> Library:

@@ -26,7 +26,7 @@ from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.noise import looks_noisy
 from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step
 from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates, has_gaps, rate_states
-from dynasindy.sindy.regression import Regression, Rows, RunningSums, means
+from dynasindy.sindy.regression import Regression, Rows, RunningSums, means, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
 from dynasindy.sindy.trajectory_fit import WORSE, first_gain, refine_trajectory, trajectory_error_ratio
@@ -117,6 +117,7 @@ class Refinement:
         data: Transitions,
         guess: Transitions | None = None,
         late: float | None = None,
+        general: bool = False,
     ) -> Refined:
         """Return refined coefficients, the library with its fitted factors, and the delay of the inputs.
 
@@ -128,6 +129,7 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
             late: delay of the inputs of the first estimate [s], at which the fit begins; a regression is to find it
                 where this is None.
+            general: whether the library is one for any plant, of which regressions without noise take what they need.
         """
         guess = data if guess is None else guess
         first, longest, rough = (library, coefficients), self.longest_delay, late or 0.0
@@ -143,7 +145,7 @@ class Refinement:
         rates = rate_states(library, constraints)
 
         def _fit(longest: float) -> _Fit:
-            return _Fit(self, longest, constraints, DelayedRecording.of(data, guess, rates, longest))
+            return _Fit(self, longest, constraints, DelayedRecording.of(data, guess, rates, longest), general)
 
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
         lacking = find_missing_rates(library, delay_and_trim(data, rough)) if longest else []
@@ -186,12 +188,14 @@ class _Fit:
         longest: longest delay that is looked for [s].
         constraints: what is known of the equations.
         recording: what is fitted to.
+        general: whether the library is one for any plant.
     """
 
     settings: Refinement
     longest: float
     constraints: Constraints
     recording: DelayedRecording
+    general: bool = False
 
     def run(self, first: Model, late: float | None = None) -> Refined:
         """Return what was found; the search for a delay begins at `late` [s], by a regression where that is None."""
@@ -201,6 +205,9 @@ class _Fit:
             first = self._regressed(first, delay)
             delay = self._regressed_delay(delay, first)
         found = self._regressed(first, delay)
+        if self.general and wanted == "integral" and not bool(data.x.isnan().any() | data.x_next.isnan().any()):
+            fit = self._needed(found, delay)
+            found = fit._regressed(found, delay)
         hidden = not bool(found[1].any()) and wanted in ("auto", "trajectory")
         if hidden and not bool(data.x.isnan().any()):  # noise of single samples may hide every function
             fit, found = self._smoothed(found, delay)
@@ -208,7 +215,7 @@ class _Fit:
             return Refined(*found, delay)
         method, noisy, findings = self._chosen(*found, delay)
         left = known = None
-        guess, free = fit.recording.guessed(delay), self.constraints.free
+        guess, free = fit.recording.guessed(delay), fit.constraints.free
         if method == "one_step":
             found = refine_one_step(*found, free, guess, self.settings.tolerance)
             left = one_step_errors(*found, guess)
@@ -223,6 +230,14 @@ class _Fit:
                 fit, found = fit._smoothed(found, delay)
             refined = fit._by_trajectories(found, delay)
         return refined.with_findings(findings, self.longest, data.dt)
+
+    def _needed(self, found: Model, delay: float) -> _Fit:
+        """Return the fit of the functions that samples at the edge of what was seen need."""
+        seen, constraints = self._brief.seen(delay), self.constraints
+        rows = seen.rows(found[0], generate(*found))
+        ranks = [feature.complexity for feature in found[0].features]
+        free = needed_at_edge(rows, seen.guess.x, constraints.free, constraints.offset, ranks)
+        return replace(self, constraints=replace(constraints, free=free))
 
     @cached_property
     def _brief(self) -> DelayedRecording:

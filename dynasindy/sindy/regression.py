@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -127,6 +127,119 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
             stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)
             swaps[float(growth[k]) - missed] = torch.cat([stay, torch.tensor([len(active) + k])])
     return swaps[max(swaps)] if swaps else None
+
+
+SAMPLES_EACH = 5
+"""Samples for each function of a library that is cut to the size of the data."""
+
+
+def screen(rows: Rows, free: Tensor, offset: Tensor, complexity: Sequence[float], most: int) -> list[int]:
+    """Choose functions out of too many for the data: the simplest, and those that explain most of what these leave.
+
+    Functions of one complexity, as all products of two, come in together while there is room for them. Of the others
+    those come in that are least orthogonal to what the first ones leave over of any rate of change (sure independence
+    screening; Fan and Lv 2008).
+
+    Args:
+        rows: functions `(N, n_features)` and rates of change `(N, n_x)`.
+        free: where coefficients are sought, bool `(n_features, n_x)`.
+        offset: coefficients that are given, `(n_features, n_x)`; their functions stay.
+        complexity: of each function, the least first.
+        most: number of functions to choose.
+
+    Returns:
+        Their places, in order.
+    """
+    theta, dx = rows[0], rows[1] - rows[0] @ offset
+    rank, chosen = torch.tensor(complexity), (offset != 0).any(-1)
+    for each in rank.unique().tolist():
+        more = chosen | ((rank == each) & free.any(-1))
+        if int(more.sum()) > most:
+            break
+        chosen = more
+    basis = torch.linalg.qr(theta[:, chosen]).Q
+    columns, left = (part - basis @ (basis.mT @ part) for part in (theta, dx))
+    columns = columns / columns.norm(dim=0).maximum(1e-6 * theta.norm(dim=0)).clamp_min(1e-300)
+    explained = (columns.mT @ left).square() / left.square().sum(0).clamp_min(1e-300)
+    gain = explained.where(free & (left.norm(dim=0) > 1e-6 * dx.norm(dim=0)), 0.0).amax(-1).where(~chosen, 0.0)
+    best = gain.argsort(descending=True)[: max(0, most - int(chosen.sum()))]
+    chosen[best[gain[best] > 2 * math.log(len(rank)) / len(theta)]] = True  # more than chance gives the best of so many
+    return chosen.nonzero().flatten().tolist()
+
+
+EDGE = 0.25
+"""Part of the samples that is kept back, those farthest from the middle of what was seen."""
+PER_TERM = 0.1
+"""Part of the error at the edge that a linear term must be worth; one of another function twice as much."""
+NEGLIGIBLE = 1e-8
+"""Part of a rate of change at the edge below which an error is none."""
+
+
+def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexity: Sequence[float]) -> Tensor:
+    """Choose functions by samples at the edge of what was seen, from which their coefficients are kept.
+
+    Functions that look alike over what was seen, as an angle and its sine, differ beyond it, where a policy goes. So
+    coefficients are fitted to the inner samples, functions are dropped one by one, least missed first, and the set
+    that predicts the outer samples best stays, of sets of few terms sooner than of many. It begins with the simple
+    functions alone, and with more complex ones beside them.
+
+    Args:
+        rows: functions `(N, n_features)` and rates of change `(N, n_x)`.
+        x: states of the rows, `(N, n_x)`.
+        free: where coefficients are sought, bool `(n_features, n_x)`.
+        offset: coefficients that are given, `(n_features, n_x)`.
+        complexity: of each function, the least first.
+
+    Returns:
+        Where coefficients are to be sought, bool `(n_features, n_x)`.
+    """
+    theta, dx = rows[0], rows[1] - rows[0] @ offset
+    away = (x - x.median(0).values).abs()
+    away = (away / away.amax(0).clamp_min(1e-300)).amax(-1)
+    outer = away > away.quantile(1 - EDGE)
+    theta = theta / theta.norm(dim=0).clamp_min(1e-300)
+    ranks, needed = torch.tensor(complexity), torch.zeros_like(free)
+    for i in free.any(0).nonzero().flatten().tolist():
+        inside, beyond = ((theta[part], dx[part, i]) for part in (~outer, outer))
+        best, tried = math.inf, -1
+        for rank in ranks.unique().tolist():
+            mine = (free[:, i] & (ranks <= rank)).nonzero().flatten()
+            if len(mine) == tried or 2 * len(mine) > len(inside[0]):
+                continue
+            tried = len(mine)
+            score, chosen = _least_at_edge(inside, beyond, mine, torch.where(ranks > 1, 2.0, 1.0))
+            if score < best:
+                best = score
+                needed[:, i] = False
+                needed[chosen, i] = True
+    return needed
+
+
+def _least_at_edge(
+    inside: tuple[Tensor, Tensor], beyond: tuple[Tensor, Tensor], active: Tensor, weights: Tensor
+) -> tuple[float, Tensor]:
+    """Drop functions, least missed first, and return the least score at the edge and the functions that have it.
+
+    Args:
+        inside: functions, and a rate of change, that coefficients are fitted to.
+        beyond: those at the edge.
+        active: functions to begin with, `(n,)`.
+        weights: how many terms each function counts as, `(n_features,)`.
+    """
+    triangle = torch.linalg.qr(torch.cat([inside[0][:, active], inside[1].unsqueeze(-1)], -1), mode="r")[1]
+    size, best, chosen = float(beyond[1].norm().clamp_min(1e-300)), math.inf, active
+    while n := len(active):
+        if float(triangle[:n, :n].diagonal().abs().min()) >= DEPENDENT:
+            values = torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
+            error = float((beyond[1] - beyond[0][:, active] @ values).norm()) / size
+            score = math.log(max(error, NEGLIGIBLE)) + PER_TERM * float(weights[active].sum())
+            if score < best:
+                best, chosen = score, active
+        j, _ = _least_missed(triangle, n)
+        keep = [k for k in range(n) if k != j]
+        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
+        active = active[keep]
+    return best, chosen
 
 
 AT_ONCE = 10_000

@@ -78,6 +78,7 @@ MATTER = torch.tensor([True, True, False])
     ("damping", "half", "decaying"),
     [
         (0.02, math.inf, True),
+        (0.002, math.inf, True),  # .85 of its motion after five runs, .47 after twenty
         (0.0, math.inf, False),
         (-0.001, math.inf, False),
         (0.0, 7.0, False),  # it rests from 14 s to 21 s, and for 2 s at the end of the longer run

@@ -41,6 +41,22 @@ def test_planning_improves_the_return_in_the_real_environment(setting, small):
     assert after > 0.5 * before  # returns are negative: more than half of the cost is gone
 
 
+def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped):
+    env = mapped(0.9, 0.2)  # stable, x[k+1] = .9 x + .2 u, so that no regulator is there at first
+    actor = Actor(env.task.n_o, 1, hidden=(32, 32))
+    small = {"rollouts": 16, "check_every": 4, "gain_range": 0.0}
+    ends = []
+    for updates in (8, None):
+        planner = GradientPlanning(env, actor, lr=1e-9, updates=updates, **small)
+        planner.plan()
+        ends.append(planner.inexact())
+    with torch.no_grad():
+        rollout = env.rollout(env.task.max_steps, actor.policy)
+    error = (rollout["next", "state"][-1] - env.task.reference(rollout["task_params"][-1:], torch.ones(1, 1))).abs()
+    assert ends[0] > 0.05 > ends[1]
+    assert float(error) < 0.05
+
+
 def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, small):
     env, agent, replay = setting()
     before = weights(agent.policy)

@@ -239,6 +239,65 @@ def test_what_a_fit_changes_besides_coefficients_is_kept_in_its_state():
     assert copy.delay == 0.03
 
 
+class Beam(System):
+    """A ball in a groove on a beam with a spring; no function of a general library is its centrifugal force, r w^2."""
+
+    def __init__(self) -> None:
+        signature = Signature(("r", "v", "a", "w"), ("m", "m/s", "rad", "rad/s"), ("u",), (0.3, 0.5, 0.5, 2.0))
+        super().__init__(signature)
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        r, v, a, w = x.unbind(-1)
+        pull = 0.7 * r * w**2 - 4.0 * r - 0.5 * v - 7.0 * torch.sin(a)
+        return torch.stack((v, pull, w, 15.0 * u[..., 0] - 3.0 * w - 12.0 * a), -1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_functions_that_look_alike_those_stay_that_hold_farther_out(seed):
+    plant, ends = Beam(), torch.tensor([0.3, 0.5, 1.2, 2.0], dtype=torch.float64)
+    u = Aprbs(1, 10.0, amplitude=(0.4,), seed=seed).samples(0.02)
+    states = [torch.zeros(1, 4).double()]
+    for k in range(len(u)):
+        states.append(integrate(plant, states[-1], u[k : k + 1], 0.02, 4)[0][:, -1])
+    known = {"r": "v", "a": "w"}
+    model = SindyModel(plant.signature, "auto", Regression("bic", tolerance=1e-4), Refinement("integral"), known)
+    model.fit(Transitions.from_trajectory(torch.cat(states), u, 0.02))
+    far = ends * (2 * torch.rand(500, 4, generator=torch.Generator().manual_seed(0)).double() - 1)
+    wanted, still = plant(far, 0 * far[:, :1]), 0 * far[:, :1]
+    assert (model(far, still) - wanted).norm(dim=0)[1] < 0.2 * wanted.norm(dim=0)[1]  # all functions: by far more
+    assert int((model.coefficients[:, 1] != 0).sum()) <= 5
+
+
+def test_a_general_library_is_cut_to_the_size_of_the_data_and_a_state_remembers_how():
+    n = 20
+    names = [f"{kind}{k}" for kind in "xv" for k in range(n)]
+    signature = Signature(tuple(names), ("m",) * n + ("m/s",) * n, ("f",), (0.2,) * n + (0.5,) * n)
+    pull = np.diag(-20.0 * np.ones(n)) + np.diag(10.0 * np.ones(n - 1), 1) + np.diag(10.0 * np.ones(n - 1), -1)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [pull, 0.03 * pull]])
+    b = np.zeros((2 * n, 1))
+    b[n] = 5.0
+    flow = expm(0.05 * np.block([[a, b], [np.zeros((1, 2 * n + 1))]]))
+    u = np.random.default_rng(0).uniform(-1, 1, 100).repeat(4)
+    x = [np.zeros(2 * n)]
+    for held in u:
+        x.append((flow @ [*x[-1], held])[: 2 * n])
+    data = Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], 0.05)
+    known = {f"x{k}": f"v{k}" for k in range(n)}
+    model, other = (
+        SindyModel(signature, "polynomial", Regression("bic", tolerance=1e-4), Refinement("integral"), known)
+        for _ in range(2)
+    )
+    whole = len(model.library)
+    report = model.fit(data)
+    assert whole == 903 and len(model.library) <= len(data) // 5
+    assert [each.code for each in report.findings][:1] == ["fit.library_cut"]
+    other.load_state_dict(model.state_dict())
+    x, u = torch.randn(5, 2 * n).double(), torch.randn(5, 1).double()
+    assert torch.equal(other(x, u), model(x, u))
+    wanted = x.numpy() @ a.T + u.numpy() @ b.T
+    assert np.abs(model(x, u).numpy() - wanted).max() < 0.02 * np.abs(wanted).max()
+
+
 PAIR = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))
 
 
