@@ -6,9 +6,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import contextlib
+import hashlib
+import platform
 import re
 import shutil
+import subprocess
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +23,33 @@ import torch
 
 torch.set_num_threads(1)
 
+
+def _compiled(compiler: str) -> Path:
+    """Return where what this compiler has made for this processor lies from one session to the next.
+
+    Compiling takes an eighth of the time of the tests. What has not been asked for in a month is removed.
+    """
+    version = subprocess.run([compiler, "--version"], capture_output=True, check=False).stdout
+    about = Path("/proc/cpuinfo")
+    lines = about.read_text(errors="replace").splitlines() if about.is_file() else [platform.processor()]
+    facts = [line for line in lines if not line.startswith(("cpu MHz", "bogomips"))]
+    key = hashlib.sha256(version + "\n".join(sorted(set(facts))).encode()).hexdigest()[:16]
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dynasindy_tests" / key
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    for file in folder.iterdir():
+        with contextlib.suppress(OSError):  # another session may have removed it
+            if time.time() - file.stat().st_mtime > 30 * 86400:
+                file.unlink()
+    return folder
+
+
 if (found := shutil.which(os.environ.get("CC") or "cc")) and "CC_KEPT" not in os.environ and os.name == "posix":
-    kept = tempfile.TemporaryDirectory(prefix="dynasindy_compiled_")  # of this session and of all its processes
-    os.environ |= {"CC_OF_TESTS": found, "CC_KEPT": kept.name, "CC": str(Path(__file__).parent / "warm" / "cc")}
+    try:
+        kept = str(_compiled(found))
+    except OSError:  # as without a home that can be written
+        temporary = tempfile.TemporaryDirectory(prefix="dynasindy_compiled_")
+        kept = temporary.name
+    os.environ |= {"CC_OF_TESTS": found, "CC_KEPT": kept, "CC": str(Path(__file__).parent / "warm" / "cc")}
 
 
 @pytest.fixture(autouse=True)
