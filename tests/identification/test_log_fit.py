@@ -144,18 +144,6 @@ def test_what_pushes_the_plant_does_not_bias_its_equations():
 
 
 @pytest.mark.usefixtures("one_fold")
-def test_a_rate_that_was_measured_is_used_as_such():
-    """Of a pendulum whose velocity was logged too, with noise on both."""
-    data = record_plant(Pendulum(), Multisine(1, duration=12, dt=0.05, amplitude=[0.6], seed=0).samples(0.02), 0.02)
-    noise = torch.randn(len(data) + 1, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    x = torch.cat([data.x, data.x_next[-1:]]).double() + noise * torch.tensor([0.002, 0.02])
-    found = fitted(source_of(x, data.u.double(), data.dt, ("theta", "Omega"), ("rad", "rad/s")))
-    assert found.model.equations()[0] == "theta' = Omega"
-    names = {"Omega": -0.5, "u": 12.0, "sin(theta)": -9.81}
-    assert {name: coefficient(found.model, "Omega", name) for name in names} == pytest.approx(names, rel=0.05)
-
-
-@pytest.mark.usefixtures("one_fold")
 def test_an_input_that_acts_late_and_through_a_lag_is_found():
     """a' = (u - a) / 0.5 s and y' = -y + 2 a, the input 0.12 s late."""
     dt, late = 0.04, 3

@@ -34,6 +34,7 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
     done = _run(tmp_path / "run", "system=pendulum", "excitation.duration=5", "data.validation_seconds=2")
     assert done.returncode == 0, done.stderr
     assert "Omega' = -0.5 Omega + 12 u - 9.81 sin(theta)" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["run"], "nothing is left beside it"
     names = {p.name for p in (tmp_path / "run").iterdir()}
     assert {
         "model.json",

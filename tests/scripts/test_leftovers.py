@@ -10,16 +10,6 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_run_in_a_folder_of_its_own_leaves_no_other_one(tmp_path):
-    words = ["system=pendulum", "excitation.duration=3", "data.validation_seconds=1", f"folder={tmp_path}/mine"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, str(ROOT / "scripts" / "identify.py"), *words]
-    done = forked.run(command, env=environment, timeout=300, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"] and (tmp_path / "mine" / "model.json").is_file()
-    assert "python scripts/train.py system=pendulum excitation.duration=3" in done.stdout
-
-
 def test_what_lies_in_a_folder_of_runs_stays(tmp_path):
     (tmp_path / "runs" / "before").mkdir(parents=True)
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

@@ -103,6 +103,16 @@ def test_a_hidden_state_is_led_by_the_states_that_were_measured():
     assert torch.equal(found.x[:, :2], guess.x[:, :2]) and torch.equal(found.x_next[:, :2], guess.x_next[:, :2])
 
 
+def test_what_the_model_says_of_measured_states_does_not_lead():
+    # h' = a, a recorded as a line, so h is its integral; the model's own a' = -3 would run elsewhere.
+    t = DT * np.arange(40)
+    data = recording(t, 0 * t, lost(40))
+    xi = torch.zeros(5, 3).double()
+    xi[1, 2], xi[0, 0] = 1.0, -3.0
+    found = simulate_hidden_states(LIBRARY, xi, data, reconstruct(data, {}), {})
+    np.testing.assert_allclose(found.x_next[:, 2], t[1:] ** 2 / 2, atol=1e-9)
+
+
 PERIOD, N = 0.02, 600
 ONE = Signature(("y",), ("-",), ("u",), (1.0,))
 TWO = Signature(("y", "v"), ("-", "-"), ("u",), (1.0, 1.0))
