@@ -15,6 +15,8 @@ OF_RUN = {
 """What a command shows or makes of a run."""
 SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
 """What tries every part of a training once."""
+LONG_PLAN = 1500
+"""Updates of a plan that is to be longer than the usual one."""
 IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
 """Words of `train` that say how a log is identified; `identify` has them too."""
 
@@ -37,7 +39,13 @@ def run_steps(folder: object, *names: str, plugins: Sequence[str] = ()) -> list[
     return [command_line(name, [f"run={folder}", *plugins], OF_RUN[name]) for name in names]
 
 
-def improvements(folder: object, words: Sequence[str], episodes: int | None = None, checked: bool = True) -> str:
+def improvements(
+    folder: object,
+    words: Sequence[str],
+    episodes: int | None = None,
+    checked: bool = True,
+    imagined: float | None = None,
+) -> str:
     """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
 
     Args:
@@ -45,7 +53,10 @@ def improvements(folder: object, words: Sequence[str], episodes: int | None = No
         words: What the user gave.
         episodes: Real episodes of the run; None of a plan from a log.
         checked: Whether there is a controller to look at.
+        imagined: Error at the end of imagined episodes [target ranges], if that is known.
     """
+    from dynasindy.evaluation.tracking_criteria import WITHIN  # which takes seconds that --help does not have
+
     if tried := next((word for word in words if word in SMOKE), None):
         whole = without(words, "experiment", "train.episodes", "folder", "finish")
         earnest = f"trains in earnest; {tried} only tries whether every part runs, and learns too little"
@@ -53,8 +64,13 @@ def improvements(folder: object, words: Sequence[str], episodes: int | None = No
     weak = "tells at which targets the loop is weak, and how"
     lines = [command_line("check", [f"run={folder}"], weak)] if checked else []
     if episodes is not None and not any(word.startswith("resume=") for word in words):
-        more = [*without(words, "train.episodes", "folder", "finish"), f"train.episodes={max(3, 2 * episodes)}"]
-        lines.append(command_line("train", more, "flies more episodes, whose data mend the model"))
+        if imagined is not None and imagined > WITHIN:  # where the model is not what fails
+            more = [*without(words, "planning.updates", "folder", "finish"), f"planning.updates={LONG_PLAN}"]
+            missed = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
+            lines.append(command_line("train", more, missed))
+        else:
+            more = [*without(words, "train.episodes", "folder", "finish"), f"train.episodes={max(3, 2 * episodes)}"]
+            lines.append(command_line("train", more, "flies more episodes, whose data mend the model"))
     if episodes is None and any(word.startswith("data.path=") for word in words):
         kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
         lacks = "tells what the log lacks: what to record, or which functions"

@@ -48,7 +48,7 @@ def main(cfg: Any) -> float:
         flown = run_steps(folder, "evaluate", plugins=done.plugins)
         say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     else:
-        say(improvements(folder, words, done.recipe.train.episodes, written))
+        say(improvements(folder, words, done.recipe.train.episodes, written, done.metrics["imagined_error"]))
     wanted = done.cfg.evaluation
     if (wanted.must_improve and not done.metrics["verdict"]["usable"]) or (
         wanted.get("must_control") and not controlled

@@ -196,6 +196,7 @@ class Recorder(Callback):
             "ranges": dict(zip(final.units, final.boxes, strict=False)),
             "steady_seconds": final.steady_seconds,
             "planning": self.parts.planner.summary(),
+            "imagined_error": self.parts.planner.imagined_error,
             "reward": self.plant.task.summary(),
             "untrained": self.untrained,
             "drawn": asdict(shown),

@@ -125,6 +125,8 @@ FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "warm_start", "g
 GIVEN_UP, SHORTER = 0.02, 0.1
 """Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
 that has to be held, and the factor on the learning rate then; an error of the whole range costs 4 a period."""
+FAR_OFF = 10.0
+"""Largest error that is told of imagined episodes [target ranges]."""
 EXACT, GAIN, ROUNDS = 0.005, 0.05, 6
 """Error at the end of imagined episodes up to which a policy is good enough [target ranges], half of what verdicts ask
 for; share of its score that a further round of updates must gain for another one to follow, and how many there are at
@@ -289,6 +291,7 @@ class GradientPlanning(Planner):
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
         self._deploy()
+        self.imagined_error = None if rests is None else min(self.inexact(), FAR_OFF)
         imagined += done * self.rollouts * pace.window + improved.imagined
         return Planned(imagined, learnt + made + improved.updates)
 
@@ -304,12 +307,14 @@ class GradientPlanning(Planner):
         return {
             "phase": self.phase,
             "pace": dataclasses.asdict(self.pace),
+            "imagined_error": self.imagined_error,
             "generator": self.rng.get_state(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         self.phase, self.pace = state["phase"], PlanSettings(**state["pace"])
+        self.imagined_error = state["imagined_error"]
         self.rng.set_state(state["generator"])
 
     def test(self, network: Network | None = None) -> float:

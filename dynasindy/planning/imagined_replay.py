@@ -51,6 +51,8 @@ class Planner(ABC):
 
     learns_by_td3: bool = True
     """Whether TD3 updates the actor after each episode; False where planning alone trains it."""
+    imagined_error: float | None = None
+    """Mean error at the end of imagined episodes after the last phase [target ranges]; None where none is known."""
 
     def __init__(self, every: int = 1) -> None:
         if every < 1:
