@@ -16,21 +16,41 @@ if TYPE_CHECKING:
     from dynasindy.control import Controller, load
     from dynasindy.identification.identify import identify, read
     from dynasindy.progress import Progress
+    from dynasindy.simulation import excite, simulate
     from dynasindy.workbench import forecast, plan
 
-__all__ = ["Controller", "Progress", "__version__", "forecast", "identify", "load", "plan", "read"]
+__all__ = [
+    "Controller",
+    "Progress",
+    "__version__",
+    "excite",
+    "forecast",
+    "identify",
+    "load",
+    "plan",
+    "read",
+    "simulate",
+]
 
 __version__ = "0.1.0"
 
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # torchrl reads it when it is imported, and chats at INFO
 
 
+_EPISODE = 400
+"""Control periods of an episode (paper: 400)."""
+
+
 def _register() -> None:
     """Register our environments; entry points are text, as torch is imported when such an environment is made."""
     import gymnasium
 
-    gymnasium.register("dynasindy/TwinRotor-v0", entry_point="dynasindy.envs.gym:twin_rotor")
-    gymnasium.register("dynasindy/Pendulum-v0", entry_point="dynasindy.envs.gym:pendulum")
+    for name, entry_point in (("TwinRotor", "twin_rotor"), ("Pendulum", "pendulum")):
+        gymnasium.register(
+            f"dynasindy/{name}-v0",
+            entry_point=f"dynasindy.envs.gym:{entry_point}",
+            max_episode_steps=_EPISODE,
+        )
 
 
 class _Gymnasium:
@@ -61,11 +81,18 @@ _PLACES = {
     "Controller": "dynasindy.control",
     "load": "dynasindy.control",
     "Progress": "dynasindy.progress",
+    "excite": "dynasindy.simulation",
     "forecast": "dynasindy.workbench",
     "identify": "dynasindy.identification.identify",
     "plan": "dynasindy.workbench",
     "read": "dynasindy.identification.identify",
+    "simulate": "dynasindy.simulation",
 }
+
+
+def __dir__() -> list[str]:
+    """Return the public names, which `dir` lists."""
+    return sorted(__all__)
 
 
 def __getattr__(name: str) -> Any:

@@ -140,6 +140,9 @@ class Progress:
         self.tasks: dict[tuple[bool, str], TaskID] = {}
         self.due, self.closed = 0.0, threading.Event()  # time of the next line in a file [s]
 
+    def __repr__(self) -> str:
+        return f"Progress({'shows' if Progress.active is self else 'does not show'} what is under way)"
+
     def __enter__(self) -> Self:
         """Begin to show."""
         if Progress.active is not None or os.environ.get(self.OWNER, str(os.getpid())) != str(os.getpid()):

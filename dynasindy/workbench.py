@@ -39,7 +39,7 @@ from dynasindy.control.integral import IntegralAction
 from dynasindy.control.period import as_planned, other_period, suited_period
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
-from dynasindy.evaluation.scenarios import Scenario, step_references
+from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors
@@ -63,6 +63,7 @@ from dynasindy.sensing.offset import acting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states
+from dynasindy.systems import System
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -198,16 +199,8 @@ def forecast(
     Raises:
         ValueError: The log is of another plant, or the task is one without a range of targets and no scenario is given.
     """
-    scenario = scenario or _steps(controller.setup.task)
-    setup, policy = controller.setup, controller.policy
-    if controller.integral is not None:
-        policy = IntegralAction(policy, setup, **controller.integral)
-    env = ControlEnv(model, setup.task, setup.dt, FINE, dtype=torch.float64, seed=seed)
-    sensing = None
-    if controller.observer is not None:
-        sensing = Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
-    else:
-        policy = acting(policy, env)
+    scenario, setup = scenario or _steps(controller.setup.task), controller.setup
+    env, policy, sensing = closed_loop(controller, model, setup.task, seed)
     rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
@@ -225,6 +218,29 @@ def forecast(
         targets = dict(zip(controller.outputs, zip(*setup.task.ends, strict=True), strict=True))
         doubts += targets_beyond_log(model, log.training.x, targets)
     return _advised(replace(found, doubts=tuple(doubts), no_equilibrium=never), controller, model, log)
+
+
+def closed_loop(
+    controller: Controller, system: System, task: Tracking, seed: int = 0
+) -> tuple[ControlEnv, Policy, Sensing | None]:
+    """Return what `evaluate` needs to let a controller control a plant or a model.
+
+    Args:
+        controller: The controller; it is not changed.
+        system: Plant or model.
+        task: Task of the controller, with references and starts of its own.
+        seed: Seed of the sensors' noise.
+
+    Returns:
+        Environment, policy with its integral action, and sensors with their observer, None where all states are seen.
+    """
+    setup, policy = controller.setup, controller.policy
+    if controller.integral is not None:
+        policy = IntegralAction(policy, setup, **controller.integral)
+    env = ControlEnv(system, task, setup.dt, max(FINE, setup.substeps), dtype=torch.float64, seed=seed)
+    if controller.observer is None:
+        return env, acting(policy, env), None
+    return env, policy, Sensing(env, controller.observer, torch.Generator().manual_seed(seed))
 
 
 def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:

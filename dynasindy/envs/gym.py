@@ -46,7 +46,9 @@ class _GymControl(gymnasium.Env[Array, Array]):
         self.env, self._task = env, env.task
         self.render_mode = render_mode
         n_o, n_u = env.task.n_o, env.system.signature.n_u
-        self.observation_space = spaces.Box(-np.inf, np.inf, (n_o,), np.float32)
+        # No state has an end of its own; a space without ends, which Gymnasium warns of, would say no more.
+        most = np.finfo(np.float32).max
+        self.observation_space = spaces.Box(-most, most, (n_o,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
         self._steps: int | None = None
 

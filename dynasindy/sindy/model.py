@@ -402,6 +402,16 @@ class SindyModel(WorldModel):
         self.sums.add((self.library(x, u), dx))
         self._solve(self.sums, self.constraints)
 
+    def __str__(self) -> str:
+        """Return the equations, a line for each state."""
+        return "\n".join(self.equations())
+
+    def __repr__(self) -> str:
+        """Return what it is a model of, in one line."""
+        used, names = int((self.coefficients != 0).sum()), self.signature
+        inputs, kind = ", ".join(names.input_names), "differential" if self.step is None else "difference"
+        return f"SindyModel({kind} equations of {', '.join(names.state_names)} under {inputs}; {used} coefficients)"
+
     def equations(self, digits: int = 4) -> list[str]:
         """Write one equation per state, e.g. `Omega_p' = -0.414 Omega_p + ...`."""
         return equations(self.library, self.coefficients, digits)

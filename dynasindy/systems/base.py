@@ -198,6 +198,12 @@ class System(nn.Module, ABC):
         self.stops = stops
         self._machines: dict[torch.dtype, Machine | None] = {}
 
+    def extra_repr(self) -> str:
+        """Return its states and inputs, for `repr`."""
+        states = zip(self.signature.state_names, self.signature.state_units, strict=True)
+        moves = ", ".join(f"{name} [{unit}]" for name, unit in states)
+        return f"{moves} under {', '.join(self.signature.input_names)}"
+
     @property
     def step(self) -> float | None:
         """Step of the difference equation that it is [s], see `dynasindy.systems.steps`; None of dx/dt = f(x, u)."""

@@ -54,8 +54,6 @@ def test_torchrl_accepts_the_specs_of_a_model_and_of_a_gymnasium_environment():
 def test_gymnasium_accepts_the_environments_that_it_makes(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # States have no bounds (rotor speeds follow from the physics), so neither has their space.
-        warnings.filterwarnings("ignore", message=".*Box observation space (min|max)imum value is -?infinity.*")
         # The id ends in -v0 on purpose.
         warnings.filterwarnings("ignore", message=".*is out of date.*")
         env = gymnasium.make(name, render_mode="rgb_array")

@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+import warnings
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.utils.env_checker import check_env
 
 import dynasindy  # noqa: F401 (registers the environments)
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
@@ -77,7 +79,7 @@ def test_spaces_and_the_papers_references_are_those_documented() -> None:
     env = twin_rotor(render_mode="rgb_array")
     assert env.observation_space.shape == (8,) and env.action_space.shape == (2,)
     assert (env.action_space.low == -1).all() and (env.action_space.high == 1).all()
-    assert (env.observation_space.low == -np.inf).all() and (env.observation_space.high == np.inf).all()
+    assert (env.observation_space.low < -1e38).all() and (env.observation_space.high > 1e38).all()
     assert env.metadata == {"render_modes": ["rgb_array"], "render_fps": 20}  # a control period is 0.05 s
     drawn = np.array([env.reset(seed=k)[1]["reference"] for k in range(60)])
     np.testing.assert_allclose(np.abs(drawn).max(0), [0.4, 0.25], atol=0.03)
@@ -144,3 +146,18 @@ def test_the_package_alone_imports_neither_gymnasium_nor_numpy() -> None:
     code = "import sys, dynasindy; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not {"gymnasium", "numpy"} & set(done.stdout.split())
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_has_nothing_to_warn_of_and_ends_episodes(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(name)
+        check_env(env.unwrapped)
+    assert env.spec.max_episode_steps == 400
+    observation, _ = env.reset(seed=0)
+    ends = []
+    while not ends or not ends[-1]:
+        observation, _, _, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
+        ends.append(truncated)
+    assert len(ends) == 400 and env.observation_space.contains(observation)

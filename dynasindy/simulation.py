@@ -1,0 +1,229 @@
+"""A plant at hand: data of it in one call, `excite`, and a controller on it in one call, `simulate`.
+
+>>> import dynasindy
+>>> from dynasindy.systems import Pendulum
+>>> log = dynasindy.excite(Pendulum(), amplitude=0.8)
+>>> model = dynasindy.identify(log)
+>>> controller = dynasindy.plan(model, {"theta": (-0.5, 0.5)}, updates=60)
+>>> dynasindy.simulate(controller, Pendulum(), {"theta": 0.4})
+Simulation(1 run of 20 s; error at the end: theta ... rad)
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dynasindy.control import Controller
+from dynasindy.dyna.simulated import Simulated
+from dynasindy.envs import DelayedEnv
+from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
+from dynasindy.excitation import Excitation, Multisine
+from dynasindy.identification.source import Source
+from dynasindy.sensing import Sensors
+from dynasindy.systems import System
+from dynasindy.systems.ranges import start_ranges
+from dynasindy.tasks import Step
+from dynasindy.text import did_you_mean, format_duration
+from dynasindy.workbench import closed_loop
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Targets = Mapping[str, float | Sequence[float]] | Sequence[float] | Sequence[Sequence[float]]
+"""Where outputs are to be: by name, or in their order; several for several runs."""
+
+
+@dataclass(frozen=True, repr=False)
+class Simulation:
+    """A controller on a plant or a model, one run for each target; in a notebook it shows its figure.
+
+    Attributes:
+        evaluation: What `dynasindy.evaluation.scenarios.evaluate` measured, with metrics and the whole trajectory.
+    """
+
+    evaluation: Evaluation
+
+    @property
+    def time(self) -> Array:
+        """Times at which control periods begin, and the end of the last one, `(T + 1,)` [s]."""
+        begins = self.evaluation.time
+        return _array(torch.cat([begins, begins[-1:] + begins[1] - begins[0]]))
+
+    @property
+    def states(self) -> Array:
+        """States of the plant at these times, `(runs, T + 1, n_x)`."""
+        rows = self.evaluation.trajectory
+        return _array(torch.cat([rows["state"], rows["next", "state"][:, -1:]], 1))
+
+    @property
+    def measurements(self) -> Array:
+        """What the controller read at the beginning of each control period, `(runs, T, n_x)`; NaN is not measured."""
+        rows = self.evaluation.trajectory
+        return _array(rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"])
+
+    @property
+    def inputs(self) -> Array:
+        """Inputs that are held in each control period, `(runs, T, n_u)`, in [-1, 1]."""
+        return _array(self.evaluation.inputs)
+
+    @property
+    def targets(self) -> Array:
+        """Targets of each run, `(runs, n_r)` [units of the outputs]."""
+        return _array(self.evaluation.references[:, 0])
+
+    @property
+    def steady_error(self) -> Array:
+        """Mean absolute error of each output over the end of each run, `(runs, n_r)` [units of the outputs]."""
+        return _array(self.evaluation.metrics["steady_state_error"])
+
+    def __repr__(self) -> str:
+        runs, worst = len(self.inputs), self.steady_error.max(0)
+        errors = [
+            f"{name} {e:.2g} {unit}" for (name, unit), e in zip(self.evaluation.units.items(), worst, strict=True)
+        ]
+        length = f"{runs} run{'s' if runs > 1 else ''} of {format_duration(self.evaluation.seconds)}"
+        return f"Simulation({length}; error at the end: {', '.join(errors)}{' at worst' if runs > 1 else ''})"
+
+    def plot(self, run: int = 0) -> Figure:
+        """Return a figure of a run: outputs beside their targets, and inputs.
+
+        Args:
+            run: Which one.
+        """
+        from dynasindy.viz.response import tracking
+
+        shown, places = self.evaluation, list(self.evaluation.columns)
+        names = [f"{name} [{unit}]" for name, unit in shown.units.items()]
+        target = np.repeat(self.targets[run : run + 1], len(self.time), 0)
+        outputs, inputs = {"controller": self.states[run][:, places]}, {"controller": self.inputs[run]}
+        return tracking(shown.time, target, outputs, inputs, names, shown.signature)
+
+    def _repr_png_(self) -> bytes:
+        """Return the figure of the first run, which a notebook shows."""
+        picture = io.BytesIO()
+        self.plot().savefig(picture, format="png", dpi=100)
+        return picture.getvalue()
+
+
+def simulate(
+    controller: Controller,
+    plant: System,
+    targets: Targets,
+    seconds: float = 20.0,
+    start: Mapping[str, float] | None = None,
+    seed: int = 0,
+) -> Simulation:
+    """Let a controller control a plant or a model, one run for each target, side by side.
+
+    A controller with an observer reads the plant through its sensors, whose noise is drawn. Inputs of a model with a
+    delay act as late as it says.
+
+    Args:
+        controller: The controller; it is not changed.
+        plant: Plant or model, with the states and inputs of the controller.
+        targets: Where each output is to be, `{"theta": 0.4}`, or `{"theta": [0.4, -0.2]}` for two runs; or numbers in
+            the order of `controller.outputs`, a row for each run [units of the outputs].
+        seconds: Length of each run [s].
+        start: States in which runs begin; those that are not named are zero. Where the task lets episodes begin if
+            omitted.
+        seed: Seed of the sensors' noise and of starts that are drawn.
+
+    Raises:
+        ValueError: The plant has other states or inputs, a target is missing or of no output, or a start is of no
+            state.
+        Diverged: The plant moves to no number.
+    """
+    mine, own = controller.signature, plant.signature
+    if (mine.state_names, mine.n_u) != (own.state_names, own.n_u):
+        raise ValueError(
+            f"the plant has the states {', '.join(own.state_names)} and {own.n_u} inputs, the controller "
+            f"{', '.join(mine.state_names)} and {mine.n_u}; give a plant or a model with those of the controller"
+        )
+    rows, task = _rows(targets, controller.outputs), controller.setup.task
+    if start is not None:
+        task = task.with_starts(start_ranges(mine, dict(start), "start")[:1].double())
+    env, policy, sensing = closed_loop(controller, plant, task, seed)
+    delay = float(getattr(plant, "delay", 0.0))
+    if delay:
+        env = DelayedEnv.around(env, delay)
+    scenario = Scenario("simulation", Step(rows), len(rows), seconds, seed=seed)
+    return Simulation(evaluate(env, policy, scenario, None if sensing is None else sensing.on(env, sensing.rng)))
+
+
+def excite(
+    plant: System,
+    duration: float = 10.0,
+    amplitude: float | Sequence[float] = 0.5,
+    offset: float | Sequence[float] = 0.0,
+    dt: float = 0.01,
+    noise: float | dict[str, float] = 0.0,
+    sensors: Sensors | None = None,
+    signal: Callable[..., Excitation] = Multisine,
+    seed: int = 0,
+    **settings: Any,
+) -> Source:
+    """Move a simulated plant, and return what was measured, as `read` does of a log.
+
+    Behind it the plant is moved by random held inputs for 20 s more: data that no fit sees, to judge on.
+
+    Args:
+        plant: The plant.
+        duration: Length of the experiment [s].
+        amplitude: Half range of each input, or one for all, in [-1, 1].
+        offset: Mean of each input, or one for all: what holds the plant where it is to be excited.
+        dt: Time between two samples [s].
+        noise: Standard deviation of white noise of the measurements: one number, relative to that of each state, or by
+            the name of a state in its unit.
+        sensors: What is measured, how finely and how noisily; all states as they are if omitted.
+        signal: What moves it: `Multisine`, `Aprbs` or `Chirp` of `dynasindy.excitation`, or another `Excitation`.
+        seed: Seed of signal and noise.
+        **settings: Settings of the signal, such as `first=0.1` for a plant that may not stay by itself.
+
+    Raises:
+        ValueError: A setting is not allowed.
+        Diverged: The plant runs away, though it is said to stay by itself.
+    """
+    data = Simulated(dt=dt, noise=noise, sensors=sensors, seed=seed)
+    return data.load(plant, partial(signal, duration=duration, amplitude=amplitude, offset=offset, **settings))
+
+
+def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
+    """Return the targets of each run, in the order of the outputs.
+
+    Raises:
+        ValueError: One is missing or of no output.
+    """
+    if isinstance(targets, Mapping):
+        if unknown := [name for name in targets if name not in outputs]:
+            raise ValueError(
+                f"targets has '{unknown[0]}', which is not tracked; give {', '.join(outputs)}"
+                f"{did_you_mean(unknown[0], outputs)}"
+            )
+        if absent := [name for name in outputs if name not in targets]:
+            raise ValueError(f"targets lacks {absent[0]}; give where each of {', '.join(outputs)} is to be")
+        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(targets[name], float)) for name in outputs))
+        rows = np.stack(columns, -1)
+    else:
+        rows = np.atleast_2d(np.asarray(targets, float))
+    if rows.ndim != 2 or rows.shape[1] != len(outputs) or not np.isfinite(rows).all():
+        raise ValueError(
+            f"targets are {rows.tolist()}; give a finite number for each of {', '.join(outputs)}, or a row of them for "
+            "each run"
+        )
+    found: list[list[float]] = rows.tolist()
+    return found
+
+
+def _array(values: Tensor) -> Array:
+    found: Array = values.double().numpy()
+    return found
