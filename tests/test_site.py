@@ -45,16 +45,19 @@ def notebook(folder, *sources):
 
 def test_a_notebook_s_page_shows_below_each_cell_what_it_prints_and_draws(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    draws = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nplt.show()"
-    file = notebook(tmp_path, "# Title", "a = 1\nopen('kept.txt', 'w')", "print(f'<{a + 1}>')", draws)
-    parts = loaded("notebooks").page_of(file, run=True).split("\n\n")
-    assert parts[:2] == ["# Title", "```python\na = 1\nopen('kept.txt', 'w')\n```"]
-    assert parts[3] == "<pre><code>&lt;2&gt;</code></pre>" and parts[5].startswith('<img alt="what the cell draws"')
+    draws = "class A:\n    def __repr__(self): return 'a \"thing\"'\n    def _repr_png_(self): return b'png'\nA()"
+    file = notebook(tmp_path, "# Title", "a = 1\nopen('kept.txt', 'w').close()", "print(f'<{a + 1}>')", draws, "a, 2")
+    loaded("notebooks").write(file)
+    parts = loaded("notebooks").page_of(file).split("\n\n")
+    assert parts[:2] == ["# Title", "```python\na = 1\nopen('kept.txt', 'w').close()\n```"]
+    assert parts[3] == "<pre><code>&lt;2&gt;</code></pre>" and parts[7] == "<pre><code>(1, 2)</code></pre>"
+    assert parts[5] == '<img alt="a &quot;thing&quot;" src="data:image/png;base64,cG5n">'
+    assert parts[8] == '<a href="../a.ipynb" download>Download this notebook</a>\n'
     assert [path.name for path in tmp_path.iterdir()] == ["a.ipynb"] and Path.cwd() == tmp_path
-    plain = loaded("notebooks").page_of(file, run=False)
-    assert "&lt;2" not in plain and plain.endswith('<a href="../a.ipynb" download>Download this notebook</a>\n')
+    counts = [cell.get("execution_count") for cell in json.loads(file.read_text())["cells"]]
+    assert counts == [None, 1, 2, 3, 4]
     with pytest.raises(ZeroDivisionError):
-        loaded("notebooks").page_of(notebook(tmp_path, "1 / 0"), run=True)
+        loaded("notebooks").write(notebook(tmp_path, "1 / 0"))
 
 
 def leaves(tree, place=""):

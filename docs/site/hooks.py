@@ -74,7 +74,7 @@ def generated() -> Iterator[tuple[str, str]]:
     for room, modules in rooms().items():
         yield f"{REFERENCE}/{room}.md", _reference(room, modules)
     for notebook in sorted((DOCS / NOTEBOOKS).glob("*.ipynb")):
-        yield f"{NOTEBOOKS}/{notebook.stem}.md", notebooks.page_of(notebook, notebooks.wanted())
+        yield f"{NOTEBOOKS}/{notebook.stem}.md", notebooks.page_of(notebook)
     for name, path in ROOT_PAGES.items():
         yield path, (REPOSITORY / name).read_text()
 
