@@ -13,6 +13,8 @@ from omegaconf import DictConfig, OmegaConf
 from settings import check
 from trust import read_config, require_trusted, trusted
 
+from dynasindy.control import load
+from dynasindy.control.files import NAME
 from dynasindy.dyna.folder import read_weights
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Policy, Scenario
@@ -61,6 +63,8 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     system = instantiate(config.system)
     task = instantiate(config.task, _convert_="all")(signature=system.signature)
     env = instantiate(config.env)(system=system, task=task)
+    if not (folder / "policy.pt").is_file() and (folder / NAME).is_file():
+        return env, load(folder).policy  # a controller that was handed on without the files of its training
     policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     if not (folder / "policy.pt").is_file():
         raise FileNotFoundError(
