@@ -167,10 +167,12 @@ def backward(
         if rows.strength is not None:
             b = b * rows.strength.slope(window.applied).unsqueeze(-2)
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
-        a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
+        if not bool(window.alive.all()):
+            a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost, effort = _cost(env, rows, window)
         if (layers := window.layers) is not None:
-            observed = _observed(env, rows, window)
+            params = rows.params.expand(len(window.actions), *rows.params.shape)
+            observed = env.task.observation_slope(window.states[:-1], params, window.times[:-1])
             _adjoint(a, b, cost, effort, rows.late, lambda step, slope: (layers[step].pull(slope), observed[step]))
             return reward
         actions, k = _policy(env, network, rows, window)
@@ -213,14 +215,6 @@ def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tu
         actions.append(traced)
         gains.append(torch.stack(columns, -2))
     return actions, torch.cat(gains)
-
-
-def _observed(env: ControlEnv, rows: Rows, window: Window) -> Tensor:
-    """Return the derivative of the observations by the states, `(T, rows, n_o, n_x)`."""
-    seen = window.states[:-1].detach().requires_grad_()
-    params = rows.params.expand(len(seen), *rows.params.shape)
-    columns = env.task.observation(seen, params, window.times[:-1]).unbind(-1)
-    return torch.stack([torch.autograd.grad(c.sum(), seen, retain_graph=True)[0] for c in columns], -2)
 
 
 def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:

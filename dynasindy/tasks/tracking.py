@@ -295,6 +295,14 @@ class Tracking(Task):
             parts.append(references.rate(params, t) / self._unit(x, 1.0))
         return torch.cat(parts, -1)
 
+    def observation_slope(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
+        """Return the derivative of the observations by the states, which is the same everywhere: a view."""
+        if type(self).observation is not Tracking.observation:
+            return super().observation_slope(x, params, t)
+        place = (slice(0, 1),) * (x.dim() - 1)
+        slope = super().observation_slope(x[place], params[(slice(0, 1),) * (params.dim() - 2)], t[place])
+        return slope.expand(*x.shape[:-1], *slope.shape[-2:])
+
     def seen(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return the states `(*batch, n_x)` and the references `(*batch, n_r)` of observations."""
         scale = constants(self.signature.x_scale, observation.dtype, observation.device)

@@ -235,3 +235,26 @@ def test_inputs_that_a_log_has_not_tried_cost_as_states_beyond_their_bounds_do()
     assert task.with_input_limits([[-0.75], [1.0]]).limited and task.with_input_limits([[-1.0], [0.75]]).limited
     given = task.with_input_limits([[-0.5], [0.5]]).as_logged(torch.zeros(2, 2), {"u": (-0.25, 0.75)})
     assert given.input_limits.tolist() == [[-0.25], [0.5]]
+
+
+class Folded(Tracking):
+    """A task that shows the square of its first state as well."""
+
+    def observation(self, x, params, t):
+        return torch.cat([super().observation(x, params, t), x[..., :1].square()], -1)
+
+
+@pytest.mark.parametrize("kind", [Tracking, Folded])
+def test_the_slope_of_observations_is_that_of_differences(kind):
+    plant = Tras()
+    task = kind(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]))
+    generator = torch.Generator().manual_seed(0)
+    x = torch.randn(5, 3, 6, generator=generator, dtype=torch.float64)
+    params = task.sample(torch.Size((3,)), generator).double().expand(5, 3, 2, -1)
+    t = 0.05 * torch.arange(5, dtype=torch.float64).reshape(-1, 1, 1)
+    found = task.observation_slope(x, params, t)
+    for i in range(6):
+        step = torch.zeros(6, dtype=torch.float64)
+        step[i] = 1e-6
+        ends = [task.observation(x + sign * step, params, t) for sign in (1, -1)]
+        assert torch.allclose(found[..., i], (ends[0] - ends[1]) / 2e-6, atol=1e-7)
