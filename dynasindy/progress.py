@@ -31,7 +31,12 @@ SHORT = 2.0
 """Length of a phase below which it leaves no line [s]."""
 INTERVAL = 10.0
 """Time between two lines of one phase in a file [s]."""
-VERDICT = re.compile(r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):", re.M)
+VERDICT = re.compile(
+    r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):|^(?:ok|WEAK)(?=  )", re.M
+)
+"""Words that have a colour on a terminal."""
+COLOURS = {"CONTROLLED": "bold green", "ok": "green", "WEAK": "bold yellow"}
+"""Those of words that are neither a heading, which ends in a colon, nor a NOT."""
 
 
 class TimeIsUp(RuntimeError):
@@ -213,7 +218,8 @@ class Progress:
     def _write(self, line: str, around: list[tuple[Event, float]]) -> None:
         """Write a line of a phase: above the bars, or to a file behind the counts of the phases around it."""
         if self.display is not None:
-            self.display.console.print(line, style="dim", markup=False)
+            console = self.display.console
+            console.print(wrap(line, console.width), style="dim", markup=False, soft_wrap=True)
         elif not self.closed.is_set():  # the thread may come late
             self.file.write(f"{', '.join(filter(None, [*(event.count() for event, _ in around), line]))}\n")
             self.file.flush()
@@ -293,9 +299,19 @@ def _is_terminal(file: TextIO) -> bool:
     return file.isatty() and os.environ.get("TERM") != "dumb"
 
 
-def width() -> int | None:
-    """Return the columns of the terminal that standard output is; None where it is none, and lines may be long."""
-    return shutil.get_terminal_size().columns if _is_terminal(sys.stdout) else None
+def width(file: TextIO | None = None) -> int | None:
+    """Return the columns of the terminal that a file is; None where it is none, and lines may be long.
+
+    Args:
+        file: The file; standard output if omitted.
+    """
+    return shutil.get_terminal_size().columns if _is_terminal(file or sys.stdout) else None
+
+
+def fit_stderr(text: str) -> str:
+    """Return a text within the width of standard error: lines end between words."""
+    columns = width(sys.stderr)
+    return text if columns is None else wrap(text, columns)
 
 
 def say(*texts: str) -> None:
@@ -314,6 +330,6 @@ def say(*texts: str) -> None:
     for text in texts:
         shown = Text(wrap(text, columns))
         for word in VERDICT.finditer(shown.plain):
-            colour = "bold cyan" if word[0].endswith(":") else "bold red" if "NOT" in word[0] else "bold green"
-            shown.stylize(colour, *word.span())
+            other = "bold cyan" if word[0].endswith(":") else "bold red"
+            shown.stylize(COLOURS.get(word[0], other), *word.span())
         console.print(shown, soft_wrap=True, highlight=False)

@@ -553,6 +553,8 @@ def _controlled(
     idle: Mapping[str, Any],
     grew: bool | None,
     ringing: Sequence[str] = (),
+    lost: float | None = None,
+    targets: Mapping[str, Sequence[float]] | None = None,
 ) -> str:
     """Say whether a plant is held, and how near."""
     word = {True: "CONTROLLED", False: "NOT CONTROLLED", None: "NOT JUDGED"}[controlled]
@@ -561,7 +563,8 @@ def _controlled(
         f"{percent(each['worst'])} at worst"
         for name, each in outputs.items()
     ]
-    parts = [f"errors at the end: {'; '.join(texts)} ({percent(within)} is asked for)"]
+    limits = f"{percent(within)} on average" + ("" if lost is None else f", {percent(lost)} at worst")
+    parts = [f"errors at the end: {'; '.join(texts)} (limits: {limits})"]
     if not outputs:
         parts = ["the task names no targets, so nothing is said of control"]
         if grew is not None:
@@ -572,6 +575,7 @@ def _controlled(
         if shares:
             most = f"{'up to ' if len(set(shares.values())) > 1 else ''}{percent(max(shares.values()))}"
             parts.append(f"{_untracked([*shares], not swings, True)} in {most} of the runs")
+    parts += [_tracking_them([*away], targets)] if away and targets else []
     parts += [_ringing(ringing)] if ringing else []
     parts += [
         f"{name} runs on in {percent(share)} of the runs, which nothing depends on" for name, share in idle.items()
@@ -592,6 +596,16 @@ def _untracked(states: Sequence[str], runs_away: bool, restless: bool) -> str:
     away, rest = ("runs away", "does not come to rest") if one else ("run away", "do not come to rest")
     fates = " or ".join([away] * runs_away + [rest] * restless)
     return f"{_few(states)}, which {'is' if one else 'are'} not tracked, {fates}"
+
+
+def _tracking_them(states: Sequence[str], targets: Mapping[str, Sequence[float]]) -> str:
+    """Say how to track states that do not come to rest, beside the outputs with their targets."""
+    low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in states)] for k in (0, 1))
+    names = [*targets, *states]
+    words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
+    if not _words_of_commands:
+        words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
+    return f"track {'it' if len(states) == 1 else 'them'} as well, at rest: {' '.join(words)}"
 
 
 def _ringing(states: Sequence[str]) -> str:
@@ -632,9 +646,8 @@ def _forecast_errors(
 ) -> str:
     """Say how large errors are at the end, of each output."""
     end = "the end" if seconds is None else f"the end of simulations of {format_duration(seconds)}"
-    texts, missed = [], False
+    texts = []
     for name, each in outputs.items():
-        missed |= not (each["most"] <= within and each["worst"] <= lost)
         both = dict.fromkeys(
             f"{value:.2g}" for value in (each["least"], each["most"])
         )  # one of them where they are alike
@@ -644,8 +657,8 @@ def _forecast_errors(
         reference = "of a turn" if each["of_turn"] else "of the target range"
         average = f"{name} {' to '.join(both)} % {reference} on average{hidden}"
         texts.append(f"{average}, {each['worst']:.2g} % at worst{over}")
-    asked = f" ({within:g} % is asked for, and {lost:g} % at worst)" if missed else ""
-    return f"errors at {end}{asked}: {'; '.join(texts)}"
+    limits = f"limits: {within:g} % on average, {lost:g} % at worst"
+    return f"errors at {end} ({limits}): {'; '.join(texts)}"
 
 
 def _other_period(cause: str, value: float, periods: float, wanted: float, log: bool) -> str:
@@ -1147,7 +1160,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.runs_away": lambda models, of: (
         f"{'it runs' if of == 1 else 'all of them run'} away" if models == of else f"{models} of {of} models run away"
     ),
-    "forecast.untracked": lambda states, runs_away: _untracked(states, runs_away, not runs_away),
+    "forecast.untracked": lambda states, runs_away, targets=None: (
+        _untracked(states, runs_away, not runs_away) + (f"; {_tracking_them(states, targets)}" if targets else "")
+    ),
     "forecast.ringing": _ringing,
     "forecast.idle": "{state} runs on, which nothing depends on",
     "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",

@@ -112,7 +112,7 @@ def _wrap_line(whole: str, columns: int) -> list[str]:
         row = COLUMN.match(whole)
         if row is not None:
             start = " " * len(row[0]) if len(row[0]) <= columns // 2 else f"{start}    "
-        return textwrap.wrap(whole, columns, subsequent_indent=start, break_long_words=False, break_on_hyphens=False)
+        return _between_words(whole, columns, start)
     return _equation(whole, columns, " " * min(len(equation[0]), columns // 3))
 
 
@@ -126,7 +126,12 @@ def _equation(whole: str, columns: int, indent: str) -> list[str]:
                 lines.append(indent + part)
             else:
                 lines[-1] = f"{lines[-1]} {part}" if lines[-1] else part
-    return lines
+    # A term that is too long itself is broken between its factors.
+    return [part for line in lines for part in _between_words(line, columns, indent)]
+
+
+def _between_words(line: str, columns: int, indent: str) -> list[str]:
+    return textwrap.wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _terms(whole: str) -> list[str]:

@@ -161,7 +161,9 @@ def require_writable(folder: Path) -> None:
 
 def refuse(line: str) -> None:
     """End with a line and the exit code of a bad setting."""
-    print(f"error: {line}", file=sys.stderr)
+    from dynasindy.progress import fit_stderr
+
+    print(fit_stderr(f"error: {line}"), file=sys.stderr)
     sys.exit(2)
 
 

@@ -35,6 +35,7 @@ from omegaconf import DictConfig, OmegaConf
 from sweep import Sweep, note_job_end
 
 from dynasindy.dyna import Stopped
+from dynasindy.progress import fit_stderr
 from dynasindy.safe_io import write_text
 from dynasindy.sentences import use_command_words
 
@@ -99,7 +100,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         os.environ[name] = separator.join(filter(None, [more, os.environ.get(name)]))
     Sweep.here = True
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
-    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
+    warnings.formatwarning = lambda message, *_, **__: fit_stderr(f"warning: {message}") + "\n"
     handle_signals(stop)
     try:
         with one_line(config_name), PROGRESS:
@@ -110,12 +111,12 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         line = " ".join((str(end) or "stopped").split())
         if Sweep.running:
             line = f"stopped; the finished jobs are kept in {Sweep.running}, the same command goes on with the others"
-        print(line, file=sys.stderr)
+        print(fit_stderr(line), file=sys.stderr)
         sys.exit(128 + getattr(end, "signal", 2))
     handle_signals(exit_at_once)
     gc.freeze()  # else the interpreter looks for a second whether anything that torch made is garbage
     if Sweep.errors:
-        print(*(f"error: {line}" for line in Sweep.errors), sep="\n", file=sys.stderr)
+        print(*(fit_stderr(f"error: {line}") for line in Sweep.errors), sep="\n", file=sys.stderr)
         sys.exit(2)
 
 
@@ -165,7 +166,7 @@ def one_line(config_name: str, cfg: DictConfig | None = None) -> Iterator[None]:
             remove_empty(Sweep.running)
         if Sweep.running is None:
             PROGRESS.close()  # so that the line is the last one
-        print(line, file=sys.stderr)
+        print(fit_stderr(line), file=sys.stderr)
         sys.exit(1 if diverged else 2)
 
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from dynasindy.progress import LOADING, Event, Progress, listening, report_progress, reporting_as, say
+from dynasindy.progress import LOADING, Event, Progress, fit_stderr, listening, report_progress, reporting_as, say
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
@@ -182,6 +182,25 @@ def test_a_text_is_whole_in_a_file_and_within_the_width_of_a_terminal(capsys, mo
     seen = ESCAPE.sub("", screen.getvalue())
     assert max(map(len, seen.splitlines())) <= 40 and seen.split() == text.split()
     assert "\x1b[1;31mNOT CONTROLLED\x1b[0m" in screen.getvalue()
+
+
+def test_what_a_check_says_is_coloured_and_words_inside_are_not(monkeypatch):
+    screen = in_front(monkeypatch)
+    say("ok    stability: ok", "WEAK  slew: not WEAK")
+    assert screen.getvalue().count("\x1b[32mok\x1b[0m") == screen.getvalue().count("\x1b[1;33mWEAK\x1b[0m") == 1
+
+
+def test_lines_on_standard_error_end_between_words(monkeypatch):
+    text = " ".join(["/a/path/that/is/long", "of", "words"] * 5)
+    assert fit_stderr(text) == text
+    screen = in_front(monkeypatch, 24)
+    assert fit_stderr(text).split() == text.split()
+    assert max(map(len, fit_stderr(text).splitlines())) <= 24
+    monkeypatch.setattr("dynasindy.progress.SHORT", 0.0)
+    with Progress():
+        report_progress(text)
+        report_progress("next")
+    assert " ".join(replayed(screen.getvalue(), 24)).startswith(f"{text}: 0 s")
 
 
 def test_what_is_told_is_heard_inside_and_nobody_misses_it_outside():

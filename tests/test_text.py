@@ -38,6 +38,9 @@ def test_equations_end_between_terms_and_sentences_between_words():
     ]
     assert wrap(text, 30).splitlines()[:2] == ["  x' = 1.5 a - 2 sin(b + c) d", "       + 1e-06 e^2"]
     assert all(len(line) <= 30 for line in wrap(text, 30).splitlines())
+    product = "x' = 15.81 sin(alpha) cos(alpha) Omega omega"  # one term, which is broken between its factors
+    lines = wrap(product, 20).splitlines()
+    assert " ".join(lines).split() == product.split() and max(map(len, lines)) <= 20
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,9 @@ def judge_control(
     away = {name: {"share": share, "swings": name in held.get("swings", {})} for name, share in held["away"].items()}
     controlled = False if missed or away else True if outputs else None
     facts = {"outputs": outputs, "within": within, "away": away, "idle": dict(held["idle"]), "grew": usable}
-    facts |= {"ringing": list(held.get("ringing", ()))}
+    facts |= {"ringing": list(held.get("ringing", ())), "lost": LOST * within}
+    # Where outputs are not held either, it is not for a state that nobody asked to come to rest.
+    facts |= {"targets": {} if missed else dict(held.get("targets", {}))}
     return controlled, (wrong if controlled is False else note)("run.controlled", controlled=controlled, **facts)
 
 

@@ -40,6 +40,7 @@ class TrackingCriteria:
         swings: Those of `away` that stay near and only do not come to rest.
         ringing: States that have not come to rest either, and do so in longer runs; they are none of `away`.
         turned: Outputs whose targets reach over a turn or more, and whose errors are shares of one turn.
+        targets: Lower and upper end of the targets of each output [its unit]; none where no task tells them.
     """
 
     share: dict[str, float | None]
@@ -49,6 +50,7 @@ class TrackingCriteria:
     swings: dict[str, float] = field(default_factory=dict)
     ringing: dict[str, float] = field(default_factory=dict)
     turned: list[str] = field(default_factory=list)
+    targets: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def judge_tracking(
@@ -97,6 +99,7 @@ def judge_tracking(
             for (name, unit), box in zip(evaluation.units.items(), evaluation.boxes, strict=False)
             if box >= turn_of(unit)
         ],
+        targets=dict(zip(evaluation.output_names, evaluation.ends, strict=False)),
     )
 
 

@@ -131,6 +131,7 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
         "swings": {},
         "ringing": {},
         "turned": [],
+        "targets": {},
     }
 
 
