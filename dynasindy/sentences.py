@@ -351,25 +351,6 @@ def _rates_missing(states: Sequence[str], known: Mapping[str, str]) -> str:
     )
 
 
-def _many_functions(count: int, rows: int, plants: Sequence[str]) -> str:
-    text = f"the fit chooses from {count} candidate functions by {rows} rows"
-    if plants:
-        which = (
-            f"system={plants[0]} takes" if len(plants) == 1 else f"system=NAME, NAME one of {', '.join(plants)}, takes"
-        )
-        return (
-            f"{text}; the columns are named as the states of a plant in this package. If your log is of such a plant, "
-            f"{which} a shorter list made for it"
-        )
-    example = (
-        '\'plant.library=["1",angle,rate,u,"sin(angle)"]\'' if _words_of_commands else "library=['1', 'angle', 'u']"
-    )
-    return (
-        f"{text}, which takes long and lets functions in that do not belong; if you know what moves your plant, name "
-        f"it, as in {example}"
-    )
-
-
 def _predicts(seconds: float, exact: Sequence[str]) -> str:
     near = f", and {', '.join(exact)} as exactly as the sensors can tell" if exact else ""
     return f"this model predicts {format_duration(seconds)} ahead{near}"
@@ -409,27 +390,10 @@ def _linear_better(state: str, seconds: float, error: float, linear: float, unit
     )
 
 
-def _standard_errors(
-    median: float,
-    least: str,
-    worst: float,
-    of_step: bool,
-    larger: Sequence[str],
-    smaller: Sequence[str],
-    rest: float | None,
-) -> str:
-    text = (
+def _standard_errors(median: float, least: str, worst: float, of_step: bool) -> str:
+    return (
         f"coefficients{' of the change over a step' * of_step} are known within {median:.2g} % of themselves in the "
         f"median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)"
-    )
-    if rest is None:
-        return text
-    words = ", and ".join(
-        f"{', '.join(places)} {how}" for places, how in ((larger, "larger"), (smaller, "smaller")) if places
-    )
-    return (
-        f"{text}; nearly all of that is one change that the data hardly tell: {words} in size, at the same time. "
-        f"Were it known, the others would be within {rest:.2g} % in the median"
     )
 
 
@@ -439,27 +403,6 @@ def _unscaled(states: Sequence[str]) -> str:
         f"no sensor sees {' and '.join(states)}, and nothing else tells {its} unit: in any other unit, with "
         "coefficients to match, the model predicts the same. The fit keeps about the unit of the first guess, and "
         "coefficients and standard errors are in that unit"
-    )
-
-
-def _in_pieces(samples: int, why: str, state: str = "", ratio: float = math.nan) -> str:
-    causes = {
-        "runs_away": "one simulation through all samples runs away",
-        "empty": "a fit of one simulation through all samples leaves no function",
-        "strays": f"in one simulation through all samples the error of {state} is {ratio:.2f} times as large: "
-        "something pushes the plant, or functions are missing",
-    }
-    return (
-        f"the fit simulates the log in pieces that begin anew every {samples} samples: {causes[why]} (error=prediction)"
-    )
-
-
-def _one_simulation(samples: int, state: str, ratio: float, gaps: bool) -> str:
-    over = "of each of its stretches between gaps, " if gaps else ""
-    return (
-        f"the model follows the log in one simulation {over}from its first sample to its last: the error of "
-        f"{state} is {ratio:.2f} times that of simulations that begin anew every {samples} samples, which noise "
-        "of the sensors explains (error=simulation)"
     )
 
 
@@ -1072,8 +1015,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
     "the log lacks",
     "fit.longest_delay": _longest_delay,
-    "fit.multiple_shooting": _in_pieces,
-    "fit.simulation": _one_simulation,
+    "fit.multiple_shooting": "the fit simulates the log in pieces that begin anew every {samples} samples, as one "
+    "simulation through all samples runs away (error=prediction)",
     "fit.shorter_shooting": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
     "pieces of {short}",
     "fit.library_cut": "of the {whole} functions of library {library} {kept} were taken, the simplest ones and those "
@@ -1082,12 +1025,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "determine it",
     "fit.rates_added": _rates_added,
     "fit.rates_missing": _rates_missing,
-    "fit.no_torque": lambda angle, known: (
-        f"of {angle} only sin({angle}) and cos({angle}) are tried, and no forces that "
-        f"{angle} turns, as no state is in rad/s. If a torque moves {angle}, give its rate in rad/s, or "
-        f"{setting('plant.known', known)} if none was logged"
-    ),
-    "fit.many_functions": _many_functions,
     "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
     "training data that the fit had not seen: {what}",
     "fit.behind": lambda state, seconds, factor: (

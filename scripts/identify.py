@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ def main(cfg: Any) -> None:
     from hydra.utils import instantiate
     from next_steps import next_steps
 
-    from dynasindy.identification.before_fit import before_fit, plants_with
+    from dynasindy.identification.before_fit import before_fit, lacking_rates
     from dynasindy.identification.identify import identify_source
     from dynasindy.identification.report import to_words, write_identification
     from dynasindy.progress import report_progress, say, width
@@ -38,17 +38,14 @@ def main(cfg: Any) -> None:
     report_progress("data")
     source, added = load_data(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
-    before = before_fit(model, source)
-    findings = [*added, *before.findings]
+    findings, rates = [*added, *before_fit(model, source)], lacking_rates(model, source)
     say(*lines(findings))
     found = identify_source(model, source, cfg.horizons)
-    known = plants_with(source.signature) if source.logged and system is None else []
     source = found.source
     write_identification(found, source, folder, findings)
     if cfg.formats:
         draw(found, source, folder, list(cfg.formats))
-    rates = before.missing.certain if found.predicts else before.missing.possible
-    say(to_words(found, source, width()), f"written to {folder}", next_steps(*next_commands(cfg, found, known, rates)))
+    say(to_words(found, source, width()), f"written to {folder}", next_steps(*next_commands(cfg, found, rates)))
 
 
 def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
@@ -76,13 +73,12 @@ def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
     return source, added
 
 
-def next_commands(cfg: Any, found: Identified, known: Sequence[str], rates: Mapping[str, str]) -> Iterator[str]:
+def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iterator[str]:
     """Yield the commands that come next, which hold all that was given, and what comes of them.
 
     Args:
         cfg: The settings.
         found: What was identified.
-        known: Plants that are known by name and have the columns of the log.
         rates: Rate of each state, known or lacking.
     """
     from hydra.core.hydra_config import HydraConfig
@@ -98,10 +94,6 @@ def next_commands(cfg: Any, found: Identified, known: Sequence[str], rates: Mapp
     again = without(words, "folder", "hydra")
     if found.quiet and not found.predicts:
         yield "a log in which the inputs move further, by the same command; this one tells too little to plan on"
-    elif known and not found.predicts:
-        others = f"; others with these columns: {', '.join(known[1:])}" if known[1:] else ""
-        library = [f"system={known[0]}", *without(again, "system")]
-        yield command_line("identify", library, f"takes the functions of that plant{others}")
     elif set(rates) - set(cfg.plant.get("known") or {}):
         lacking = [*without(again, "plant.known"), command_word("plant.known", rates)]
         yield command_line("identify", lacking, "identifies again, with the rates that the log lacks")

@@ -37,7 +37,7 @@ def model_of(source: Source | None, build: Callable[..., object], path: str | Pa
     built = build(signature=source.signature)
     if not isinstance(built, SindyModel):
         raise TypeError(f"world_model is a {type(built).__name__}, which no log is fitted by; leave world_model=sindy")
-    if before := before_fit(built, source).findings:
+    if before := before_fit(built, source):
         say(*lines(before))
     found = fit_log(built, source)
     say(

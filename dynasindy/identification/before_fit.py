@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dynasindy.data.columns import Column, as_map
 from dynasindy.data.headings import in_radians
@@ -14,33 +14,14 @@ from dynasindy.identification.source import Source, rates_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import auto, auto_rig
 from dynasindy.sindy.reconstruction import find_missing_rates
-from dynasindy.sindy.shape_parameters import of_one_angle
-from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.systems.base import TURNS, Signature
 
-PLANTS: Mapping[str, Callable[[], System]] = {"pendulum": Pendulum, "tras": Tras, "trms33": Trms33, "xi": Xi}
-"""Plants whose library and known equations `system=NAME` takes."""
-MANY, MANY_OF_KNOWN = 150, 50
-"""Candidate functions from which on a library is said to be long: of any plant, and of one whose own list is known."""
 FEW = 50
 """Rows below which little can be told from a recording."""
 
 
-@dataclass(frozen=True)
-class PrefitReview:
-    """Hold what is found before the fit.
-
-    Attributes:
-        findings: What was read, what is wrong with it or costs the fit dearly.
-        missing: Which rates a log lacks; none of other data.
-    """
-
-    findings: tuple[Finding, ...]
-    missing: MissingRates
-
-
-def before_fit(model: SindyModel, source: Source) -> PrefitReview:
-    """Look at a model and its data before the fit.
+def before_fit(model: SindyModel, source: Source) -> list[Finding]:
+    """Return what was read, what is wrong with it or costs the fit dearly, before the fit.
 
     Args:
         model: A model of the data, not fitted yet.
@@ -48,17 +29,15 @@ def before_fit(model: SindyModel, source: Source) -> PrefitReview:
     """
     rates = check_rates(source.training, source.signature, rates_of(model))
     if not source.logged:
-        return PrefitReview((*rates, *source.findings), MissingRates({}, {}))
-    missing, rows = review_rates(model, source), len(source.training)
-    findings = [
+        return [*rates, *source.findings]
+    rows = len(source.training)
+    return [
         *rates,
         *([weak("log.few_rows", rows=rows, least=FEW)] if rows < FEW else []),
         *source.findings,
         *_angles(model, source),
-        *_many_functions(model, source),
-        *missing_rates(model, missing),
+        *missing_rates(model, source),
     ]
-    return PrefitReview(tuple(findings), missing)
 
 
 def _angles(model: SindyModel, source: Source) -> list[Finding]:
@@ -76,23 +55,16 @@ def _angles(model: SindyModel, source: Source) -> list[Finding]:
     return [note("log.degrees", angle=n, unit=unit, states=states) for n, unit in units.items() if unit in TURNS]
 
 
-def missing_rates(model: SindyModel, missing: MissingRates) -> list[Finding]:
-    """Return which rates a log lacks or may lack, and the equations that give them, once for each state.
-
-    Rates that a log clearly lacks are named where `with_missing_rates` has left them out.
+def missing_rates(model: SindyModel, source: Source) -> list[Finding]:
+    """Return that a log clearly lacks rates, and the equations that give them, where nobody has added them.
 
     Args:
         model: A model of the log, not fitted yet.
-        missing: What `review_rates` returned of it.
+        source: The log.
     """
-    given, findings = rates_of(model), []
-    if new := [name for name in missing.certain if name not in given]:
-        findings.append(weak("fit.rates_missing", states=new, known=missing.certain))
-    return findings + [
-        note("fit.no_torque", angle=name, known={**given, name: rate})
-        for name, rate in missing.possible.items()
-        if name not in missing.certain
-    ]
+    known = lacking_rates(model, source)
+    new = [name for name in known if name not in rates_of(model)]
+    return [weak("fit.rates_missing", states=new, known=known)] if new else []
 
 
 def with_missing_rates(
@@ -114,44 +86,23 @@ def with_missing_rates(
     if known is not None or not source.logged:
         return source, dict(known or {}), []
     model = build(signature=source.signature)
-    found = {} if _chosen(model, source.signature) else review_rates(model, source).certain
+    found = {} if _chosen(model, source.signature) else lacking_rates(model, source)
     if not found:
         return source, {}, []
     return replace(source.with_rates(found), findings=source.findings), found, [note("fit.rates_added", known=found)]
 
 
-@dataclass(frozen=True)
-class MissingRates:
-    """Hold the rate of each state, by its name: those that are known and those that are missing.
-
-    Attributes:
-        certain: With those that the log itself shows to be missing.
-        possible: The same, and with one of each angle in rad where no state is in rad/s and nobody chose the
-            functions.
-    """
-
-    certain: dict[str, str]
-    possible: dict[str, str]
-
-
-def review_rates(model: SindyModel, source: Source) -> MissingRates:
-    """Return which rates a log lacks; to find them takes a regression of each state.
+def lacking_rates(model: SindyModel, source: Source) -> dict[str, str]:
+    """Return the rate of each state, by its name: those that are known, and those that the log shows to be missing.
 
     Args:
         model: A model of the log, not fitted yet.
-        source: The log.
+        source: The log; of others nothing is missing. To find it takes a regression of each state.
     """
-    signature, known = source.signature, rates_of(model)
+    if not source.logged:
+        return {}
     missing = find_missing_rates(model.library, source.training)
-    angles = []
-    if model.step is None and "rad/s" not in signature.state_units and not _chosen(model, signature):
-        angles = [n for n, unit in zip(signature.state_names, signature.state_units, strict=True) if unit == "rad"]
-    return MissingRates(
-        *(
-            known | {name: rate_name(name, signature) for name in names if name not in known}
-            for names in (missing, [*missing, *angles])
-        )
-    )
+    return rates_of(model) | {n: rate_name(n, source.signature) for n in missing if n not in rates_of(model)}
 
 
 def rate_name(name: str, signature: Signature) -> str:
@@ -165,21 +116,3 @@ def rate_name(name: str, signature: Signature) -> str:
 def _chosen(model: SindyModel, signature: Signature) -> bool:
     """Tell whether somebody chose the functions."""
     return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
-
-
-def plants_with(signature: Signature) -> list[str]:
-    """Return the plants known by name whose states and inputs these are, in their order."""
-    wanted = signature.state_names, signature.input_names
-    found = {name: build().signature for name, build in PLANTS.items()}
-    return [name for name, own in found.items() if (own.state_names, own.input_names) == wanted]
-
-
-def _many_functions(model: SindyModel, source: Source) -> list[Finding]:
-    """Say how many functions the fit chooses from, if that is many."""
-    rows, signature = len(source.training), source.signature
-    each = of_one_angle(model.library).values()
-    count = max((int(own.sum()) for own in each), default=len(model.library))
-    plants = plants_with(signature)
-    if count < (MANY_OF_KNOWN if plants else MANY) and 2 * count <= rows:
-        return []
-    return [note("fit.many_functions", count=count, rows=rows, plants=plants)]

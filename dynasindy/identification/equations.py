@@ -17,8 +17,6 @@ from dynasindy.systems.transitions import Transitions
 
 FULL = 5.0
 """Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
-SHORT = 0.5
-"""Delay that a poor fit does not tell from none [sampling times]."""
 TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
@@ -28,13 +26,12 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
 
     Args:
         model: a fitted model.
-        report: of its fit, which tells what the data do not: a delay that is the longest that was tried, or far less
-            than a sampling time where the fit is poor, is none, and functions whose coefficients the data do not tell
-            are no friction and no spring.
+        report: of its fit, which tells what the data do not: a delay that is the longest that was tried is none, and
+            functions whose coefficients the data do not tell are no friction and no spring.
     """
     names, findings = model.signature.state_names, []
     resolved = None if report is None else report.told_apart()
-    if model.delay and (report is None or _sure(model.delay, report)):
+    if model.delay and not (report is not None and report.delay_at_end):
         findings.append(note("model.delay", seconds=model.delay))
     of_rate = rate_states(model.library, model.constraints)
     for i in range(len(names)):
@@ -107,11 +104,6 @@ def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
             initial={still[0]: {inputs[0]: 0.1, still[0]: -0.1}, seen: {still[0]: 0.1}},
         )
     ]
-
-
-def _sure(delay: float, report: FitReport) -> bool:
-    """Tell whether a delay of the inputs is one, and does not stand for what the equations lack."""
-    return not report.delay_at_end and not (report.in_pieces and delay < SHORT * (report.dt or 0.0))
 
 
 def _is_dry(feature: Feature, rate: str, size: float) -> bool:

@@ -16,7 +16,7 @@ from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, weak
 from dynasindy.identification import verdict
-from dynasindy.identification.before_fit import missing_rates, review_rates, with_missing_rates
+from dynasindy.identification.before_fit import missing_rates, with_missing_rates
 from dynasindy.identification.equations import missing_nonlinearity
 from dynasindy.identification.forecast_errors import (
     ForecastErrors,
@@ -224,7 +224,7 @@ def identify(
     before = (
         *added,
         *check_rates(source.training, source.signature, rates),
-        *missing_rates(model, review_rates(model, source)),
+        *missing_rates(model, source),
     )
     for each in before:
         warnings.warn(str(each), stacklevel=2)

@@ -161,7 +161,7 @@ def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
     began = time.perf_counter()
     report_progress("fit")
     settings = model.refinement
-    free = settings is not None and settings.method == "auto" and settings.error in (None, "auto")
+    free = settings is not None and settings.method == "auto" and settings.error is None
     if settings is not None and free and source.logged and model.step is None:
         folds = HoldOut.folds(source.training)
         found = _Search(model, settings, source, folds, rates).run() if folds else None

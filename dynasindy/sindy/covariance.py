@@ -66,24 +66,6 @@ class Covariance(NamedTuple):
         """Return the standard errors as shares of coefficients `(n_features, n_x)`, `(P,)`."""
         return self.errors / xi[self.features, self.states].abs()
 
-    def loosest(self, xi: Tensor) -> tuple[Tensor, Covariance]:
-        """Return the change of coefficients that the data tell least, and the covariance where that one is given.
-
-        Two time constants that all but meet make such a change, as which is which is then not told.
-
-        Args:
-            xi: coefficients, `(n_features, n_x)`.
-
-        Returns:
-            The change, as shares by which coefficients grow in size, `(P,)`, of unit norm, and the covariance without
-            it.
-        """
-        size = xi[self.features, self.states].unsqueeze(-1)
-        shares = self.factor / size
-        change = torch.linalg.svd(shares, full_matrices=False)[0][:, :1]
-        rest = shares - change @ (change.mT @ shares)
-        return change.squeeze(-1), self._replace(factor=rest * size)
-
     def draw(self, xi: Tensor, count: int, generator: torch.Generator) -> Tensor:
         """Draw coefficients around those of the fit, all at a time, from a normal distribution.
 

@@ -131,7 +131,6 @@ class Refined(NamedTuple):
         coefficients: Xi, `(n_features, n_x)`.
         delay: time between an input and its effect [s].
         findings: what was chosen, and by what.
-        in_pieces: whether `auto` found that the log is met in pieces only, which begin anew: something is lacking.
         covariance: how well the coefficients are known; None where that is not told.
         delay_at_end: whether the delay is the longest that was tried.
         missed: part of each state's change that predictions of single steps miss, where these were fitted.
@@ -141,7 +140,6 @@ class Refined(NamedTuple):
     coefficients: Tensor
     delay: float = 0.0
     findings: tuple[Finding, ...] = ()
-    in_pieces: bool = False
     covariance: Covariance | None = None
     delay_at_end: bool = False
     missed: dict[str, float] | None = None
@@ -165,10 +163,6 @@ CHANGE = "the change over a step"
 EXACT = 1e-6
 """Part of a rate of change that may stay unexplained where a fit is called exact; digits of the data end there."""
 
-LOOSE, APART, PART = 1.0, 0.3, 0.3
-"""Standard error by its coefficient, from which on it is asked whether one change makes it; part of the standard errors
-that is left without that change where it does; and of its largest share, from which on a coefficient takes part."""
-
 
 @dataclass(frozen=True)
 class FitReport:
@@ -184,7 +178,7 @@ class FitReport:
         dt: time that a transition takes [s].
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
-        in_pieces, delay_at_end: see `Refined`.
+        delay_at_end: see `Refined`.
         told: how well the coefficients are known, or what computes it; None where that is not told.
         unscaled: states that no sensor sees and of which nothing tells the unit.
     """
@@ -196,7 +190,6 @@ class FitReport:
     _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
     findings: tuple[Finding, ...] = ()
     dt: float | None = None
-    in_pieces: bool = False
     told: Covariance | Callable[[], Covariance | None] | None = field(default=None, repr=False)
     unmeasured: frozenset[str] = frozenset()
     delay_at_end: bool = False
@@ -246,7 +239,6 @@ class FitReport:
         library, xi, _ = self._source
         shares = 100 * self.covariance.shares(xi)
         worst = int(shares.argmax())
-        larger, smaller, rest = self._loosest()
         return [
             note(
                 "fit.standard_errors",
@@ -254,29 +246,8 @@ class FitReport:
                 least=self._place(worst),
                 worst=float(shares[worst]),
                 of_step=library.step is not None,
-                larger=larger,
-                smaller=smaller,
-                rest=rest,
             )
         ]
-
-    def _loosest(self) -> tuple[list[str], list[str], float | None]:
-        """Return the change of coefficients that the data hardly tell, if all others are known far better.
-
-        Returns:
-            Coefficients that grow in size with it and those that shrink, and how well the others were known in the
-            median without it [%]; None where there is no such change.
-        """
-        if self.covariance is None or len(self.covariance.factor) < 2:
-            return [], [], None
-        xi = self._source[1]
-        change, rest = self.covariance.loosest(xi)
-        before, after = (float(known.shares(xi).median()) for known in (self.covariance, rest))
-        if float(self.covariance.shares(xi).max()) < LOOSE or after > APART * before:
-            return [], [], None
-        moved = (change.abs() > PART * change.abs().max()).nonzero().flatten().tolist()
-        grown, shrunk = ([self._place(k) for k in moved if sign * change[k] > 0] for sign in (1, -1))
-        return grown or shrunk, shrunk if grown else [], 100 * after
 
     def _place(self, k: int) -> str:
         """Name a coefficient of the covariance by its function and its equation."""

@@ -1,4 +1,4 @@
-"""Elementary functions that libraries are made of: values, slopes, and how other languages write them."""
+"""Elementary functions that libraries are made of: values, and how other languages write them."""
 
 from __future__ import annotations
 
@@ -28,12 +28,9 @@ class Function:
             the variables one by one.
         latex: format string for LaTeX.
         atomic: whether its LaTeX needs no brackets before a power.
-        slope: its derivative, where it is known; found by automatic differentiation where not.
         parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
-        by_number: derivative of a parametric function by its number, where it is known.
         formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
             torch are written from; empty where there is none.
-        slopes: derivatives by each variable of a function of several, where they are known.
         given: formula of a function of a user's own as it was given, which files hold; empty where there is none.
     """
 
@@ -42,11 +39,8 @@ class Function:
     text: str
     latex: str
     atomic: bool = True
-    slope: Callable[..., Tensor] | None = None
     parametric: bool = False
-    by_number: Callable[..., Tensor] | None = None
     formula: str = ""
-    slopes: tuple[Callable[..., Tensor], ...] = ()
     given: str = ""
 
     @property
@@ -75,19 +69,16 @@ _REGISTRY: dict[str, Function] = {
     f.name: f
     for f in (
         Function("id", lambda z: z, "{0}", "{0}", formula="{0}"),
-        Function("sin", torch.sin, "sin({0})", r"\sin {0}", slope=torch.cos, formula="sin({0})"),
-        Function("cos", torch.cos, "cos({0})", r"\cos {0}", slope=lambda z: -torch.sin(z), formula="cos({0})"),
-        Function("abs", torch.abs, "|{0}|", r"|{0}|", slope=torch.sign, formula="fabs({0})"),
-        Function(
-            "sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", slope=torch.zeros_like, formula="sign({0})"
-        ),
-        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, slope=torch.exp, formula="exp({0})"),
+        Function("sin", torch.sin, "sin({0})", r"\sin {0}", formula="sin({0})"),
+        Function("cos", torch.cos, "cos({0})", r"\cos {0}", formula="cos({0})"),
+        Function("abs", torch.abs, "|{0}|", r"|{0}|", formula="fabs({0})"),
+        Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", formula="sign({0})"),
+        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, formula="exp({0})"),
         Function(
             "tanh",
             torch.tanh,
             "tanh({0})",
             r"\tanh {0}",
-            slope=lambda z: 1 - torch.tanh(z).square(),
             formula="tanh({0})",
         ),
         Function(
@@ -110,9 +101,7 @@ _REGISTRY: dict[str, Function] = {
             lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
             "sqrt({0} - {1})",
             r"\sqrt{{{0} - {1}}}",
-            slope=lambda z, p: 0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
             parametric=True,
-            by_number=lambda z, p: -0.5 * (z - p > SMALLEST_ROOT).to(z.dtype) / (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
             formula=f"sqrt(larger({{0}} - {{1}}, {SMALLEST_ROOT!r}))",
         ),
         Function(
@@ -120,9 +109,7 @@ _REGISTRY: dict[str, Function] = {
             lambda z, p: (z - p).clamp_min(0),
             "max(0, {0} - {1})",
             r"\max(0, {0} - {1})",
-            slope=lambda z, p: (z > p).to(z.dtype),
             parametric=True,
-            by_number=lambda z, p: -(z > p).to(z.dtype),
             formula="larger({0} - {1}, 0)",
         ),
         Function(
@@ -131,9 +118,7 @@ _REGISTRY: dict[str, Function] = {
             "/(1 + {1} cos({0})^2)",
             r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
             atomic=False,
-            slope=lambda z, p: p * (2 * z).sin() / (1 + p * z.cos().square()).square(),
             parametric=True,
-            by_number=lambda z, p: -(z.cos() / (1 + p * z.cos().square())).square(),
             formula="1 / (1 + {1} * square(cos({0})))",
         ),
         Function("ahead", lambda a, b: a - b, "({2} - {3})", "({2} - {3})", formula="{0} - {1}"),
@@ -143,7 +128,6 @@ _REGISTRY: dict[str, Function] = {
             "slack({0}; {1})",
             r"\operatorname{{slack}}_{{{1}}}({0})",
             parametric=True,
-            by_number=lambda a, b, p: (b - a > p).to(a.dtype) - (a - b > p).to(a.dtype),
             formula="larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
         ),
     )
@@ -154,10 +138,7 @@ _REGISTRY: dict[str, Function] = {
 def _turned(plain: Function, name: str, sign: int) -> Function:
     """Return a function of the sum or the difference of two variables, written as one of their sum or difference."""
     word = "+" if sign > 0 else "-"
-    slope, by_number, compute = plain.slope, plain.by_number, plain.compute
-    slopes: tuple[Callable[..., Tensor], ...] = ()
-    if slope is not None:
-        slopes = lambda a, b, *p: slope(a + sign * b, *p), lambda a, b, *p: sign * slope(a + sign * b, *p)
+    compute = plain.compute
     return Function(
         name,
         lambda a, b, *p: compute(a + sign * b, *p),
@@ -165,10 +146,8 @@ def _turned(plain: Function, name: str, sign: int) -> Function:
         _in_brackets(plain.latex, f"{{2}} {word} {{3}}"),
         plain.atomic,
         parametric=plain.parametric,
-        by_number=by_number and (lambda a, b, p: by_number(a + sign * b, p)),
         # The number of a parametric function comes after its variables.
         formula=_in_brackets(plain.formula.replace("{1}", "{2}"), f"{{0}} {word} {{1}}"),
-        slopes=slopes,
     )
 
 

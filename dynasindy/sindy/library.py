@@ -69,10 +69,6 @@ class Factor:
     def slope(self, *args: Tensor) -> Tensor:
         """Return the derivative of the function of some variables by the number inside it."""
         known = function(self.function)
-        if known.parametric and known.by_number is not None:
-            return known.by_number(*args, self.frequency)
-        if not known.parametric and known.slope is not None and len(args) == 1:
-            return args[0] * known.slope(self.frequency * args[0])
         p = torch.full_like(args[0], self.frequency)
         inside = (
             known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))

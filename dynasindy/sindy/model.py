@@ -555,7 +555,7 @@ class SindyModel(WorldModel):
             return [weak("fit.dropped")], {}
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        fields: dict[str, Any] = {k: getattr(found, k) for k in ("in_pieces", "delay_at_end")}
+        fields: dict[str, Any] = {"delay_at_end": found.delay_at_end}
         fields |= {} if found.missed is None else {"residual": found.missed}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Literal
+from typing import Literal
 
 from torch import Tensor
 
@@ -29,7 +29,7 @@ from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates,
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
-from dynasindy.sindy.trajectory_fit import WORSE, first_gain, refine_trajectory, trajectory_error_ratio
+from dynasindy.sindy.trajectory_fit import first_gain, refine_trajectory
 from dynasindy.systems.transitions import Transitions
 
 PERIODS = 2
@@ -45,7 +45,7 @@ ALIKE = 0.01
 SEVERAL = 10
 """Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
-ERRORS = ("auto", "simulation", "prediction", "innovation")
+ERRORS = ("simulation", "prediction", "innovation")
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
 Model = tuple[Library, Tensor]
@@ -70,9 +70,8 @@ class Refinement:
             farther where it is longer; else within two control periods or 0.05 s, or, without noise, not at all.
         error: what `trajectory` minimises: of one trajectory through each segment (`simulation`, output error), of
             windows that begin anew (`prediction`), for plants that are pushed at random or unstable, or of one step
-            ahead of an observer whose gain is fitted, too (`innovation`), for both; `auto` takes windows that begin
-            anew where they leave over much less than a trajectory.
-            The default is `auto` for the method `auto`, and `simulation` for others.
+            ahead of an observer whose gain is fitted, too (`innovation`), for both. If omitted it is `simulation`, and
+            with the method `auto` also `prediction`, where the model runs away in one trajectory.
         select: whether functions come in and go while trajectories are fitted.
         penalty: factor on what a coefficient of trajectories must be worth.
         seconds: time of computing that a fit to a log may take, about, where candidates are tried [s].
@@ -86,7 +85,7 @@ class Refinement:
     tolerance: float = 1e-6
     window: int = 20
     longest_delay: float | None = 0.0
-    error: Literal["auto", "simulation", "prediction", "innovation"] | None = None
+    error: Literal["simulation", "prediction", "innovation"] | None = None
     select: bool = True
     penalty: float = 1.0
     seconds: float = 60.0
@@ -270,7 +269,7 @@ class _Fit:
         return rough if abs(fine - rough) < ALIKE * brief.data.dt else fine
 
     def _by_trajectories(self, first: Model, rough: float) -> Refined:
-        """Return the model that trajectories tell, the delay, and which error was minimised if that was chosen."""
+        """Return the model that trajectories tell, and the delay."""
         settings = self.settings
         descent = Descent(min(settings.window, int(self.recording.known.sum())))
         descent = replace(descent, select=settings.select, penalty=settings.penalty)
@@ -279,30 +278,15 @@ class _Fit:
             "prediction": replace(descent, joined=False, correlated=True),
             "innovation": replace(descent, joined=False, window=max(settings.window, OBSERVED)),
         }
-        error = settings.error or ("auto" if settings.method == "auto" else "simulation")
-        if error != "auto":
-            return self._fit_with_delay(first, rough, kinds[error], observed=error == "innovation")
         try:
-            found = self._fit_with_delay(first, rough, descent)
-            measured, start = self.recording.measured(found.delay), self.recording.guessed(found.delay).x
-            ratio = trajectory_error_ratio(*found[:2], self.constraints.free, measured, descent, start)
+            error = settings.error or "simulation"
+            return self._fit_with_delay(first, rough, kinds[error], observed=error == "innovation")
         except RunsAway:
-            why: dict[str, Any] = {"why": "runs_away"}
-        else:
-            worst = int(ratio.argmax())
-            name = first[0].signature.state_names[worst]
-            strain = {"state": name, "ratio": float(ratio[worst])}
-            if not math.isfinite(ratio[worst]):
-                why = {"why": "empty"}
-            elif float(ratio[worst]) <= WORSE:
-                gaps = int(self.recording.data.begins().sum()) > 1
-                follows = note("fit.simulation", samples=descent.window, gaps=gaps, **strain)
-                return found._replace(findings=(follows, *found.findings))
-            else:
-                why = {"why": "strays", **strain}
-        pieces = weak("fit.multiple_shooting", samples=descent.window, **why)
+            if settings.error is not None or settings.method != "auto":
+                raise
+        pieces = weak("fit.multiple_shooting", samples=descent.window)
         found = self._fit_with_delay(first, rough, kinds["prediction"])
-        return found._replace(findings=(pieces, *found.findings), in_pieces=True)
+        return found._replace(findings=(pieces, *found.findings))
 
     def _fit_with_delay(self, found: Model, delay: float, descent: Descent, observed: bool = False) -> Refined:
         """Return the model that trajectories tell, or an observer's innovations, and the delay, fitted with it."""

@@ -281,12 +281,6 @@ class Flow:
         """Count the windows whose slopes are computed at once where they are not all held in memory."""
         return max(1, len(self.windows) * MOST_SLOPES // self.count)
 
-    def rejoined(self, joined: Tensor) -> Flow:
-        """Return the same trajectories, of which others continue the window before, bool `(W,)`."""
-        found = replace(self, windows=replace(self.windows, joined=joined))
-        found.__dict__.update({name: self.__dict__[name] for name in ("s", "s_ends") if name in self.__dict__})
-        return found
-
     def part(self, rows: slice) -> Flow:
         """Return the trajectories of some of the windows."""
         names = ("rows", "first", "inputs", "measured", "mask", "joined", "last_inputs", "history")

@@ -19,7 +19,6 @@ from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
     COARSE,
     ENOUGH,
-    EXACT,
     FINE,
     Descent,
     Estimate,
@@ -285,8 +284,6 @@ SHORTEST = 2
 """Sampling intervals in the shortest window."""
 LEAPS = (4, 2)
 """Factors by which windows grow, the larger one where the model does not run away in windows as long as that."""
-NEGLIGIBLE = 1e-6
-"""Part of the spread of a state below which its error is of the arithmetic, and tells nothing of the plant."""
 
 
 def refine_trajectory(
@@ -402,32 +399,6 @@ def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
     if not bool(estimate.xi.any()):
         return torch.full((estimate.xi.shape[1],), math.inf)
     return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma()
-
-
-def trajectory_error_ratio(
-    library: Library, xi: Tensor, free: Tensor, data: Transitions, descent: Descent, start: Tensor
-) -> Tensor:
-    """Return how many times the error of windows on their own a trajectory has, `(n_x,)`; 0 of unmeasured states.
-
-    With noise of the sensors alone it is 1, but for the start states of windows on their own, which fit a part of the
-    noise and are allowed for. Where something pushes the plant, or functions are missing, a trajectory strays; it is
-    infinite where no function is left.
-    """
-    some = choose_stretches(len(data), ENOUGH)
-    support, data = (xi != 0) & free, data.to(torch.float64).select(some)
-    if not bool(support.any()):
-        return torch.full(xi.shape[1:], math.inf, dtype=torch.float64)
-    first = _grown(Estimate(library, xi, start[some]), support, data, replace(descent, joined=None), COARSE)
-    windows, joined = first.windows, first.windows.joined
-    if not bool(data.x_next.isnan().any()):
-        joined = _grows(first)[1]
-    ends = (_settle(first.rejoined(j))[0] for j in (joined, torch.zeros_like(joined)))
-    error, own = (end.sigma() for end in ends)
-    told = float(windows.mask.sum() + (~windows.first.isnan()).sum())
-    nodes = first.estimate.nodes
-    allowed = math.sqrt(max(1 - nodes.numel() / max(told, 1.0), NEGLIGIBLE))
-    floor = NEGLIGIBLE * nodes.std(0, correction=0) + EXACT
-    return torch.where(error > EXACT, (error + floor) / (own / allowed + floor), 0.0)
 
 
 def _grown(

@@ -10,10 +10,10 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
-from dynasindy.identification.before_fit import before_fit, review_rates, with_missing_rates
+from dynasindy.identification.before_fit import before_fit, lacking_rates, with_missing_rates
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import Pendulum, Tras
+from dynasindy.systems import Pendulum
 
 EXCITATION = partial(Chirp, duration=5.0)
 
@@ -33,9 +33,7 @@ def log(path, heading, factors=(1.0, 1.0, 1.0), rows=400):
 
 
 def told(source, library="auto"):
-    return [
-        each for each in before_fit(SindyModel(source.signature, library), source).findings if each.code != "log.time"
-    ]
+    return [each for each in before_fit(SindyModel(source.signature, library), source) if each.code != "log.time"]
 
 
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
@@ -45,10 +43,10 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join(lines))
     source = LoggedData(str(tmp_path / "log.csv")).load(Pendulum(), EXCITATION)
     model = SindyModel(source.signature, "auto")
-    told = before_fit(model, source).findings[0]
+    told = before_fit(model, source)[0]
     assert (told.code, told.severity) == ("log.rate_units", "weak") and told.values["rate"] == "Omega"
     assert told.values["factor"] == pytest.approx(57.3, rel=1e-3)
-    assert not before_fit(SindyModel(simulated().signature, "auto"), simulated()).findings
+    assert not before_fit(SindyModel(simulated().signature, "auto"), simulated())
 
 
 @pytest.mark.parametrize("library", ["auto", "auto_rig"])
@@ -70,19 +68,6 @@ def test_an_angle_in_degrees_is_told_the_map_that_reads_it_in_rad(tmp_path, libr
     assert list(found.values["states"]) == ["theta"]
 
 
-def test_an_angle_without_its_rate_in_rad_is_told_of_it(tmp_path):
-    found = told(log(tmp_path / "log.csv", "time,theta [rad],Omega [1/s],u"))
-    assert found == [note("fit.no_torque", angle="theta", known={"theta": "theta_rate"})]
-    source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
-    model = SindyModel(source.signature, "auto")
-    missing = review_rates(model, source)
-    assert missing.possible == {"theta": "theta_rate"} and not missing.certain
-    steps = review_rates(SindyModel(source.signature, "auto", time="discrete"), source)
-    assert not steps.possible and not steps.certain  # a difference equation has no rates
-    chosen = SindyModel(source.signature, ["theta", "Omega", "u"])
-    assert not review_rates(chosen, source).possible
-
-
 def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):
     """The pendulum's angle, read by an encoder alone."""
     data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
@@ -96,11 +81,10 @@ def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, 
     for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
         assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
     model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    clock, unseen = before_fit(model, known).findings
+    clock, unseen = before_fit(model, known)
     assert clock.code == "log.time" and clock.values["dt"] == pytest.approx(0.01)
     assert unseen == note("log.unmeasured", state="a_rate")
-    assert review_rates(model, known).certain == {"a": "a_rate"}
-    assert before_fit(model, known).missing == review_rates(model, known)
+    assert lacking_rates(model, known) == {"a": "a_rate"}
 
 
 def test_few_rows_are_told_with_what_was_left_out(tmp_path):
@@ -113,26 +97,3 @@ def test_few_rows_are_told_with_what_was_left_out(tmp_path):
     (tmp_path / "log.csv").write_text("\n".join([*lines[:30], "0.3,,,", *lines[31:62]]))
     found = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION), ["theta", "Omega", "u", "sin(theta)"])
     assert [each.code for each in found[:2]] == ["log.few_rows", "log.missing"] and found[1].values["rows"] == 1
-
-
-def test_many_functions_are_counted_and_the_plants_named_that_have_fewer(tmp_path):
-    made, signature = Simulated(substeps=2, validation_seconds=1.0), Tras().signature
-    data = made.load(Tras(), partial(Chirp, duration=3.0)).training
-    units = (f"{n} [{u}]" for n, u in zip(signature.state_names, signature.state_units, strict=True))
-    rows = [",".join(map(str, (k * data.dt, *data.x[k].tolist(), *data.u[k].tolist()))) for k in range(len(data))]
-    (tmp_path / "log.csv").write_text("\n".join([",".join(["time", *units, *signature.input_names]), *rows]))
-    source = LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION)
-    (found,) = told(source)
-    library = SindyModel(source.signature, "auto").library  # of its four quotients a fit keeps those of one angle
-    others = ("alpha_a)^2)", "alpha_a + alpha_p)^2)", "alpha_a - alpha_p)^2)")
-    count = found.values["count"]
-    assert len([name for name in library.names if not name.endswith(others)]) >= count > len(library) / 4
-    plants = ["tras", "trms33", "xi"]
-    assert found == note("fit.many_functions", count=count, rows=len(source.training), plants=plants)
-    assert not told(source, "rotor")
-    # The columns of no plant of the package: fewer than 150 functions are many for few rows alone.
-    lines = (tmp_path / "log.csv").read_text().replace("alpha_a", "yaw", 1).splitlines()
-    for number, many in ((101, True), (len(lines), False)):
-        (tmp_path / "log.csv").write_text("\n".join(lines[:number]))
-        found = told(LoggedData(str(tmp_path / "log.csv")).load(None, EXCITATION))
-        assert [each.values["plants"] for each in found if each.code == "fit.many_functions"] == [[]] * many

@@ -78,20 +78,3 @@ def test_draws_have_the_covariance_and_leave_other_coefficients_alone():
     drawn[:, 0, 0] = drawn[:, 2, 1] = 0
     assert not drawn.any()
     assert known.shares(XI).tolist() == pytest.approx([0.6, np.sqrt(0.05) / 3])
-
-
-def test_without_its_loosest_change_a_covariance_is_the_conditional_one():
-    """The oracle is the conditional covariance of a normal distribution, in shares of the coefficients."""
-    generator = torch.Generator().manual_seed(3)
-    xi = torch.tensor([[2.0], [-0.5], [10.0]], dtype=torch.float64)
-    factor = xi * torch.randn(3, 6, generator=generator, dtype=torch.float64)
-    factor += 30 * xi * torch.tensor([[1.0], [1.0], [-1.0]], dtype=torch.float64) @ torch.ones(1, 6).double()
-    known = Covariance(torch.arange(3), torch.zeros(3, dtype=torch.int64), factor)
-    change, rest = known.loosest(xi)
-    shares = np.asarray(known.matrix / (xi @ xi.mT))
-    sizes, directions = np.linalg.eigh(shares)
-    v = directions[:, -1]
-    assert abs(float(change @ torch.from_numpy(v))) == pytest.approx(1.0)
-    assert (np.sign(change.numpy()) == np.sign(change.numpy()[0]) * np.array([1, 1, -1])).all(), "growth in size"
-    left = shares - np.outer(shares @ v, shares @ v) / (v @ shares @ v)
-    assert np.allclose(rest.matrix / (xi @ xi.mT), left, atol=1e-9 * sizes[-1])

@@ -8,7 +8,7 @@ from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import Library, of, parse, variable
 from dynasindy.sindy.named_libraries import paper_table
-from dynasindy.sindy.sensitivity import Parameters, Propagator, TorchSlopes
+from dynasindy.sindy.sensitivity import Parameters, Propagator
 from dynasindy.systems import Xi
 from dynasindy.systems.base import Signature
 from dynasindy.systems.interpreter import MeasurementUpdate
@@ -32,8 +32,6 @@ def path(request, monkeypatch):
     """Both ways to the same numbers; there is nothing else than torch where no compiler is."""
     if request.param == "torch":
         monkeypatch.setattr(sensitivity, "compiler", lambda: None)
-    else:
-        monkeypatch.setattr(sensitivity, "TorchSlopes", None)
     return request.param
 
 
@@ -134,35 +132,22 @@ def points(n: int = 9, n_x: int = 2, n_u: int = 1) -> tuple[torch.Tensor, torch.
     return tuple(3 * torch.rand(n, k, generator=generator, dtype=torch.float64) - 1.2 for k in (n_x, n_u))
 
 
-def full(
-    slopes: TorchSlopes, library: Library, x: torch.Tensor, u: torch.Tensor, n_shapes: int = 0
-) -> list[torch.Tensor]:
-    """Functions, derivatives by the states and by the numbers, the zeros filled in."""
-    theta, by_state, by_shape = slopes(x, u)
-    tables = [torch.zeros(len(x), len(library), n, dtype=x.dtype) for n in (library.signature.n_x, n_shapes)]
-    for table, places, values in zip(tables, (slopes.by_state, slopes.by_shape), (by_state, by_shape)):
-        assert values.shape == (len(x), len(places))
-        for (k, j), value in zip(places, values.unbind(-1)):
-            table[:, k, j] = value
-    return [theta, *tables]
-
-
 @pytest.mark.parametrize("name", sorted(functions._REGISTRY))
-def test_slopes_of_every_function_are_differences_of_its_values(name):
+def test_slopes_of_every_function_are_differences_of_its_values(path, name):
     """By each state, and by the number inside it or the factor of its argument."""
     pair, known = name in ("ahead", "slack") or name.endswith(("_sum", "_gap")), functions.function(name)
     number = {"frequency": 0.3 if known.parametric else -2.5, "fitted": True} if known.parametric or not pair else {}
     library = Library(TWO, [of(name, *("a", "b")[not pair :], **number)])
     x, u = points()
-    theta, by_state, by_shape = full(TorchSlopes(library, library.shapes), library, x, u, len(library.shapes))
-    torch.testing.assert_close(theta, library(x, u), rtol=1e-12, atol=1e-14)
+    xi = torch.tensor([[1.5, -0.5]], dtype=torch.float64)
+    by_state = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
     for j, step in enumerate(1e-6 * torch.eye(2).double()):
-        wanted = (library(x + step, u) - library(x - step, u)) / 2e-6
+        wanted = (library(x + step, u) - library(x - step, u)) @ xi / 2e-6
         torch.testing.assert_close(by_state[..., j], wanted, rtol=1e-6, atol=1e-8)
     if library.shapes:
         up, down = (library.with_shapes([number["frequency"] + step])(x, u) for step in (1e-6, -1e-6))
-        for found in (by_shape, library.by_shapes(x, u, library.shapes)):
-            torch.testing.assert_close(found[..., 0], (up - down) / 2e-6, rtol=1e-6, atol=1e-8)
+        found = library.by_shapes(x, u, library.shapes)
+        torch.testing.assert_close(found[..., 0], (up - down) / 2e-6, rtol=1e-6, atol=1e-8)
 
 
 def test_a_function_without_a_formula_is_moved_by_torch(monkeypatch):

@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy import trajectory_fit as trajectory
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
 from dynasindy.sindy.shooting import Descent
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -109,33 +108,6 @@ def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states()
     alone = Descent(50, joined=False)
     found = refine_trajectory(LIBRARY, column(-1.5, 2.5, 0.0, 0.0), TWO, data, alone).estimate.xi
     assert np.all(np.abs(found[:2, 0].numpy() - theirs[:2]) < 0.02 * bound())
-
-
-@pytest.mark.parametrize("push", [0.0, 0.02])
-def test_how_much_a_trajectory_strays_is_the_ratio_of_two_least_squares(push):
-    # y' = c u is linear in c and in the start states: one of them in all, or one in each of ten windows of 20.
-    rng = np.random.default_rng(5)
-    y = np.cumsum([Y0, *(B * DT * INPUTS + push * rng.normal(size=200))]) + NOISE * rng.normal(size=201)
-    data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    moved = np.concatenate([[0.0], np.cumsum(DT * INPUTS)])
-
-    def left_over(length: int) -> float:
-        """Root mean square error at the ends of all intervals, starts measured too."""
-        rows, target, ends = [], [], []
-        for window, begin in enumerate(range(0, 200, length)):
-            for k in range(begin, begin + length + 1):
-                rows.append([moved[k] - moved[begin], *(np.arange(200 // length) == window)])
-                target.append(y[k])
-                ends.append(k > begin)
-        columns, wanted = np.array(rows, dtype=float), np.array(target)
-        error = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
-        return float(np.sqrt(np.square(error[ends]).mean()))
-
-    library, free = Library(SIGNATURE, [variable("u")]), torch.ones(1, 1, dtype=torch.bool)
-    found = trajectory.trajectory_error_ratio(library, column(2.0), free, data, Descent(20), data.x)
-    wanted = left_over(200) / (left_over(20) / math.sqrt(1 - 10 / 210))
-    assert found.tolist() == pytest.approx([wanted], rel=1e-5)
-    assert (wanted > 1.5) == (push > 0) and (push or abs(wanted - 1) < 0.05)
 
 
 def test_windows_in_which_the_model_runs_away_are_shorter_and_the_report_says_so():
