@@ -319,14 +319,6 @@ def _bend(input: str, kind: str, low: float, high: float, unit: str) -> str:
     return f"{input} has no more effect {' and '.join(sides)}"
 
 
-def _missing_bend(known: Mapping[str, str], kind: str, **bend: Any) -> str:
-    more = f" {setting('plant.known', known)}" if known else ""
-    return (
-        f"what the equations leave over looks like a {kind}, as if {_bend(kind=kind, **bend)}, about: "
-        f"{setting('plant.library', 'dead_zone')}{more} fits such bends of the inputs beside linear functions"
-    )
-
-
 def _idle(states: Sequence[str], initial: Mapping[str, Any]) -> str:
     stands, needs = ("stands", "it needs") if len(states) == 1 else ("stand", "they need")
     return (
@@ -1043,7 +1035,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.dry_friction": "{state}' has dry friction",
     "model.spring": "{state}' has a spring in {of}",
     "model.input_nonlinearity": _bend,
-    "model.missing_nonlinearity": _missing_bend,
     "model.lag_state": lambda signal, seconds, is_input, state: (
         f"{signal} acts through a lag of {seconds:.3g} s, a state that no sensor sees"
         if is_input

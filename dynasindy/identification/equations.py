@@ -2,23 +2,88 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.source import rates_of
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.input_nonlinearity import InputNonlinearity, read_nonlinearity
 from dynasindy.sindy.library import Feature
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.transitions import Transitions
 
 FULL = 5.0
 """Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
+FLAT = 0.1
+"""Slope in a part of the range of an input below which it does nothing there [largest slope]."""
 TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
+
+
+@dataclass(frozen=True)
+class InputNonlinearity:
+    """Hold where an input does nothing.
+
+    Attributes:
+        input: the input.
+        kind: what it is.
+        low: lower end of a dead zone, and of what lies between two ends of a saturation [of the model's input].
+        high: upper end, likewise; a saturation may lack either, which is infinite then.
+    """
+
+    input: str
+    kind: Literal["dead zone", "saturation"]
+    low: float
+    high: float
+
+
+def _classify_nonlinearity(name: str, edges: Sequence[float], slopes: Sequence[float]) -> InputNonlinearity | None:
+    """Return what a piecewise linear function of an input is, None where it is neither.
+
+    It bends at `edges`, which rise; `slopes` are below the first, between them, and above the last one. A slope is none
+    that is below `FLAT` times the largest one.
+    """
+    still = [abs(slope) <= FLAT * max(map(abs, slopes)) for slope in slopes]
+    if not edges or all(still):
+        return None
+    if still[0] or still[-1]:
+        ends = (edges[0] if still[0] else -math.inf), (edges[-1] if still[-1] else math.inf)
+        return InputNonlinearity(name, "saturation", *ends)
+    if True in still:
+        k = still.index(True)
+        return InputNonlinearity(name, "dead zone", edges[k - 1], edges[k])
+    return None
+
+
+def read_nonlinearity(model: SindyModel, state: int, name: str) -> InputNonlinearity | None:
+    """Return the dead zone or the saturation of an input in an equation, None where it has neither.
+
+    Args:
+        model: a fitted model.
+        state: whose equation it is.
+        name: the input, or the state that stands for it.
+    """
+    edges: dict[float, float] = {}
+    slope = 0.0
+    for k in model.coefficients[:, state].nonzero().flatten().tolist():
+        feature, size = model.library.features[k], float(model.coefficients[k, state])
+        if name not in feature.variables:
+            continue
+        (first, *others) = feature.factors
+        if others or first.power != 1 or first.variables != (name,) or first.function not in ("id", "hinge"):
+            return None
+        if first.function == "id":
+            slope += size
+        else:
+            edges[first.frequency] = edges.get(first.frequency, 0.0) + size
+    slopes, rising = [slope], sorted(edges)
+    for edge in rising:
+        slopes.append(slopes[-1] + edges[edge])
+    return _classify_nonlinearity(name, rising, slopes) if any(slopes) else None
 
 
 def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
@@ -58,16 +123,6 @@ def _bend(bend: InputNonlinearity, model: SindyModel) -> dict[str, Any]:
     low, high = signature.in_own_units(ends)[:, place].tolist()
     unit = signature.input_units[place] if signature.input_units else "-"
     return {"input": bend.input, "kind": bend.kind, "low": low, "high": high, "unit": unit}
-
-
-def missing_nonlinearity(bend: InputNonlinearity, model: SindyModel) -> Finding:
-    """Return which dead zone or saturation the equations seem to lack.
-
-    Args:
-        bend: what `find_missing_nonlinearity` found.
-        model: a fitted model.
-    """
-    return weak("model.missing_nonlinearity", known=rates_of(model), **_bend(bend, model))
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:

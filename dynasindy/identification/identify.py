@@ -17,7 +17,6 @@ from dynasindy.data.recording import LogReader
 from dynasindy.findings import Finding, weak
 from dynasindy.identification import verdict
 from dynasindy.identification.before_fit import missing_rates, with_missing_rates
-from dynasindy.identification.equations import missing_nonlinearity
 from dynasindy.identification.forecast_errors import (
     ForecastErrors,
     forecast_errors,
@@ -30,10 +29,9 @@ from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
 from dynasindy.sindy import FitReport, Refinement, Regression, SindyModel
-from dynasindy.sindy.delay import delay_and_trim, delay_inputs
-from dynasindy.sindy.input_nonlinearity import InputNonlinearity, find_missing_nonlinearity
+from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.named_libraries import LibraryBuilder
-from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
+from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import System
 
@@ -84,14 +82,12 @@ class Identified:
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
         metrics: error of each measured state, open loop and over each horizon.
         forecasts: errors from many start times; None where the validation data are too short for them.
-        bend: a dead zone or a saturation of an input that the equations seem to lack; None where there is none.
     """
 
     fit: LogFit
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
     forecasts: ForecastErrors | None = None
-    bend: InputNonlinearity | None = None
 
     @property
     def model(self) -> SindyModel:
@@ -125,8 +121,7 @@ class Identified:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations and the data hold."""
-        findings = self.fit.content + verdict.recording_findings(self.source.training, self.source.signature)
-        return findings + ([missing_nonlinearity(self.bend, self.model)] if self.bend else [])
+        return self.fit.content + verdict.recording_findings(self.source.training, self.source.signature)
 
     @cached_property
     def verdict(self) -> list[Finding]:
@@ -265,8 +260,4 @@ def identify_source(model: SindyModel, source: Source, horizons: Sequence[float]
     forecasts = forecast_errors(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    lacking = source.logged and forecasts is not None and bool(verdict.unresolved(forecasts, source.signature).any())
-    # A bend would stand for a rate that is missing.
-    lacking = lacking and not find_missing_rates(model.library, delay_and_trim(source.training, model.delay))
-    bend = find_missing_nonlinearity(model, source.training) if lacking else None
-    return Identified(fit, predicted, metrics, forecasts, bend)
+    return Identified(fit, predicted, metrics, forecasts)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -43,41 +41,23 @@ def _chains(values: Tensor, joined: Tensor) -> Tensor:
 PLAIN = -0.3
 """Correlation of neighbouring errors of single steps below which a state is noisy: -1/2 of noise of the sensors alone,
 0 of random pushes alone."""
-BENEATH = -0.6
-"""Correlation of neighbouring changes of these errors below which a state is noisy: -2/3 of noise of the sensors alone,
--1/2 of random pushes alone; here noise has half the variance of the pushes of a step."""
-PUSHED, SPREAD = -0.5, 3 / math.sqrt(2)
-"""That correlation of random pushes, and three standard errors of it, times the root of the number of samples
-(Bartlett's formula): in fewer samples less than `BENEATH` is asked for."""
 DUE = 0.6
 """Part of the squared errors of a difference equation's steps that noise of the sensors has to explain."""
-STILL, MOVES, WHOLE = 0.5, 10, 0.01
-"""Part of the samples at which a reading in steps stands still, of a plant that moves by less than a step from one to
-the next; least number of those at which it moves; and part of a step by which such a move may not be whole."""
 KEPT = 0.5
 """Part of the errors that the functions of the model have to leave over, as they do not explain noise."""
 
 
 def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
-    """Tell measurement noise from errors of the model by the one-step errors.
+    """Tell measurement noise from errors of the model by the one-step errors, of most states.
 
-    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -1/2, and whose changes from one
-    to the next correlate by -2/3 with the changes before. Errors of a model last over many samples, so they hardly
-    change; pushes at random make errors that are white, and changes that correlate by -1/2. The errors themselves hide
-    the noise beneath those of a model that lacks something: noise has to be seen first, as a delay and a state that no
-    sensor sees are looked for by it. So most states have to be noisy by their errors, or one by their changes. Where
-    the time between samples is long, errors of a model change from sample to sample, too. Those are functions of the
-    present states and inputs, as noise is not.
-
-    A sensor that reads in steps longer than the plant moves between samples makes errors of another kind: they last
-    while the reading stands still, and are noise of the sensor all the same.
+    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -1/2; errors of a model last
+    over many samples. Where the time between samples is long, these change from sample to sample, too, but are
+    functions of the present states and inputs, as noise is not.
     """
     data = data.to(torch.float64)
     if library.step is not None:
         share = sensor_noise(library, coefficients, data)[1]
         return bool(coefficients.any()) and bool(2 * (share > DUE).sum() > len(share))
-    if bool(coefficients.any()) and bool(_stands_on_steps(data).any()):
-        return True
     error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt, 1, data.u_end)
     # A constant, too, as a library need not have one.
     functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
@@ -85,26 +65,9 @@ def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bo
     left = error - functions @ torch.linalg.lstsq(functions, error, driver="gelsd").solution
     kept = left.norm(dim=0) > KEPT * error.norm(dim=0)
     follows = data.segment[1:] == data.segment[:-1]
-    plain = _correlation(error, follows) < PLAIN
-    both = follows[1:] & follows[:-1]
-    least = min(BENEATH, PUSHED - SPREAD / math.sqrt(max(int(both.sum()), 1)))
-    beneath = (_correlation(error.diff(dim=0), both) < least) & (_correlation(left.diff(dim=0), both) < least)
-    return bool(2 * (plain & kept).sum() > len(plain)) or bool((beneath & kept).any())
-
-
-def _stands_on_steps(data: Transitions) -> Tensor:
-    """Return which states are read in steps that they take several samples to pass, bool `(n_x,)`.
-
-    A plant that rests for long and moves in between does so by other amounts than one and the same.
-    """
-    found = []
-    for change in (data.x_next - data.x).abs().T:
-        change = change[change.isfinite()]
-        moves = change[change > 1e-9 * change.max()] if len(change) else change
-        step = moves.min() if len(moves) >= MOVES else torch.tensor(torch.nan)
-        whole = ((moves / step - (moves / step).round()).abs() < WHOLE).double().mean() > 1 - WHOLE
-        found.append(bool(whole) and len(moves) < (1 - STILL) * len(change) and bool(moves.median() < 1.5 * step))
-    return torch.tensor(found)
+    before, after = error[:-1][follows], error[1:][follows]
+    correlation = (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)
+    return bool(2 * ((correlation < PLAIN) & kept).sum() > len(kept))
 
 
 def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> tuple[Tensor, Tensor]:
@@ -135,9 +98,3 @@ def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> t
     squares = (after.square() * weight).sum((0, 1)).clamp_min(1e-300)
     noise = (-(after * products * weight).sum((0, 1)) / squares).clamp_min(0.0)
     return noise, (noise + (spread * noise).sum(-1)) / scale
-
-
-def _correlation(values: Tensor, follows: Tensor) -> Tensor:
-    """Return how neighbours correlate, `(n_x,)`, of values `(N, n_x)`; `follows`, `(N - 1,)`, tells the pairs."""
-    before, after = values[:-1][follows], values[1:][follows]
-    return (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)

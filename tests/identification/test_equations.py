@@ -6,10 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.findings import note, weak
-from dynasindy.identification.equations import equation_findings, hidden_states, idle_states, missing_nonlinearity
+from dynasindy.findings import note
+from dynasindy.identification.equations import equation_findings, hidden_states, idle_states
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.input_nonlinearity import InputNonlinearity
 from dynasindy.sindy.regression import RunningSums
 from dynasindy.systems import Tras
 from dynasindy.systems.base import Signature
@@ -78,8 +77,6 @@ def test_dead_zones_and_saturations_are_found_in_the_unit_of_the_actuator():
     assert bends(0.0, -20.0, 20.0) == [note("model.input_nonlinearity", **bend("saturation", -3, 6))]
     assert bends(20.0, -20.0, 0.0) == [note("model.input_nonlinearity", **bend("saturation", -math.inf, 6))]
     assert bends(20.0, 5.0, -5.0) == []
-    missing = missing_nonlinearity(InputNonlinearity("u", "dead zone", -0.25, 0.5), model)
-    assert missing == weak("model.missing_nonlinearity", known={"q": "v"}, **bend("dead zone", -3, 6))
 
 
 def report_of(model: SindyModel, apart: float) -> FitReport:

@@ -1,7 +1,5 @@
 """Noise of sensors, random pushes, errors that last, and how many samples are worth one."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -39,21 +37,10 @@ def sensor(seed: int, n: int = N) -> np.ndarray:
     return np.diff(white(seed, n + 1))
 
 
-def test_noise_of_a_sensor_is_told_beneath_far_larger_errors_that_last():
-    """A model that lacks a slow state misses every step in the same way for long: neighbours correlate by almost 1."""
+def test_noise_of_a_sensor_is_told_from_errors_that_last_and_from_random_pushes():
     lasting = 20 * np.sin(np.arange(N) / 50)
-    both = lasting + sensor(0)
-    assert np.corrcoef(both[:-1], both[1:])[0, 1] > 0.9
-    assert noisy(both) and noisy(sensor(0))
-    assert not noisy(lasting) and not noisy(np.full(N, 0.5))
-
-
-@pytest.mark.parametrize(("ratio", "told"), [(0.0, False), (0.45, False), (0.55, True)])
-def test_random_pushes_are_told_from_noise_up_to_twice_its_variance(ratio, told):
-    """Changes of w_k + n_k+1 - n_k correlate by -(1 + 4 r)/(2 + 6 r), r the variance of n over that of w."""
-    assert (-(1 + 4 * ratio) / (2 + 6 * ratio) < -0.6) == told
-    errors = white(1, 200_000) + np.sqrt(ratio) * sensor(2, 200_000)
-    assert noisy(errors) == told
+    assert noisy(sensor(0))
+    assert not noisy(lasting) and not noisy(np.full(N, 0.5)) and not noisy(white(1))
 
 
 def test_changes_across_two_segments_are_none():
@@ -61,15 +48,6 @@ def test_changes_across_two_segments_are_none():
     assert not noisy(errors, segments=np.arange(60) // 3)
     alternating = np.tile([1.0, -1.0], 30)
     assert noisy(alternating) and not noisy(alternating, segments=np.arange(60))
-
-
-@pytest.mark.parametrize("n", [50, 100, 200])
-def test_few_random_pushes_are_not_taken_for_noise_but_noise_is(n):
-    """By chance the changes of fifty pushes correlate by less than -0.6 in every seventh recording."""
-    states = range(4)
-    pushed = [noisy(*(white(10 * seed + k, n) for k in states)) for seed in range(100)]
-    sensed = [noisy(*(sensor(10 * seed + k, n) for k in states)) for seed in range(100)]
-    assert sum(pushed) <= 3 and sum(sensed) >= 97
 
 
 @pytest.mark.parametrize(("w", "damping", "dt"), [(8.0, 0.4, 0.25), (8.0, 0.7, 0.1875), (8.0, 0.4, 0.05)])
@@ -103,30 +81,6 @@ def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part
     noise, share = sensor_noise(library, xi, data)
     assert float(noise) == pytest.approx(0.01 * sensor_part, abs=0.001)
     assert looks_noisy(library, xi, data) == told == (float(share) > 0.6)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_slow_heater_that_is_read_in_coarse_steps_is_within_its_standard_errors(seed):
-    """T' = 0.1 u(t - 7 s) - T / 600 s, sampled every 2 s and read in steps of 0.5 K, which it takes long to pass."""
-    rng, kept = np.random.default_rng(seed), math.exp(-1 / 600)  # within a second
-    u = np.repeat(rng.uniform(0, 1, 25), 60)
-    x = np.zeros(len(u) + 1)
-    for k in range(len(u)):  # what was given 7 s before changes in the middle of a period
-        first, then = (60 * u[max(place, 0)] * (place >= 0) for place in (k - 4, k - 3))
-        x[k + 1] = kept**2 * x[k] + (1 - kept) * (kept * first + then)
-    read = torch.from_numpy(0.5 * np.round(x / 0.5)).unsqueeze(-1)
-    model = SindyModel(
-        Signature(("T",), ("K",), ("u",), (30.0,)),
-        ["T", "u", "T^2"],
-        Regression(method="bic"),
-        Refinement(method="auto", longest_delay=20.0),
-    )
-    model.fit(Transitions.from_trajectory(read, torch.from_numpy(u).unsqueeze(-1), 2.0))
-    xi = model.coefficients[:, 0]
-    assert model.delay == pytest.approx(7.0, abs=0.2) and model.covariance is not None and float(xi[2]) == 0
-    errors = model.covariance.shares(model.coefficients).flatten() * xi[:2].abs()
-    assert bool(((xi[:2] - torch.tensor([-1 / 600, 0.1])).abs() < 3 * errors).all())
-    assert bool((errors < 0.01 * xi[:2].abs()).all())
 
 
 def _autoregressive(n: int, a: float) -> torch.Tensor:
