@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.agents.finite_checks import is_finite, non_finite, require_finite_rollout
+from dynasindy.agents.finite_checks import is_finite, require_finite_rollout
 from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
@@ -91,11 +91,7 @@ class _CheckedWriter(TensorDictRoundRobinWriter):
                 f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
             )
         if not is_finite(data, self.keys):
-            wrong = next(key for key in self.keys if non_finite(key, data).any())
-            raise ValueError(
-                f"The {self.name} storage takes finite rows; {_words([wrong])} holds NaN or infinity; "
-                "leave such rows out."
-            )
+            raise ValueError(f"The {self.name} storage takes finite rows, not NaN or infinity; leave such rows out.")
         self.version += 1
 
 

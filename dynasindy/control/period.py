@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -17,7 +16,7 @@ from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
-from dynasindy.systems.equilibria import fastest_doubling, fastest_oscillation
+from dynasindy.systems.equilibria import LocalModes
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 
@@ -159,12 +158,12 @@ class _Pace:
     @classmethod
     def of(cls, model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> _Pace:
         """Return that of a model at the first place, or that of enough of the others, if it is faster."""
+        modes = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)]
 
-        def _fastest(found: Callable[..., float]) -> float:
-            first, *others = (found(model, *place, outputs) for place in zip(x, u, strict=True))
+        def _fastest(first: float, *others: float) -> float:
             return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
 
-        swing, doubling = _fastest(fastest_oscillation), _fastest(fastest_doubling)
+        swing, doubling = _fastest(*(at.oscillation for at in modes)), _fastest(*(at.doubling for at in modes))
         return cls(doubling, True) if doubling / QUARTER < swing / PART else cls(swing, False)
 
     @property

@@ -27,7 +27,7 @@ from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_
 from dynasindy.sindy.regression import least_squares
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.sindy.world_model import variance
-from dynasindy.systems.equilibria import fastest_time_constant
+from dynasindy.systems.equilibria import LocalModes
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import MANY
 
@@ -243,7 +243,7 @@ def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
     time = characteristic(data)
     x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
     measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
-    fastest = fastest_time_constant(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured)
+    fastest = LocalModes(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured).time_constant
     return _series(max(data.dt, min(time / 10, fastest / 2)), 3 * time)
 
 

@@ -257,62 +257,45 @@ SHARE = 1e-3
 """Part of the ranges of the states by which a mode has to be moved by an input, or seen in an output, to count."""
 
 
-def fastest_oscillation(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> float:
-    """Return the shortest period of the lightly damped oscillations of a model [s]; inf where it has none.
+class LocalModes:
+    """The modes of a model that an input moves or an output shows, at a place; none where a slope is not finite.
 
-    An oscillation that no input moves and that no output shows does not count.
-
-    Args:
-        system: Vector field.
-        x: Where it is linearised, `(n_x,)`.
-        u: Inputs there, `(n_u,)`.
-        outputs: Places of the tracked states.
-    """
-    rates, counts = _modes(system, x, u, outputs)
-    counts = counts & (rates.imag > 0) & (rates.real.abs() < LIGHT * rates.abs())
-    return 2 * math.pi / float(rates.imag[counts].max()) if bool(counts.any()) else math.inf
-
-
-def fastest_time_constant(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> float:
-    """Return the shortest time constant of the modes of a model [s]; inf where it has none.
-
-    What no input moves and no output shows does not count.
+    Attributes:
+        rates: of the modes, complex `(n,)` [1/s].
 
     Args:
         system: Vector field.
         x: Where it is linearised, `(n_x,)`.
         u: Inputs there, `(n_u,)`.
-        outputs: Places of the measured states.
+        outputs: Places of the tracked or measured states.
     """
-    rates, counts = _modes(system, x, u, outputs)
-    fastest = float(rates[counts].abs().max()) if bool(counts.any()) else 0.0
-    return 1 / fastest if fastest else math.inf
 
+    def __init__(self, system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> None:
+        a, b = (found[0] for found in slopes(system, x.double().unsqueeze(0), u.double().unsqueeze(0)))
+        if not bool(a.isfinite().all() & b.isfinite().all()):
+            self.rates = torch.zeros(0, dtype=torch.complex128)
+            return
+        scale = torch.tensor(system.signature.x_scale, dtype=torch.float64)
+        rates, left, right = map(torch.as_tensor, eig((a * scale / scale.unsqueeze(-1)).numpy(), left=True))
+        reach = (left.mH @ (b / scale.unsqueeze(-1)).to(left)).abs().amax(-1)
+        moved = reach > SHARE * rates.abs() * (left.conj() * right).sum(0).abs()
+        seen = right[list(outputs)].abs().amax(0) > SHARE
+        self.rates = (rates if system.step is None else _continuous_rates(rates, system.step))[moved | seen]
 
-def fastest_doubling(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> float:
-    """Return the shortest time in which a deviation doubles that nothing controls [s]; inf where none grows.
+    @property
+    def oscillation(self) -> float:
+        """The shortest period of the lightly damped oscillations [s]; inf where there is none."""
+        swings = self.rates.imag[(self.rates.imag > 0) & (self.rates.real.abs() < LIGHT * self.rates.abs())]
+        return 2 * math.pi / float(swings.max()) if len(swings) else math.inf
 
-    What no input moves and no output shows does not count.
+    @property
+    def time_constant(self) -> float:
+        """The shortest time constant [s]; inf where there is none."""
+        fastest = float(self.rates.abs().max()) if len(self.rates) else 0.0
+        return 1 / fastest if fastest else math.inf
 
-    Args:
-        system: Vector field.
-        x: Where it is linearised, `(n_x,)`.
-        u: Inputs there, `(n_u,)`.
-        outputs: Places of the tracked states.
-    """
-    rates, counts = _modes(system, x, u, outputs)
-    grows = rates.real[counts & (rates.real > 0)]
-    return math.log(2) / float(grows.max()) if len(grows) else math.inf
-
-
-def _modes(system: System, x: Tensor, u: Tensor, outputs: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """Return the rates of the modes [1/s] and which of them are moved or seen; none of a slope that is not finite."""
-    a, b = (found[0] for found in slopes(system, x.double().unsqueeze(0), u.double().unsqueeze(0)))
-    if not bool(a.isfinite().all() & b.isfinite().all()):
-        return torch.zeros(0, dtype=torch.complex128), torch.zeros(0, dtype=torch.bool)
-    scale = torch.tensor(system.signature.x_scale, dtype=torch.float64)
-    rates, left, right = map(torch.as_tensor, eig((a * scale / scale.unsqueeze(-1)).numpy(), left=True))
-    reach = (left.mH @ (b / scale.unsqueeze(-1)).to(left)).abs().amax(-1)
-    moved = reach > SHARE * rates.abs() * (left.conj() * right).sum(0).abs()
-    seen = right[list(outputs)].abs().amax(0) > SHARE
-    return rates if system.step is None else _continuous_rates(rates, system.step), moved | seen
+    @property
+    def doubling(self) -> float:
+        """The shortest time in which a deviation doubles that nothing controls [s]; inf where none grows."""
+        grows = self.rates.real[self.rates.real > 0]
+        return math.log(2) / float(grows.max()) if len(grows) else math.inf

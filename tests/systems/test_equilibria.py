@@ -8,8 +8,7 @@ from scipy.linalg import expm
 
 from dynasindy.systems import Pendulum, Signature, System
 from dynasindy.systems.equilibria import (
-    fastest_doubling,
-    fastest_oscillation,
+    LocalModes,
     find_equilibria,
     growth,
 )
@@ -105,7 +104,7 @@ def two(first, second):
 
 def of(system, outputs=(0,)):
     n = system.signature.n_x
-    return fastest_oscillation(system, torch.zeros(n), torch.zeros(1), outputs)
+    return LocalModes(system, torch.zeros(n), torch.zeros(1), outputs).oscillation
 
 
 @pytest.mark.parametrize("damping", [-0.05, 0.0, 0.14, 0.45])
@@ -133,8 +132,8 @@ def test_a_pendulum_swings_where_it_hangs_and_falls_where_it_stands():
     """Omega' = -9.81 sin(theta) - 0.5 Omega + 12 u."""
     hanging, standing, one = torch.zeros(2), torch.tensor([math.pi, 0.0]), torch.zeros(1)
     swing = 2 * math.pi / math.sqrt(9.81 - 0.25**2)
-    assert fastest_oscillation(Pendulum(), hanging, one, [0]) == pytest.approx(swing, rel=1e-5)
-    assert fastest_oscillation(Pendulum(), standing, one, [0]) == math.inf
+    assert LocalModes(Pendulum(), hanging, one, [0]).oscillation == pytest.approx(swing, rel=1e-5)
+    assert LocalModes(Pendulum(), standing, one, [0]).oscillation == math.inf
 
 
 def test_a_difference_equation_whose_sign_changes_swings_every_two_steps():
@@ -149,6 +148,8 @@ def test_a_difference_equation_whose_sign_changes_swings_every_two_steps():
 def test_a_deviation_doubles_as_the_fastest_mode_says_that_an_input_moves_or_an_output_shows():
     """q' = 3 q - 5 w + u, w' = -w, and a state of its own that nobody needs, v' = 40 v."""
     plant = Linear([[3.0, 0.0, -5.0], [0.0, 40.0, 0.0], [0.0, 0.0, -1.0]], [[1.0], [0.0], [0.0]])
-    of_first, of_second = (fastest_doubling(plant, torch.zeros(3), torch.zeros(1), outputs) for outputs in ([0], [1]))
+    of_first, of_second = (
+        LocalModes(plant, torch.zeros(3), torch.zeros(1), outputs).doubling for outputs in ([0], [1])
+    )
     assert of_first == pytest.approx(math.log(2) / 3) and of_second == pytest.approx(math.log(2) / 40)
-    assert fastest_doubling(Pendulum(), torch.zeros(2), torch.zeros(1), [0]) == math.inf
+    assert LocalModes(Pendulum(), torch.zeros(2), torch.zeros(1), [0]).doubling == math.inf
