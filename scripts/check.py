@@ -37,7 +37,7 @@ def main(cfg: Any) -> None:
     metrics = folder.parent / "metrics.json"
     if cfg.folder is None and metrics.is_file():  # of another folder nobody knows that it is of this run
         add_to_json(metrics, "check", main_figures(found, findings))
-    save_figures(draw_check(found), folder)
+    save_figures(draw_check(found), folder, cfg.formats)
     say("What the model predicts; the plant itself was not asked.", *check_lines(findings), f"Files: {folder}")
     if bool(unstable_targets(found).any()):
         sys.exit(1)

@@ -129,7 +129,8 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         raise Stopped(line, getattr(stop, "signal", 2)) from stop
     write_json(folder / "metrics.json", {"prediction": prediction.record(), "equations": model.equations()})
     if prediction.evaluation:
-        draw_evaluation(prediction.evaluation, figures, controller_name("gradient"), place=prediction.place)
+        name, formats = controller_name("gradient"), tuple(cfg.formats)
+        draw_evaluation(prediction.evaluation, figures, name, formats, prediction.place)
     say(log_report(model, prediction), f"Controller: {folder / 'controller.json'}", *model.signature.own_inputs())
     if not swept:
         steps = next_steps(*run_steps(folder, "check", "export"))

@@ -38,7 +38,12 @@ def main(cfg: Any) -> float:
         return score
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
-    draw_run(folder, done.recipe.system.signature, controller=name_by_planning(done.cfg.planning))
+    draw_run(
+        folder,
+        done.recipe.system.signature,
+        tuple(done.cfg.get("formats", ("png",))),
+        name_by_planning(done.cfg.planning),
+    )
     say(run_report(done.metrics, folder))
     if swept:
         return score

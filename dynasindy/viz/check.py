@@ -22,6 +22,7 @@ from dynasindy.viz.style import (
     CYCLE,
     GREEN,
     GREY,
+    MINUS,
     ORANGE,
     RED,
     SKY,
@@ -68,7 +69,8 @@ def _in_words(found: Check, target: Tensor) -> str:
     """Return a target by the names of its outputs: `theta = 0.5 rad`."""
     signature, outputs = found.loop.signature, found.loop.task.outputs
     values = zip(outputs, target.tolist(), strict=True)
-    return ", ".join(f"{symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values)
+    words = (f"{symbol(signature.state_names[i])} = {v:.3g} {signature.state_units[i]}" for i, v in values)
+    return MINUS.sub("\N{MINUS SIGN}", ", ".join(words))
 
 
 def _left_out(found: Check) -> str:
@@ -102,13 +104,15 @@ def _nyquist(found: Check, limits: Thresholds) -> Figure:
             look: dict[str, Any] = {"color": CYCLE[k % len(CYCLE)], "linestyle": "-" if k < len(CYCLE) else "--"}
             look["label"] = target
             if k >= NAMED:
-                look = {"color": GREY, "label": f"{len(curves) - NAMED} others, farther from -1"}
+                look = {"color": GREY, "label": f"{len(curves) - NAMED} others, farther from \N{MINUS SIGN}1"}
             values = curves[target][:, i]
             axis.plot(values.real, values.imag, linewidth=1.0, zorder=2.5 - 0.01 * k, **look)
         axis.plot(np.cos(angle), np.sin(angle), color=GREY, linestyle=":", linewidth=0.9, label="gain 1")
         text = f"disk margin < {disk:g}"
         axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=text))
-        axis.plot([-1], [0], color=BLACK, marker="+", markersize=10, linestyle="none", label="critical point -1")
+        axis.plot(
+            [-1], [0], color=BLACK, marker="+", markersize=10, linestyle="none", label="critical point \N{MINUS SIGN}1"
+        )
         axis.set_xlim(-3, 1.5)
         axis.set_ylim(-2.25, 2.25)
         axis.set_aspect("equal")
@@ -125,7 +129,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
     y, inputs = array(x[:, :, outputs]), signature.in_own_units(array(u))
     targets, reach = array(found.targets[far]), array(found.reach)
-    title = f"Step from {found.beginning(symbol)} to {_in_words(found, found.targets[far])}, the farthest target"
+    title = f"Farthest step: from {found.beginning(symbol)} to {_in_words(found, found.targets[far])}"
     n_r, n_u = len(outputs), signature.n_u
     figure, axes = panels(n_r + n_u, 1, (7.0, 2.1 * n_r + 1.4 * n_u), title)
     seconds = array(dt * np.arange(y.shape[1]))
@@ -167,7 +171,8 @@ def _looks(stays: Sequence[bool], how: str) -> list[dict[str, Any]]:
         },
     }
     model = "the model itself" if stays[0] else "the model itself, which runs away"
-    return [{"color": BLUE, "zorder": 3, "label": model}, *(others[one] for one in stays[1:])]
+    # The model lies broad below the others, which often coincide with it and could not be seen behind it.
+    return [{"color": BLUE, "linewidth": 3.0, "label": model}, *(others[one] for one in stays[1:])]
 
 
 def _recovery(found: Check, limits: Thresholds) -> Figure:

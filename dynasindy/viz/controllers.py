@@ -27,8 +27,8 @@ class ControllerStyle:
 
 # The default and the paper's three settings have a colour and a solid line; of the others, kin share a colour.
 CONTROLLERS: Mapping[str, ControllerStyle] = {
-    "gradient": ControllerStyle("planning by gradient", BLUE),
-    "gradient_integral": ControllerStyle("planning by gradient, integral action", BLUE, "--"),
+    "gradient": ControllerStyle("policy", BLUE),
+    "gradient_integral": ControllerStyle("policy, integral action", BLUE, "--"),
     "rollouts_0": ControllerStyle("no planning", RED),
     "rollouts_400": ControllerStyle("400 rollouts", SKY),
     "rollouts_800": ControllerStyle("800 rollouts", GREEN),

@@ -77,7 +77,13 @@ WORDS = {
     "u_a": "tail input",
     "u_p": "main input",
 }
-GREEK = ("alpha", "beta", "theta", "phi", "psi", "omega", "Omega")
+GREEK = (
+    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu"),
+    *("xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega"),
+    *("Gamma", "Delta", "Theta", "Lambda", "Xi", "Pi", "Sigma", "Upsilon", "Phi", "Psi", "Omega"),
+)
+MINUS = re.compile(r"(?<![\w.$}\])-])-(?=[\d.])")
+"""The sign of a number, no hyphen."""
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
@@ -100,6 +106,7 @@ def panels(
     for axis in axes.flat:
         axis.xaxis.set_major_locator(MaxNLocator(steps=[1, 2, 5, 10]))
     if title:
+        title = MINUS.sub("\N{MINUS SIGN}", title)
         letters = int(11 * size[0])  # some eleven an inch
         lines = [textwrap.fill(line, letters, break_long_words=False) for line in title.split("\n")]
         figure.suptitle("\n".join(lines), fontsize=11)

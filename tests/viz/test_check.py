@@ -33,7 +33,7 @@ def held_cart(draws: int) -> Check:
 def test_the_figures_of_a_check_name_their_targets():
     figures = draw_check(held_cart(draws=2))
     loops = [line.get_label() for line in figures["nyquist"].axes[0].lines if " m" in line.get_label()]
-    assert sorted(loops) == ["$p$ = -0.4 m", "$p$ = 0 m", "$p$ = 0.4 m"]
+    assert sorted(loops) == ["$p$ = 0 m", "$p$ = 0.4 m", "$p$ = \N{MINUS SIGN}0.4 m"]
     assert {"recovery", "steps"} <= set(figures)
 
 
@@ -42,6 +42,7 @@ def test_the_model_itself_steps_to_the_farthest_target_with_or_without_other_pla
     found = held_cart(draws)
     target, model, *others = draw_check(found)["steps"].axes[0].lines
     assert set(target.get_ydata()) == {-0.4} and len(others) == draws
+    assert all(other.get_linewidth() < model.get_linewidth() for other in others)  # so that it is seen on the model
     np.testing.assert_allclose(model.get_ydata(), found.steps.x[0, :, 0])
     assert model.get_ydata()[-1] == pytest.approx(-0.4, abs=0.02)
 

@@ -30,7 +30,7 @@ def test_names_are_words_and_unique():
 @pytest.mark.parametrize(
     ("planning", "words"),
     [
-        ({"_target_": "dynasindy.planning.GradientPlanning", "rollouts": 128}, "planning by gradient"),
+        ({"_target_": "dynasindy.planning.GradientPlanning", "rollouts": 128}, "policy"),
         ({"_target_": "dynasindy.planning.ImaginedReplay", "rollouts": 800}, "800 rollouts"),
         ({"_target_": "dynasindy.planning.ImaginedReplay", "rollouts": 0}, "no planning"),
         ({"_target_": "dynasindy.planning.NoPlanning"}, "no planning"),

@@ -150,7 +150,8 @@ ENDED = FlightRecord(
 
 def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planned() -> None:
     figure = draw_flight(ENDED, WIRING, Guard(), "flight_1")
-    assert ENDED.fault in " ".join(figure.get_suptitle().split())
+    title = figure.get_suptitle().replace("\N{MINUS SIGN}", "-")
+    assert ENDED.fault in " ".join(title.split())
     for axis in figure.axes:
         assert axis.lines[-1].get_xdata() == pytest.approx([0.5, 0.5])
     low, high = figure.axes[-1].get_xlim()

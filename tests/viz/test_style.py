@@ -6,6 +6,7 @@ from matplotlib.mathtext import MathTextParser
 
 from dynasindy.systems import Signature
 from dynasindy.viz.style import (
+    GREEK,
     input_axis,
     label,
     panels,
@@ -28,6 +29,18 @@ def test_names_in_a_sentence_become_words():
 )
 def test_symbols(name: str, expected: str) -> None:
     assert symbol(name) == expected
+
+
+@pytest.mark.parametrize("name", GREEK)
+def test_greek_names_are_letters(name: str) -> None:
+    assert symbol(name) == rf"$\{name}$"
+    parse_math(symbol(name))
+
+
+def test_a_title_has_minus_signs_and_keeps_hyphens():
+    figure, _ = panels(1, title="Zero-order hold of u-1 at -0.5 rad, to (-1, 2e-05)")
+    words = "Zero-order hold of u-1 at \N{MINUS SIGN}0.5 rad, to (\N{MINUS SIGN}1, 2e-05)"
+    assert " ".join(figure.get_suptitle().split()) == words
 
 
 @pytest.mark.parametrize("name", ["größe", "x12", "T_in2", "theta_1", "u"])

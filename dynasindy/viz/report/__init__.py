@@ -28,6 +28,7 @@ TITLE = "The paper's figures and tables, beside ours"
 COLUMNS = [case_name(*case) for case in CASES]
 MEANINGS = {
     Verdict.HOLDS: "Our numbers show what the paper's figure or table shows.",
+    Verdict.SAME: "Ours are both as good as the thresholds ask for, and not better one than the other as in the paper.",
     Verdict.SHORT: "Our runs, as long as they are, do not show it.",
     Verdict.UNKNOWN: "No saved result says anything about it, or a number that it compares is not finite.",
 }
@@ -105,8 +106,11 @@ def _share(findings: Sequence[Finding]) -> str:
     unknown, count = verdicts.count(Verdict.UNKNOWN), verdicts.count(Verdict.HOLDS)
     if unknown == len(findings):
         return Verdict.UNKNOWN.value
-    words = "holds" if count == len(findings) else "in part" if count else "not reached"
-    return f"{words} ({count} of {len(findings)}{f', {unknown} not measured' if unknown else ''})"
+    part = count or Verdict.SAME in verdicts
+    words = "holds" if count == len(findings) else "in part" if part else "not reached"
+    others = ((verdicts.count(one), one.value) for one in (Verdict.SAME, Verdict.UNKNOWN))
+    rest = "".join(f", {number} {what}" for number, what in others if number)
+    return f"{words} ({count} of {len(findings)}{rest})"
 
 
 def _ran(results: Results, plant: str, experiment: str) -> str:

@@ -32,6 +32,7 @@ class Verdict(Enum):
     """How ours stands to a statement of the paper."""
 
     HOLDS = "holds"
+    SAME = "no difference"
     SHORT = "not reached"
     UNKNOWN = "not measured"
 
@@ -39,6 +40,7 @@ class Verdict(Enum):
 COLOURS = {
     Verdict.HOLDS.value: "good",
     Verdict.SHORT.value: "short",
+    Verdict.SAME.value: "part",
     "in part": "part",
 }
 """Class of a cell that begins with a verdict."""

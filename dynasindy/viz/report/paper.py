@@ -29,9 +29,13 @@ FALL = Threshold(
 CLOSE = Threshold(5.0, "% of the state's range", "A state is predicted well if its RMSE is less.")
 COEFFICIENT = Threshold(1.0, "%", "A coefficient is found if its error is less; no other function may be in the model.")
 EARLY = Threshold(0.25, "of the evaluations", "The first part, over which early rewards are averaged.")
-SOON = Threshold(180, "real episodes", "Within these both 800 and 400 rollouts are at the level, or 800 are sooner.")
+SOON = Threshold(
+    180,
+    "real episodes",
+    "Where 800 rollouts are at the level no sooner than 400, but both are within these, there is no difference.",
+)
 LEVEL = Threshold(Level().error, "rad", "The required steady-state error of policies with planning.")
-FINE = Threshold(0.01, "rad", "Where 400 and 800 rollouts have at most this, neither has to be the smaller.")
+FINE = Threshold(0.01, "rad", "Where 400 and 800 rollouts have at most this, and 800 not less, there is no difference.")
 FOLLOWS = Threshold(0.1, "of the amplitude", "A wave is followed if the RMSE, a level held if its last error, is less.")
 TRANSIENT = Threshold(10.0, "s", "Left out at the start of a sine.")
 SETTLED = Threshold(5.0, "s", "The end of each level of a square wave, at which its error is taken.")

@@ -226,7 +226,7 @@ def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[
 
 def _gradient_run(results: Results, plant: str, scenario: str) -> Made:
     run = results.run(plant, "gradient")
-    title = f"{scenario.capitalize()}, planning by gradient: plant {plant}"
+    title = f"{scenario.capitalize()}, policy of the main job: plant {plant}"
     _, figure = _draw_tracking({controller_name("gradient"): run}, scenario, title)
     seconds = run.record("metrics.json")["cost"]["plant_seconds"]
     caption = f"The {scenario} on `{plant}` after {seconds:.0f} s of plant time."

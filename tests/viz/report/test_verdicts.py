@@ -7,7 +7,7 @@ from dynasindy.viz.report import paper, verdicts
 from dynasindy.viz.report.document import Finding, Verdict
 from dynasindy.viz.report.results import MANY, NONE, SOME
 
-HOLDS, SHORT, UNKNOWN = Verdict.HOLDS, Verdict.SHORT, Verdict.UNKNOWN
+HOLDS, SAME, SHORT, UNKNOWN = Verdict.HOLDS, Verdict.SAME, Verdict.SHORT, Verdict.UNKNOWN
 KEYS = {"none": NONE, "some": SOME, "many": MANY}
 STATES = ("alpha_a", "alpha_p", "Omega_a", "Omega_p", "omega_a", "omega_p")
 
@@ -74,10 +74,10 @@ CASES = [
         SHORT,
     ),
     ("EARLY", lambda share: early(1.0 - share), 0.75, HOLDS, SHORT),
-    ("SOON", lambda episodes: rewards(to_level=levels(episodes, episodes))[2], 180, HOLDS, SHORT),
+    ("SOON", lambda episodes: rewards(to_level=levels(episodes, episodes))[2], 180, SAME, SHORT),
     ("LEVEL", lambda error: steps((0.9, error, error / 2))[0], 0.05, HOLDS, SHORT),
     ("LEVEL", lambda error: steps((0.9, 0.8, error))[1], 0.05, HOLDS, SHORT),
-    ("FINE", lambda error: steps((0.9, error / 2, error))[1], 0.01, HOLDS, SHORT),
+    ("FINE", lambda error: steps((0.9, error / 2, error))[1], 0.01, SAME, SHORT),
     ("FOLLOWS", sine, 0.1, HOLDS, SHORT),
     ("FOLLOWS", lambda part: square(lambda target, _: target * (1 + part))[0], 0.1, HOLDS, SHORT),
     ("TRANSIENT", lambda until: sine(3.0, until), 10.0, HOLDS, SHORT),
