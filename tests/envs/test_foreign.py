@@ -37,6 +37,25 @@ class Steps(gymnasium.Env):
 gymnasium.register(BY_HAND, Steps)
 
 
+class Short(Steps):
+    """The same, which cuts an episode short beyond 2 of x2, though nothing is lost there."""
+
+    def step(self, action):
+        x, reward, *_ = super().step(action)
+        return x, reward, False, bool(self.x[1] > 2), {}
+
+
+gymnasium.register("tests/Short-v0", Short)
+
+
+def test_an_environment_that_cuts_an_episode_short_is_heeded():
+    env = environment("tests/Short-v0", {"x1": 0.0}, dt=0.1)
+    stepped = env.rollout(200, lambda td: td.set("action", torch.ones(2)), auto_reset=True)
+    assert stepped.numel() == 3  # x2 is 1, 2, 3
+    last = stepped["next"][-1]
+    assert bool(last["truncated"]) and bool(last["done"]) and not bool(last["terminated"])
+
+
 def environment(name, target, max_steps=200, seed=0, **settings):
     settings, dt = {k: v for k, v in settings.items() if k != "dt"}, settings.get("dt")
     system = Foreign(name, **settings)
