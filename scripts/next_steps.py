@@ -65,7 +65,9 @@ def improvements(
     lines = [command_line("check", [f"run={folder}"], weak)] if checked else []
     if episodes is not None and not any(word.startswith("resume=") for word in words):
         if imagined is not None and imagined > WITHIN:  # where the model is not what fails
-            more = [*without(words, "planning.updates", "folder", "finish"), f"planning.updates={LONG_PLAN}"]
+            given = [word.removeprefix("planning.updates=") for word in words if word.startswith("planning.updates=")]
+            updates = max([LONG_PLAN, *(2 * int(number) for number in given if number.isdecimal())])
+            more = [*without(words, "planning.updates", "folder", "finish"), f"planning.updates={updates}"]
             missed = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
             lines.append(command_line("train", more, missed))
         else:

@@ -277,9 +277,10 @@ class GradientPlanning(Planner):
         best, done, made = self._descend(episodes, best, updates, lr, held)
         imagined, learnt = begun.imagined, begun.updates
         for _ in range(0 if "updates" in self.given else ROUNDS):
-            if rests is None or pace.afar or self.inexact() <= EXACT:
+            if rests is None or pace.afar or (self.inexact() or 0.0) <= EXACT:
                 break
-            if not held:  # the law of the model, where that is better than what the gradient has found
+            # The law of the model, where that is better than what the gradient has found and nobody rules it out.
+            if not held and self.given.get("warm_start", True):
                 law = hold(self.network, self.env, rests, self.test, self.rng, search=False)
                 imagined, learnt, held, best = imagined + law.imagined, learnt + law.updates, True, self.test()
             before = best
@@ -291,7 +292,8 @@ class GradientPlanning(Planner):
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
         self._deploy()
-        self.imagined_error = None if rests is None else min(self.inexact(), FAR_OFF)
+        error = None if rests is None else self.inexact()
+        self.imagined_error = None if error is None else min(error, FAR_OFF)
         imagined += done * self.rollouts * pace.window + improved.imagined
         return Planned(imagined, learnt + made + improved.updates)
 
@@ -314,7 +316,7 @@ class GradientPlanning(Planner):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         self.phase, self.pace = state["phase"], PlanSettings(**state["pace"])
-        self.imagined_error = state["imagined_error"]
+        self.imagined_error = state.get("imagined_error")  # not in older states
         self.rng.set_state(state["generator"])
 
     def test(self, network: Network | None = None) -> float:
@@ -323,10 +325,10 @@ class GradientPlanning(Planner):
         whole = imagine(self.env, self.env.system, self._limited(network or self.network), rows, task.max_steps)
         return imagined_rewards(self.env, rows, whole).mean().item()
 
-    def inexact(self) -> float:
+    def inexact(self) -> float | None:
         """Return the mean error in the last quarter of held-out imagined episodes, of the worst output [target ranges].
 
-        Inputs are those of the model, and references that move are left out; 0 where all do.
+        Inputs are those of the model, and references that move are left out; None where all do.
         """
         env, task = self.env, self.env.task
         assert isinstance(task, Tracking)
@@ -335,7 +337,7 @@ class GradientPlanning(Planner):
         reference = task.reference(params, times.reshape(-1, 1, 1).expand(-1, len(params), 1))
         rests = (reference == reference[-1]).all(-1).all(0)
         if not bool(rests.any()):
-            return 0.0
+            return None
         whole = imagine(env, env.system, self._limited(self.network), rows, task.max_steps)
         error = (whole.states[-last - 1 :][..., task.outputs] - reference).abs() / task.boxes()
         error = error.where(whole.alive[-1, :, None], torch.inf)

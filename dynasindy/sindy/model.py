@@ -65,8 +65,9 @@ from dynasindy.systems.steps import ALIKE, UNTOLD
 from dynasindy.systems.transitions import Transitions
 
 FORMAT = "dynasindy sparse model 1"
-FEWEST_EACH = 2
-"""Samples for each function below which a library that a word names is cut to the size of the data."""
+FEWEST_EACH = 3
+"""Samples for each function below which a library that a word names is cut to the size of the data. Of fewer, the inner
+samples that `needed_at_edge` fits to would not be two for each."""
 POINTS = 64
 """Points within the ranges of states and inputs at which a model's fastest motion is looked for."""
 LONGEST = 1e9
@@ -264,8 +265,9 @@ class SindyModel(WorldModel):
         }
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *others: Any) -> None:
-        """Cut the library as it was cut when the state was kept, before coefficients are read."""
-        if places := state_dict.get(f"{prefix}_extra_state", {}).get("places"):
+        """Cut the library as it was when the state was kept, or not at all, before coefficients are read."""
+        state = state_dict.get(f"{prefix}_extra_state")
+        if state is not None and (places := state.get("places", [])) != self.places:  # not in older states
             self._keep(places)
         super()._load_from_state_dict(state_dict, prefix, *others)
 
@@ -283,10 +285,11 @@ class SindyModel(WorldModel):
             return super().kept()
         # A fit replaces these and changes nothing inside of them, but for the sums.
         library, coefficients, sums = self.library, self.coefficients.clone(), self.sums.copy()
-        delay, covariance, constraints = self.delay, self._covariance, self.constraints
+        delay, covariance, constraints, places = self.delay, self._covariance, self.constraints, self.places
 
         def _go_back() -> None:
-            self.library, self.sums, self.delay, self.constraints = library, sums.copy(), delay, constraints
+            self.library, self.sums, self.delay = library, sums.copy(), delay
+            self.constraints, self.places = constraints, places
             self.coefficients = coefficients.clone()
             self.covariance = covariance
 
@@ -365,7 +368,7 @@ class SindyModel(WorldModel):
         recording = DelayedRecording.of(data, guess, rates, delay)
         seen = recording.seen(delay)
         rows, cut = self._rows(seen), list[Finding]()
-        if self.named in GENERAL and not earlier and len(data) < FEWEST_EACH * len(self.library):
+        if self._cuts and not earlier and len(data) < FEWEST_EACH * len(self.library):
             rows, cut = self._cut(rows)
         self.sums.add(rows)
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
@@ -529,11 +532,14 @@ class SindyModel(WorldModel):
                 f"{self.signature.n_u}, as in the signature: check the columns"
             )
         library, data = (self.library, data) if self.step is None else _step_rows(self.library, data)
-        if len(data) + self.sums.count < len(self.library) and self.named not in GENERAL:
+        least, why = len(self.library), "one per function"
+        if self._cuts and not self.sums.count and (linear := SAMPLES_EACH * sum(shape)) < least:
+            least, why = linear, f"{SAMPLES_EACH} per state and input"
+        if len(data) + self.sums.count < least:
             kind = "samples" if self.step is None else "whole steps without gaps"
             raise ValueError(
-                f"fit got {len(data) + self.sums.count} {kind}; allowed are {len(self.library)} or more, one per "
-                "function: collect more data or choose a smaller library"
+                f"fit got {len(data) + self.sums.count} {kind}; allowed are {least} or more, {why}: collect more data "
+                "or choose a smaller library"
             )
         self.library = library
         return data
@@ -569,22 +575,34 @@ class SindyModel(WorldModel):
         chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)
         return [*found.findings, chosen], fields
 
+    @property
+    def _cuts(self) -> bool:
+        """Whether the library is one for any plant, of which no first guess says what is needed."""
+        return self.named in GENERAL and self.initial is None
+
     def _cut(self, rows: Rows) -> tuple[Rows, list[Finding]]:
         """Cut a library that a word names to the size of the data, and return its rows and what was done."""
-        constraints, whole = self.constraints, len(self.library)
-        sizes = [feature.complexity for feature in self.library.features]
-        places = screen(rows, constraints.free, constraints.offset, sizes, len(rows[0]) // SAMPLES_EACH)
-        self._keep(places)
-        found = note("fit.library_cut", library=self.named, kept=len(places), whole=whole, samples=len(rows[0]))
-        return (rows[0][:, places], rows[1]), [found]
+        known, whole = self.constraints, self.library
+        sizes = [feature.complexity for feature in whole.features]
+        kept = screen(rows, known.free, known.offset, sizes, max(1, len(rows[0]) // SAMPLES_EACH))
+        # The library may have been cut before, of more data; its step, and the numbers in its functions, stay.
+        places = [self.places[k] for k in kept] if self.places else kept
+        self._take(whole.subset(kept), Constraints(known.free[kept], known.offset[kept]), places)
+        found = note("fit.library_cut", library=self.named, kept=len(kept), whole=len(whole), samples=len(rows[0]))
+        return (rows[0][:, kept], rows[1]), [found]
 
     def _keep(self, places: list[int]) -> None:
-        """Keep functions of the whole library, and forget what was learnt."""
-        (library, constraints), self.places = self._uncut, places
-        self.library = library.subset(places)
-        self.constraints = Constraints(constraints.free[places], constraints.offset[places])
-        self.coefficients = self.constraints.offset.clone()
-        self.sums = RunningSums(len(places), self.signature.n_x)
+        """Keep functions of the whole library, all of them where no place is given, and forget what was learnt."""
+        library, known = self._uncut
+        if places:
+            library, known = library.subset(places), Constraints(known.free[places], known.offset[places])
+        self._take(library, known, places)
+
+    def _take(self, library: Library, constraints: Constraints, places: list[int]) -> None:
+        """Take a library, of which nothing is learnt yet."""
+        self.library, self.constraints, self.places = library, constraints, places
+        self.coefficients = constraints.offset.clone()
+        self.sums = RunningSums(len(library), self.signature.n_x)
 
     def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:
         """Return averaged functions and rates of change of what regressions read."""

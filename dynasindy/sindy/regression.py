@@ -197,8 +197,10 @@ def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexi
     away = (x - x.median(0).values).abs()
     away = (away / away.amax(0).clamp_min(1e-300)).amax(-1)
     outer = away > away.quantile(1 - EDGE)
+    if not bool(outer.any()):  # more than that lie at the very edge, as of a plant that rests at two places
+        return free
     theta = theta / theta.norm(dim=0).clamp_min(1e-300)
-    ranks, needed = torch.tensor(complexity), torch.zeros_like(free)
+    ranks, needed = torch.tensor(complexity), free.clone()  # all where nothing tells
     for i in free.any(0).nonzero().flatten().tolist():
         inside, beyond = ((theta[part], dx[part, i]) for part in (~outer, outer))
         best, tried = math.inf, -1

@@ -57,6 +57,14 @@ def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped)
     assert float(error) < 0.05
 
 
+def test_no_phase_goes_on_from_a_regulator_that_is_ruled_out(mapped):
+    env = mapped(0.9, 0.2)
+    actor = Actor(env.task.n_o, 1, hidden=(32, 32))
+    planner = GradientPlanning(env, actor, lr=1e-9, warm_start=False, rollouts=16, check_every=4, gain_range=0.0)
+    planner.plan()
+    assert planner.imagined_error > 0.05
+
+
 def test_the_actor_of_the_agent_itself_learns_and_td3_goes_on_from_it(setting, small):
     env, agent, replay = setting()
     before = weights(agent.policy)

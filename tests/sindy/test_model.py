@@ -1,6 +1,9 @@
 """The sparse model finds the published table, equals PySINDy, and survives a file."""
 
+import copy
 import json
+import types
+from typing import Any
 
 import numpy as np
 import pytest
@@ -296,6 +299,88 @@ def test_a_general_library_is_cut_to_the_size_of_the_data_and_a_state_remembers_
     assert torch.equal(other(x, u), model(x, u))
     wanted = x.numpy() @ a.T + u.numpy() @ b.T
     assert np.abs(model(x, u).numpy() - wanted).max() < 0.02 * np.abs(wanted).max()
+
+
+class Coupled(System):
+    """Four masses in a ring, whose springs are pulled by the products of neighbours; the first one is pushed."""
+
+    known = types.MappingProxyType({f"x{k}": f"v{k}" for k in range(4)})
+
+    def __init__(self) -> None:
+        names = tuple(f"{kind}{k}" for kind in "xv" for k in range(4))
+        super().__init__(Signature(names, ("m",) * 4 + ("m/s",) * 4, ("f",), (1.0,) * 8))
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        place, speed = x.split(4, -1)
+        pull = torch.roll(place, 1, -1) - 4 * place - 0.5 * speed - 1.5 * place * torch.roll(place, -1, -1)
+        return torch.cat([speed, pull + 6 * u * torch.eye(4, dtype=u.dtype)[0]], -1)
+
+    def log(self, n: int) -> Transitions:
+        """Return samples of a random excitation."""
+        u = torch.from_numpy(np.random.default_rng(0).uniform(-1, 1, n // 8 + 1).repeat(8)[:n, None])
+        states = [torch.zeros(1, 8).double()]
+        for k in range(n):
+            states.append(integrate(self, states[-1], u[k : k + 1], 0.1, 8)[0][:, -1])
+        return Transitions.from_trajectory(torch.cat(states), u, 0.1)
+
+    def model(self, **settings: Any) -> SindyModel:
+        """Return a model with the 55 functions of a general library."""
+        known = {} if settings.get("time") == "discrete" else self.known
+        regression = Regression("bic", tolerance=1e-4)
+        return SindyModel(self.signature, "polynomial", regression, Refinement("integral"), known, **settings)
+
+    def missed(self, model: SindyModel) -> float:
+        """Return the largest error of a rate of change, as a share of it."""
+        x = 0.5 * torch.randn(200, 8, generator=torch.Generator().manual_seed(3)).double()
+        wanted = self(x, 0 * x[:, :1])
+        return float(((model(x, 0 * x[:, :1]) - wanted).norm(dim=0) / wanted.norm(dim=0)).max())
+
+
+@pytest.mark.parametrize("samples", [90, 120, 140, 220])
+def test_products_are_found_by_few_samples_as_well_as_by_many(samples):
+    plant = Coupled()
+    model = plant.model()
+    model.fit(plant.log(samples))
+    assert plant.missed(model) < 1e-3
+
+
+def test_a_library_that_was_cut_is_cut_again_and_restored():
+    plant = Coupled()
+    model, other = plant.model(), plant.model()
+    whole, first, go_back = model.library.names, copy.deepcopy(model.state_dict()), model.kept()
+    model.fit(plant.log(120))
+    once = model.library.names
+    model.fit(plant.log(60))
+    assert len(model.library) <= 12 and set(model.library.names) < set(once) < set(whole)
+    assert model.library.names == tuple(whole[k] for k in model.places)
+    other.load_state_dict(model.state_dict())
+    assert torch.equal(other.coefficients, model.coefficients) and other.library.names == model.library.names
+    other.load_state_dict(first)
+    go_back()
+    for again in (other, model):
+        assert again.library.names == whole and again.state_dict()["_extra_state"]["places"] == []
+        again.fit(plant.log(120))
+        assert again.library.names == once and plant.missed(again) < 1e-3
+
+
+def test_a_difference_equation_keeps_its_step_when_its_library_is_cut(tmp_path):
+    plant = Coupled()
+    model = plant.model(time="discrete")
+    model.fit(plant.log(120))
+    assert len(model.library) <= 24
+    model.save(tmp_path / "model.json")
+    assert model.step == SindyModel.load(tmp_path / "model.json").step == 0.1
+
+
+def test_a_first_guess_keeps_a_library_whole_and_nothing_is_fitted_to_next_to_no_data():
+    plant = Coupled()
+    guess = {f"v{k}": {f"x{k}": -3.0, f"v{k}": -1.0} for k in range(4)}
+    model = plant.model(initial=guess)
+    model.fit(plant.log(90))
+    assert len(model.library) == 55
+    for few in (1, 8, 44):
+        with pytest.raises(ValueError, match="45 or more"):
+            plant.model().fit(plant.log(few))
 
 
 PAIR = Signature(("x", "v"), ("m", "m/s"), ("u",), (1.0, 1.0))

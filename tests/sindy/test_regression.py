@@ -13,6 +13,7 @@ from dynasindy.sindy.regression import (
     RunningSums,
     _eliminate,
     least_squares,
+    needed_at_edge,
     simpson_form,
 )
 from dynasindy.systems.transitions import Transitions
@@ -129,3 +130,10 @@ def test_simpson_s_rule_takes_its_middle_from_the_hermite_interpolant():
     middle = 1.5 + 0.8 / 8 * (10 - 20)
     assert theta.item() == pytest.approx(((1 + 3) + 4 * (middle**2 + 3) + (4 + 3)) / 6)
     assert dx.item() == pytest.approx(1 / 0.8)
+
+
+def test_no_function_goes_where_most_samples_lie_at_the_edge():
+    x = torch.tensor([-1.0, 1.0]).double().repeat(50).unsqueeze(-1)  # a plant that rests at two places
+    theta, free = torch.cat([torch.ones_like(x), x, 0 * x + 2], -1), torch.ones(3, 1, dtype=torch.bool)
+    rows = (theta, 3 * x)
+    assert bool(needed_at_edge(rows, x, free, torch.zeros(3, 1).double(), [0, 1, 2]).all())
