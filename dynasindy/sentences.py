@@ -489,6 +489,7 @@ def _controlled(
     grew: bool | None,
     ringing: Sequence[str] = (),
     lost: float | None = None,
+    rates: Sequence[str] = (),
     targets: Mapping[str, Sequence[float]] | None = None,
 ) -> str:
     """Say whether a plant is held, and how near."""
@@ -510,7 +511,7 @@ def _controlled(
         if shares:
             most = f"{'up to ' if len(set(shares.values())) > 1 else ''}{percent(max(shares.values()))}"
             parts.append(f"{_untracked([*shares], not swings, True)} in {most} of the runs")
-    parts += [_tracking_them([*away], targets)] if away and targets else []
+    parts += [_track_rates(rates, targets)] if away and targets else []
     parts += [_ringing(ringing)] if ringing else []
     parts += [
         f"{name} runs on in {percent(share)} of the runs, which nothing depends on" for name, share in idle.items()
@@ -533,14 +534,17 @@ def _untracked(states: Sequence[str], runs_away: bool, restless: bool) -> str:
     return f"{_few(states)}, which {'is' if one else 'are'} not tracked, {fates}"
 
 
-def _tracking_them(states: Sequence[str], targets: Mapping[str, Sequence[float]]) -> str:
-    """Say how to track states that do not come to rest, beside the outputs with their targets."""
-    low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in states)] for k in (0, 1))
-    names = [*targets, *states]
+def _track_rates(rates: Sequence[str], targets: Mapping[str, Sequence[float]]) -> str:
+    """Say how to track rates, which are zero at rest, beside the outputs with their targets."""
+    low, high = ([*(ends[k] for ends in targets.values()), *(0.0 for _ in rates)] for k in (0, 1))
+    names = [*targets, *rates]
     words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
     if not _words_of_commands:
         words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
-    return f"track {'it' if len(states) == 1 else 'them'} as well, at rest: {' '.join(words)}"
+    return (
+        f"it helps to track {' and '.join(rates)} as well, which {'is' if len(rates) == 1 else 'are'} 0 at rest: "
+        + (" ".join(words))
+    )
 
 
 def _ringing(states: Sequence[str]) -> str:
@@ -1088,8 +1092,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.runs_away": lambda models, of: (
         f"{'it runs' if of == 1 else 'all of them run'} away" if models == of else f"{models} of {of} models run away"
     ),
-    "forecast.untracked": lambda states, runs_away, targets=None: (
-        _untracked(states, runs_away, not runs_away) + (f"; {_tracking_them(states, targets)}" if targets else "")
+    "forecast.untracked": lambda states, runs_away, rates=(), targets=None: (
+        _untracked(states, runs_away, not runs_away) + (f"; {_track_rates(rates, targets)}" if targets else "")
     ),
     "forecast.ringing": _ringing,
     "forecast.idle": "{state} runs on, which nothing depends on",

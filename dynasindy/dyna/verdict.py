@@ -95,7 +95,8 @@ def judge_control(
     facts = {"outputs": outputs, "within": within, "away": away, "idle": dict(held["idle"]), "grew": usable}
     facts |= {"ringing": list(held.get("ringing", ())), "lost": LOST * within}
     # Where outputs are not held either, it is not for a state that nobody asked to come to rest.
-    facts |= {"targets": {} if missed else dict(held.get("targets", {}))}
+    track = {} if missed else {"rates": list(held.get("rates", ())), "targets": dict(held.get("targets", {}))}
+    facts |= track if all(track.values()) else {}
     return controlled, (wrong if controlled is False else note)("run.controlled", controlled=controlled, **facts)
 
 

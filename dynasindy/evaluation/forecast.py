@@ -106,8 +106,10 @@ class Forecast:
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
         for fate in (False, True):
             if states := sorted(name for name, away in fates if away == fate):
-                targets = {} if self._missed or not flown[0].targets else {"targets": flown[0].targets}
-                findings.append(wrong("forecast.untracked", states=states, runs_away=fate, **targets))
+                rates = sorted({name for flight in flown if {*states} & {*flight.away} for name in flight.rates})
+                helps = bool(rates and flown[0].targets and not self._missed)
+                track = {"rates": rates, "targets": flown[0].targets} if helps else {}
+                findings.append(wrong("forecast.untracked", states=states, runs_away=fate, **track))
         if ringing := sorted({name for flight in flown for name in flight.ringing} - {name for name, _ in fates}):
             findings.append(note("forecast.ringing", states=ringing))
         idle = sorted({name for flight in flown for name in flight.idle})

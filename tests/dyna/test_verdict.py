@@ -41,7 +41,7 @@ def test_an_output_within_what_is_asked_for_is_controlled():
     verdict = judge_run(metrics(-2.0, -1.0))
     outputs = {"x": {"share": 0.004, "worst": 0.02, "of_turn": False}}
     facts = {"outputs": outputs, "within": 0.01, "away": {}, "idle": {}, "grew": True, "ringing": []}
-    facts |= {"lost": 0.1, "targets": {}}
+    facts |= {"lost": 0.1}
     assert verdict.controlled and verdict.findings[1] == note("run.controlled", controlled=True, **facts)
 
 
@@ -73,12 +73,13 @@ def test_a_large_error_a_lost_reference_and_a_state_that_runs_away_are_no_contro
 
 @pytest.mark.parametrize(("share", "helps"), [(0.004, True), (0.4, False)])
 def test_what_does_not_come_to_rest_beside_outputs_that_are_held_is_to_be_tracked(monkeypatch, share, helps):
-    held = {"share": {"p": share}, "worst": {"p": share}, "away": {"q": 1.0}, "targets": {"p": [-1.0, 1.0]}}
+    held = {"share": {"p": share}, "worst": {"p": share}, "away": {"q": 1.0}, "rates": ["v"]}
+    held |= {"targets": {"p": [-1.0, 1.0]}}
     told = judge_run(metrics(-2.0, -1.0, **held)).findings[1]
-    assert told.values["targets"] == ({"p": [-1.0, 1.0]} if helps else {})
-    assert ("{'p': (-1.0, 1.0), 'q': (0.0, 0.0)}" in str(told)) is helps
+    assert told.values.get("targets") == ({"p": [-1.0, 1.0]} if helps else None)
+    assert ("{'p': (-1.0, 1.0), 'v': (0.0, 0.0)}" in str(told)) is helps
     monkeypatch.setattr("dynasindy.sentences._words_of_commands", True)
-    assert ("plant.outputs=[p,q] plant.low=[-1,0] plant.high=[1,0]" in str(told)) is helps
+    assert ("plant.outputs=[p,v] plant.low=[-1,0] plant.high=[1,0]" in str(told)) is helps
 
 
 def test_a_verdict_says_its_limits():

@@ -54,6 +54,19 @@ def test_a_state_that_swings_has_not_come_to_rest():
     assert not judge(states(theta=torch.where(TIME < 14.9, 3.0, 0.0))).away
 
 
+def test_the_rate_of_what_does_not_come_to_rest_is_found_in_its_motion():
+    def rates(x):
+        return judge_tracking(evaluation(x), torch.tensor([True, True, True])).rates
+
+    angle, rate = 0.3 * torch.sin(3 * TIME) + 0.1, 0.9 * torch.cos(3 * TIME)
+    assert rates(states(theta=angle, way=10 * rate)) == []  # ten times as fast
+    assert rates(states(theta=angle, way=rate)) == ["way"]
+    assert rates(states(theta=rate, way=angle)) == ["theta"]
+    assert rates(states(p=angle, theta=2.0 * TIME)) == []
+    assert rates(states(theta=30.0 * TIME, way=30.0)) == ["way"]  # runs away at an even rate
+    assert rates(states(theta=0.1, way=0.0)) == []
+
+
 def ringing(damping, half=math.inf, amplitude=0.2, period=6.0):
     """Return runs in which theta swings about its rest, and what makes the same runs in another length [s].
 
@@ -132,6 +145,7 @@ def test_where_nothing_is_tracked_motion_is_no_fault_and_running_away_is():
         "ringing": {},
         "turned": [],
         "targets": {},
+        "rates": [],
     }
 
 
