@@ -67,7 +67,7 @@ from dynasindy.systems.transitions import Transitions
 FORMAT = "dynasindy sparse model 1"
 FEWEST_EACH = 3
 """Samples for each function below which a library that a word names is cut to the size of the data. Of fewer, the inner
-samples that `needed_at_edge` fits to would not be two for each."""
+samples that `needed_at_edge` fits to would not be two for each. Where states were not all measured it is one."""
 POINTS = 64
 """Points within the ranges of states and inputs at which a model's fastest motion is looked for."""
 LONGEST = 1e9
@@ -368,7 +368,9 @@ class SindyModel(WorldModel):
         recording = DelayedRecording.of(data, guess, rates, delay)
         seen = recording.seen(delay)
         rows, cut = self._rows(seen), list[Finding]()
-        if self._cuts and not earlier and len(data) < FEWEST_EACH * len(self.library):
+        # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
+        fewest = 1 if seen.half else FEWEST_EACH
+        if self._cuts and not earlier and len(data) < fewest * len(self.library):
             rows, cut = self._cut(rows)
         self.sums.add(rows)
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))

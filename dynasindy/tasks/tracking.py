@@ -296,8 +296,9 @@ class Tracking(Task):
         return torch.cat(parts, -1)
 
     def observation_slope(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
-        """Return the derivative of the observations by the states, which is the same everywhere: a view."""
-        if type(self).observation is not Tracking.observation:
+        """Return the derivative of the observations by the states; of this class it is the same everywhere, a view."""
+        kind = type(self)
+        if kind.observation is not Tracking.observation or kind.error is not Tracking.error:
             return super().observation_slope(x, params, t)
         place = (slice(0, 1),) * (x.dim() - 1)
         slope = super().observation_slope(x[place], params[(slice(0, 1),) * (params.dim() - 2)], t[place])

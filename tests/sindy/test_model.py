@@ -344,6 +344,14 @@ def test_products_are_found_by_few_samples_as_well_as_by_many(samples):
     assert plant.missed(model) < 1e-3
 
 
+def test_a_library_stays_whole_where_rates_were_not_measured():
+    plant = Coupled()
+    model, log = plant.model(), plant.log(100)
+    log.x[:, 4:] = log.x_next[:, 4:] = torch.nan
+    model.fit(log)
+    assert len(model.library) == 55 and plant.missed(model) < 1e-3
+
+
 def test_a_library_that_was_cut_is_cut_again_and_restored():
     plant = Coupled()
     model, other = plant.model(), plant.model()

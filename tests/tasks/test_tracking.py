@@ -244,7 +244,14 @@ class Folded(Tracking):
         return torch.cat([super().observation(x, params, t), x[..., :1].square()], -1)
 
 
-@pytest.mark.parametrize("kind", [Tracking, Folded])
+class Chord(Tracking):
+    """Sees errors as chords of a circle."""
+
+    def error(self, x, params, t):
+        return 2 * torch.sin(super().error(x, params, t) / 2)
+
+
+@pytest.mark.parametrize("kind", [Tracking, Folded, Chord])
 def test_the_slope_of_observations_is_that_of_differences(kind):
     plant = Tras()
     task = kind(plant.signature, RandomStep([-0.3, -0.3], [0.3, 0.3]))
