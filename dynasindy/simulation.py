@@ -211,7 +211,13 @@ def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
             )
         if absent := [name for name in outputs if name not in targets]:
             raise ValueError(f"targets lacks {absent[0]}; give where each of {', '.join(outputs)} is to be")
-        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(targets[name], float)) for name in outputs))
+        lists = [np.atleast_1d(np.asarray(targets[name], float)) for name in outputs]
+        if len(counts := {len(each) for each in lists} - {1}) > 1:
+            raise ValueError(
+                f"targets has lists of {' and '.join(map(str, sorted(counts)))} values; give as many for each of "
+                f"{', '.join(outputs)}, or one for all runs"
+            )
+        columns = np.broadcast_arrays(*lists)
         rows = np.stack(columns, -1)
     else:
         rows = np.atleast_2d(np.asarray(targets, float))

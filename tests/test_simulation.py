@@ -71,7 +71,16 @@ def test_targets_by_name_or_in_order_and_a_start(controller):
     assert np.ptp(found, 0).max() == 0
 
 
-@pytest.mark.parametrize("targets", [{"alpha_a": 0.1}, {"alpha_a": 0, "alpha": 1}, [0.1], [[0.1, np.nan]]])
+@pytest.mark.parametrize(
+    "targets",
+    [
+        {"alpha_a": 0.1},
+        {"alpha_a": 0, "alpha": 1},
+        [0.1],
+        [[0.1, np.nan]],
+        {"alpha_a": [0.1, 0.2], "alpha_p": [0.1, 0.2, 0.3]},
+    ],
+)
 def test_targets_that_are_none_are_refused(controller, targets):
     with pytest.raises(ValueError, match="alpha_p"):
         dynasindy.simulate(controller, Tras(), targets)

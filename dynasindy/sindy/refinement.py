@@ -128,7 +128,8 @@ class Refinement:
             guess: the same, the states that were not measured guessed; needed where there are such states.
             late: delay of the inputs of the first estimate [s], at which the fit begins; a regression is to find it
                 where this is None.
-            general: whether the library is one for any plant, of which regressions without noise take what they need.
+            general: whether the library is one for any plant, of which the method `integral` takes what it needs where
+                all states were measured.
         """
         guess = data if guess is None else guess
         first, longest, rough = (library, coefficients), self.longest_delay, late or 0.0
