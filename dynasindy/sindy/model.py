@@ -88,7 +88,7 @@ class SindyModel(WorldModel):
     Args:
         signature: names, units and ranges of the plant.
         library: candidate functions: a library, its builder, a name of `libraries.NAMED`, or functions in words. One
-            that a name selects is cut to the size of the data by the first fit.
+            that a name selects is cut to the size of the data, by each fit anew.
         regression: settings of the sparse regression; the paper's by default.
         refinement: settings of the refinement on the prediction error; none by default.
         known: equations that are known, e.g. `{"alpha_a": "Omega_a"}`: the state's rate is that function, nothing else.
@@ -308,9 +308,11 @@ class SindyModel(WorldModel):
             ValueError: there are fewer samples than functions, or a sample is not finite; the model stays as it was.
             Diverged: a coefficient is not finite; the model stays as it was.
         """
-        library = self.library.with_step(None if self.step is None else UNTOLD)
         with self._whole():
-            return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library)
+            if again := self._cuts and 0 < len(self.places) == len(self.library):
+                self._keep([])  # other data may need other functions
+            library = self.library.with_step(None if self.step is None else UNTOLD)
+            return self._identify(transitions, RunningSums(len(library), self.signature.n_x), 0.0, library, again)
 
     def update(self, transitions: Transitions) -> FitReport:
         """Identify the model anew from all earlier data and new transitions, at the cost of the new ones.
@@ -353,8 +355,13 @@ class SindyModel(WorldModel):
             guess = settle_lag_states(reconstruct(data, rates), self.followers)
             self.sums.add(self._rows(DelayedRecording.of(data, guess, rates, self.delay).seen(self.delay)))
 
-    def _identify(self, transitions: Transitions, sums: RunningSums, delay: float, library: Library) -> FitReport:
-        """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later."""
+    def _identify(
+        self, transitions: Transitions, sums: RunningSums, delay: float, library: Library, cut_before: bool = False
+    ) -> FitReport:
+        """Fit to the sums of earlier data and to new transitions, whose inputs act `delay` seconds later.
+
+        A library that was cut before is cut again, however many data there are: the whole one may take too long.
+        """
         start, self.sums, earlier, self.library = time.perf_counter(), sums, sums.count, library
         data = self._checked(transitions)
         rates, first = rate_states(self.library, self.constraints), None
@@ -370,7 +377,8 @@ class SindyModel(WorldModel):
         rows, cut = self._rows(seen), list[Finding]()
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
         fewest = 1 if seen.half else FEWEST_EACH
-        if self._cuts and not earlier and len(data) < fewest * len(self.library):
+        few = len(data) < fewest * len(self.library) or (cut_before and not seen.half)
+        if self._cuts and not earlier and few:
             rows, cut = self._cut(rows)
         self.sums.add(rows)
         free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
@@ -587,6 +595,8 @@ class SindyModel(WorldModel):
         known, whole = self.constraints, self.library
         sizes = [feature.complexity for feature in whole.features]
         kept = screen(rows, known.free, known.offset, sizes, max(1, len(rows[0]) // SAMPLES_EACH))
+        if len(kept) == len(whole):
+            return rows, []
         # The library may have been cut before, of more data; its step, and the numbers in its functions, stay.
         places = [self.places[k] for k in kept] if self.places else kept
         self._take(whole.subset(kept), Constraints(known.free[kept], known.offset[kept]), places)
