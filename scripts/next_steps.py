@@ -15,8 +15,8 @@ OF_RUN = {
 """What a command shows or makes of a run."""
 SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
 """What tries every part of a training once."""
-LONG_PLAN = 1500
-"""Updates of a plan that is to be longer than the usual one."""
+LONG_PLAN = 3000
+"""Updates of a plan that is to be longer than all rounds of the usual one."""
 IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
 """Words of `train` that say how a log is identified; `identify` has them too."""
 
