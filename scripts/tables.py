@@ -150,7 +150,7 @@ NEEDS = {
 )
 def controllers() -> Rows:
     """Yield controllers of `tras` beside the policy, whose times are 1."""
-    ours = rows("baselines.csv", plant="tras", controller="planning by gradient", scenario="step")
+    ours = rows("baselines.csv", plant="tras", controller="planning by gradient", model="identified", scenario="step")
     for name in NEEDS:
         who, needs = NEEDS[name]
         if name.startswith("sb3"):

@@ -125,11 +125,11 @@ FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "warm_start", "g
 GIVEN_UP, SHORTER = 0.02, 0.1
 """Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
 that has to be held, and the factor on the learning rate then; an error of the whole range costs 4 a period."""
-FAR_OFF = 10.0
-"""Largest error that is told of imagined episodes [target ranges]."""
-EXACT, GAIN, ROUNDS = 0.005, 0.05, 6
-"""Error at the end of imagined episodes up to which a policy is good enough [target ranges], half of what verdicts ask
-for; share of its score that a further round of updates must gain for another one to follow, and how many there are at
+ACCEPTABLE_ERROR, LARGEST_ERROR = 0.005, 10.0
+"""Error at the end of imagined episodes up to which a policy is good enough, half of what verdicts ask for, and the
+largest one that is told [target ranges]."""
+GAIN, ROUNDS = 0.05, 6
+"""Share of its score that a further round of updates must gain for another one to follow, and how many there are at
 most."""
 FENCE = 40.0
 """Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
@@ -277,7 +277,7 @@ class GradientPlanning(Planner):
         best, done, made = self._descend(episodes, best, updates, lr, held)
         imagined, learnt = begun.imagined, begun.updates
         for _ in range(0 if "updates" in self.given else ROUNDS):
-            if rests is None or pace.afar or (self.inexact() or 0.0) <= EXACT:
+            if rests is None or pace.afar or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
@@ -292,8 +292,7 @@ class GradientPlanning(Planner):
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
         self._deploy()
-        error = None if rests is None else self.inexact()
-        self.imagined_error = None if error is None else min(error, FAR_OFF)
+        self.imagined_error = None if rests is None else self.steady_state_error()
         imagined += done * self.rollouts * pace.window + improved.imagined
         return Planned(imagined, learnt + made + improved.updates)
 
@@ -325,10 +324,10 @@ class GradientPlanning(Planner):
         whole = imagine(self.env, self.env.system, self._limited(network or self.network), rows, task.max_steps)
         return imagined_rewards(self.env, rows, whole).mean().item()
 
-    def inexact(self) -> float | None:
+    def steady_state_error(self) -> float | None:
         """Return the mean error in the last quarter of held-out imagined episodes, of the worst output [target ranges].
 
-        Inputs are those of the model, and references that move are left out; None where all do.
+        Inputs act as in the model, and references that move are left out; None where all do.
         """
         env, task = self.env, self.env.task
         assert isinstance(task, Tracking)
@@ -341,7 +340,7 @@ class GradientPlanning(Planner):
         whole = imagine(env, env.system, self._limited(self.network), rows, task.max_steps)
         error = (whole.states[-last - 1 :][..., task.outputs] - reference).abs() / task.boxes()
         error = error.where(whole.alive[-1, :, None], torch.inf)
-        return float(error[:, rests].mean((0, 1)).amax())
+        return min(float(error[:, rests].mean((0, 1)).amax()), LARGEST_ERROR)
 
     def _limited(self, network: Network) -> Network:
         """Return a policy whose inputs keep the task's limits."""

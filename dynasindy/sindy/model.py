@@ -101,8 +101,9 @@ class SindyModel(WorldModel):
             sampling time of the data.
 
     `covariance` tells after a fit how well the coefficients are known; None where nothing does. `findings` holds what
-    `dynasindy.identify` found, and `linear_inputs` the names of the inputs that moved in straight lines between the
-    samples of the log, where others are held.
+    `dynasindy.identify` found, `linear_inputs` the names of the inputs that moved in straight lines between the samples
+    of the log, where others are held, and `places` which functions are left of a library that was cut to the size of
+    the data; it is empty where the library is whole.
 
     Raises:
         ValueError: a name of a state, an input or a function does not exist, or `time` is another word.

@@ -54,6 +54,12 @@ def _least_missed(
     return int(growth.argmin()), float(growth.min())
 
 
+def _without(triangle: Tensor, active: Tensor, j: int) -> tuple[Tensor, Tensor]:
+    """Return R of [columns, target] and the places of its columns, `(n,)`, without the j-th column."""
+    keep = [k for k in range(len(active)) if k != j]
+    return torch.linalg.qr(triangle[:, [*keep, len(active)]], mode="r")[1], active[keep]
+
+
 def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: float = DEPENDENT) -> tuple[Tensor, Tensor]:
     """Drop parameters, least missed first, while each costs less than `limit` of squared weighted error.
 
@@ -77,9 +83,7 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: floa
         j, growth = _least_missed(triangle, n, removable[active], dependent)
         if j < 0 or growth >= limit:
             break
-        keep = [k for k in range(n) if k != j]
-        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
-        active = active[keep]
+        triangle, active = _without(triangle, active, j)
     n = len(active)
     values = torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
     return active, values
@@ -176,12 +180,12 @@ NEGLIGIBLE = 1e-8
 
 
 def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexity: Sequence[float]) -> Tensor:
-    """Choose functions by samples at the edge of what was seen, from which their coefficients are kept.
+    """Choose functions by samples at the edge of what was seen, which their coefficients are not fitted to.
 
     Functions that look alike over what was seen, as an angle and its sine, differ beyond it, where a policy goes. So
     coefficients are fitted to the inner samples, functions are dropped one by one, least missed first, and the set
-    that predicts the outer samples best stays, of sets of few terms sooner than of many. It begins with the simple
-    functions alone, and with more complex ones beside them.
+    that predicts the outer samples best stays, a small one sooner than a large one. That is done with the simplest
+    functions alone, then with more and more complex ones beside them.
 
     Args:
         rows: functions `(N, n_features)` and rates of change `(N, n_x)`.
@@ -201,6 +205,7 @@ def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexi
         return free
     theta = theta / theta.norm(dim=0).clamp_min(1e-300)
     ranks, needed = torch.tensor(complexity), free.clone()  # all where nothing tells
+    weights = torch.where(ranks > 1, 2.0, 1.0)
     for i in free.any(0).nonzero().flatten().tolist():
         inside, beyond = ((theta[part], dx[part, i]) for part in (~outer, outer))
         best, tried = math.inf, -1
@@ -209,7 +214,7 @@ def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexi
             if len(mine) == tried or 2 * len(mine) > len(inside[0]):
                 continue
             tried = len(mine)
-            score, chosen = _least_at_edge(inside, beyond, mine, torch.where(ranks > 1, 2.0, 1.0))
+            score, chosen = _least_at_edge(inside, beyond, mine, weights)
             if score < best:
                 best = score
                 needed[:, i] = False
@@ -238,9 +243,7 @@ def _least_at_edge(
             if score < best:
                 best, chosen = score, active
         j, _ = _least_missed(triangle, n)
-        keep = [k for k in range(n) if k != j]
-        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
-        active = active[keep]
+        triangle, active = _without(triangle, active, j)
     return best, chosen
 
 
@@ -532,9 +535,7 @@ def _best_subset(
         if not n:
             return best
         j, _ = _least_missed(triangle, n, dependent=dependent)
-        keep = [k for k in range(n) if k != j]
-        triangle = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1]
-        active = active[keep]
+        triangle, active = _without(triangle, active, j)
 
 
 OVERLAP = 4

@@ -49,7 +49,7 @@ def test_a_phase_goes_on_from_a_regulator_where_its_updates_lead_nowhere(mapped)
     for updates in (8, None):
         planner = GradientPlanning(env, actor, lr=1e-9, updates=updates, **small)
         planner.plan()
-        ends.append(planner.inexact())
+        ends.append(planner.steady_state_error())
     with torch.no_grad():
         rollout = env.rollout(env.task.max_steps, actor.policy)
     error = (rollout["next", "state"][-1] - env.task.reference(rollout["task_params"][-1:], torch.ones(1, 1))).abs()
