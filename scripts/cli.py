@@ -16,7 +16,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, wraps
 from importlib import import_module
@@ -241,135 +241,65 @@ def plant_settings() -> frozenset[str]:
 
 
 def help_page(name: str, words: Sequence[str]) -> str:
-    """Return the help of a command, from the comments of `conf/NAME.yaml`; an option of a group shows in its values.
+    """Return the help of a command: what it does, and its files of conf/, whose comments say what each key means.
 
     Args:
         name: Command.
-        words: The other words of the command line. `group` asks for its options, `group=option` for the keys of one.
+        words: The other words of the command line. `group` asks for its options, `group=option` for the file of one.
     """
     groups = {place.name: group_options(place.name, words) for place in sorted(CONF.iterdir()) if place.is_dir()}
-    lines: list[str] = []
+    asked = []
     for group, _, option in (word.partition("=") for word in words):
-        for each, file in groups.get(group, {}).items():
-            if option in ("", each):
-                lines += [f"{group}={each}", *_wrapped(heading(file), "    "), ""]
-                lines += _setting_lines(_settings(file)) if option else []
-    if lines:
-        return "\n".join(lines).rstrip()
-    file = CONF / f"{name}.yaml"
-    chosen, settings = _defaults(file), _settings(file)
-    for group, option in list(chosen.items()):
-        other = groups.get(group, {}).get(option)
-        if other is not None and _is_global(other):
-            chosen |= _defaults(other)
-            changed = _settings(other)
-            settings |= {key: (changed[key][0], comment) for key, (_, comment) in settings.items() if key in changed}
-    lines = [*_wrapped(purpose(name)), "", *_wrapped(heading(file))]
-    if chosen := {group: option for group, option in chosen.items() if group in groups}:
-        lines += ["", f"What it is made of; `{program(name)} GROUP --help` says what the options are:"]
-        for group, option in chosen.items():
-            others = ", ".join(other for other in groups[group] if other != option)
-            text = f"{group}={option}".ljust(20) + f"  or {others}"
-            lines += textwrap.wrap(text, _width(), initial_indent="  ", subsequent_indent=" " * 27)
-    lines += ["", "Settings:", *_setting_lines(settings), ""]
-    if chosen:
-        lines.append("Settings of an option:       {} {}={} --help".format(program(name), *next(iter(chosen.items()))))
+        files = {each: file for each, file in groups.get(group, {}).items() if option in ("", each)}
+        shown = _settings if option else heading
+        asked += [f"{group}={each}\n{textwrap.indent(shown(file), '    ')}" for each, file in files.items()]
+    if asked:
+        return "\n\n".join(asked)
+    chosen = _defaults(CONF / f"{name}.yaml")
+    changing = [groups[group][chosen[group]] for group in ("experiment", "setting") if group in chosen]
+    for file in changing:
+        chosen |= _defaults(file)
+    used = {group: option for group, option in chosen.items() if group in groups}
+    lines = [*textwrap.wrap(purpose(name), _width())]
+    lines += ["", f"What it is made of; `{program(name)} GROUP --help` says what the options are:"] if used else []
+    for group, option in used.items():
+        others = ", ".join(other for other in groups[group] if other != option)
+        text = f"{group}={option}".ljust(20) + f"  or {others}"
+        lines += textwrap.wrap(text, _width(), initial_indent="  ", subsequent_indent=" " * 27)
+    bases = [base for base in (CONF / f"{each}.yaml" for each in chosen) if base.is_file()]
+    for file in (*bases, CONF / f"{name}.yaml", *changing):
+        lines += ["", f"Settings, from {file.relative_to(CONF.parent)}:", "", _settings(file)]
+    lines += [""] + [f"Settings of an option:       {program(name)} {g}={o} --help" for g, o in [*used.items()][:1]]
     lines.append(f"The whole config:            {program(name)} --cfg job")
     if name in ("train", "ablation"):
         lines.append(f"A sweep:                     {program(name)} -m seed=0,1,2 [hydra/launcher=joblib]")
     return "\n".join([*lines, f"What Hydra itself can do:    {program(name)} --hydra-help"])
 
 
-def _is_global(file: Path) -> bool:
-    return file.parent == CONF or file.read_text().startswith("# @package _global_")
-
-
 def _defaults(file: Path) -> dict[str, str]:
-    """Return which option of each group a file chooses; those of the files that it begins with first."""
+    """Return which option of each group a file chooses, "" for a file that it begins with, whose own come first."""
     import yaml
 
     chosen: dict[str, str] = {}
     for entry in (yaml.safe_load(file.read_text()) or {}).get("defaults", ()):
         if isinstance(entry, dict):
             chosen |= {key.removeprefix("override ").lstrip("/"): str(option) for key, option in entry.items()}
-        elif entry != "_self_" and "@" not in entry and (file.parent / f"{entry}.yaml").is_file():
-            chosen |= _defaults(file.parent / f"{entry}.yaml")
+        elif (base := file.parent / f"{entry}.yaml").is_file():
+            chosen |= {**_defaults(base), entry: ""}
     return {group: option.replace("None", "null") for group, option in chosen.items()}
 
 
-def _settings(file: Path) -> dict[str, tuple[str, str]]:
-    """Return the keys of a file, each as a command line has it, with its value and the sentences above it.
-
-    What is said above several keys is said of the first, and so is what is said above a group.
-    """
-    import yaml
-
-    found: dict[str, tuple[str, str]] = {}
-    for entry in (yaml.safe_load(file.read_text()) or {}).get("defaults", ()):
-        if isinstance(entry, str) and (base := file.parent / f"{entry}.yaml").is_file():
-            found |= _settings(base)
-    prefix, above, parts = "" if _is_global(file) else f"{file.parent.name}.", "", "-"
-    for name, value, comment in entries(file):
-        if re.match(r"(defaults|hydra)\b|(.*\.)?_", name) or name.startswith(parts):
-            continue
-        said = f"{above} {comment}".strip()
-        above = said if value is None else ""
-        parts = f"{name}." if value == "" else "-"  # of a list, which a command line gives as a whole
-        if value is not None:
-            written = value.replace("${hydra:runtime.output_dir}", "runs/DATE_TIME")
-            shown = written if written and "\n" not in written else "[...]"
-            found[prefix + name] = (shown, said or found.get(prefix + name, ("", ""))[1])
-    return found
-
-
-def entries(file: Path) -> Iterator[tuple[str, str | None, str]]:
-    """Yield the keys of a file as a command line has them, each with its value as it is written and what is said above.
-
-    The value of a group, whose keys follow, is None, that of a list whose parts stand below it empty.
-    """
-    import yaml
-
-    text = file.read_text()
-    lines = text.splitlines()
-
-    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str | None, str]]:
-        if isinstance(node, yaml.SequenceNode):
-            for part in node.value:
-                yield from () if getattr(part, "flow_style", True) else walk(part, prefix)
-        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
-            below = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
-            written = "" if below else text[value.start_mark.index : value.end_mark.index].rstrip()
-            group = below and isinstance(value, yaml.MappingNode)
-            start = end = key.start_mark.line
-            while start and lines[start - 1].lstrip().startswith("#"):
-                start -= 1
-            # A comment that begins at the top of the file is the file's own.
-            yield f"{prefix}{key.value}", None if group else written, _joined(lines[start:end]) if start else ""
-            if below:
-                yield from walk(value, f"{prefix}{key.value}.")
-
-    yield from walk(yaml.compose(text, Loader=yaml.SafeLoader), "")
+def _settings(file: Path) -> str:
+    """Return the text of a file of conf/, without what it says to Hydra."""
+    text = re.sub(r"^(# @package.*|(defaults|hydra):\n(( .*)?\n)*)", "\n", file.read_text(), flags=re.M)
+    return text.strip().replace("${hydra:runtime.output_dir}", "runs/DATE_TIME")
 
 
 def heading(file: Path) -> str:
     """Return the sentences at the top of a file."""
     lines = file.read_text().splitlines()
     end = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    return _joined(line for line in lines[:end] if not line.startswith("# @package"))
-
-
-def _setting_lines(settings: dict[str, tuple[str, str]]) -> list[str]:
-    """Return each setting, and what is said of it below."""
-    pairs = settings.items()
-    return [line for key, (value, said) in pairs for line in (f"  {key}={value}", *_wrapped(said, "      "))]
-
-
-def _joined(comment: Iterable[str]) -> str:
-    return " ".join(" ".join(line.strip().lstrip("#") for line in comment).split())
-
-
-def _wrapped(text: str, indent: str = "") -> list[str]:
-    return textwrap.wrap(text, _width(), initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
+    return " ".join(line.strip("# ") for line in lines[:end] if not line.startswith("# @package"))
 
 
 def _width() -> int:

@@ -21,7 +21,7 @@ import yaml
 
 REPOSITORY = Path(__file__).parents[2]
 sys.path += [str(REPOSITORY), str(REPOSITORY / "scripts")]  # MkDocs takes them back when this file is read
-from cli import entries, heading  # noqa: E402
+from cli import heading  # noqa: E402
 from settings import CHECKING, EXPORTING, LARGEST, TOP, parameters  # noqa: E402
 
 CONF = REPOSITORY / "conf"
@@ -93,6 +93,37 @@ def keys(file: Path) -> Iterator[Key]:
             shared = not said and latest.name.rpartition(".")[0] == group and bool(latest.comment)
             latest = Key(name, value or "", latest.comment if shared else said, shared, built.get(group, ""))
             yield latest
+
+
+def entries(file: Path) -> Iterator[tuple[str, str | None, str]]:
+    """Yield the keys of a file as a command line has them, each with its value as it is written and what is said above.
+
+    The value of a group, whose keys follow, is None, that of a list whose parts stand below it empty.
+    """
+    text = file.read_text()
+    lines = text.splitlines()
+
+    def walk(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, str | None, str]]:
+        if isinstance(node, yaml.SequenceNode):
+            for part in node.value:
+                yield from () if getattr(part, "flow_style", True) else walk(part, prefix)
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            below = isinstance(value, yaml.CollectionNode) and bool(value.value) and not value.flow_style
+            written = "" if below else text[value.start_mark.index : value.end_mark.index].rstrip()
+            group = below and isinstance(value, yaml.MappingNode)
+            start = end = key.start_mark.line
+            while start and lines[start - 1].lstrip().startswith("#"):
+                start -= 1
+            # A comment that begins at the top of the file is the file's own.
+            yield (
+                f"{prefix}{key.value}",
+                None if group else written,
+                " ".join(line.strip("# ") for line in lines[start:end]) if start else "",
+            )
+            if below:
+                yield from walk(value, f"{prefix}{key.value}.")
+
+    yield from walk(yaml.compose(text, Loader=yaml.SafeLoader), "")
 
 
 def explained(file: Path) -> Iterator[Key]:
