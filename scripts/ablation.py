@@ -11,15 +11,15 @@ def main(cfg: Any) -> None:
     """Run one job, unless it is finished."""
     from job import run_job
 
-    from dynasindy.evaluation.ablation import errors_in_words
-
     folder = Path(cfg.folder)
     done = run_job(cfg, progress=False)
     if done.before:
         print(f"finished before: {folder}")
         return
-    seconds = done.metrics["cost"]["wall_seconds"]
-    print(f"finished: {folder}, steady-state error {errors_in_words(done.metrics)}, {seconds:.0f} s")
+    found, seconds = done.metrics["evaluation"], done.metrics["cost"]["wall_seconds"]
+    errors = ((name, found.get(f"steady_state_error/{name}"), unit) for name, unit in done.metrics["units"].items())
+    words = ", ".join(f"{name} {'not finite' if e is None else f'{e:.3g} {unit}'}" for name, e, unit in errors)
+    print(f"finished: {folder}, steady-state error {words or 'of no output'}, {seconds:.0f} s")
 
 
 if __name__ == "__main__":

@@ -104,7 +104,7 @@ class Gathering(Callback):
 
         root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
         try:
-            if not gather(root, results, level):
+            if gather(root, results, level).empty:
                 print(f"No run in {root} has finished, so there are no tables and figures.")
                 return
             draw_ablation(results, level.error, share=level.share)

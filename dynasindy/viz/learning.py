@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from itertools import groupby
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
 from numpy.typing import ArrayLike
 
-from dynasindy.evaluation.ablation import SHARE, Level, Row, read_ablation
+from dynasindy.evaluation.ablation import SHARE, Level, read_ablation, worst_errors
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
 from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import FAMILIES, controller_name, line_styles
@@ -119,14 +119,15 @@ def draw_ablation(
     """
     rows = read_ablation(results / "ablation_curves.csv")
     files = []
-    for (system, experiment), group in groupby(rows, key=lambda row: (row["system"], row["experiment"])):
-        lines, case = _without_common_words(list(group)), file_name(f"{system}_{experiment}", "plant and experiment")
+    for (system, experiment), group in rows.groupby(["system", "experiment"], sort=False):
+        case = file_name(f"{system}_{experiment}", "plant and experiment")
         title = f"plant {system}, experiment {experiment}"
-        returns = _curves(lines, lambda row: float(row["evaluated_return"] or 0.0))
-        shares = all(row.get(SHARE) is not None for row in lines)
-        errors = _curves(lines, _share if shares else _worst)
+        lines = group.assign(setting=_without_common_words(group["setting"]))
+        shares = SHARE in lines and bool(lines[SHARE].notna().all())
+        returns = _curves(lines, lines["evaluated_return"])
+        errors = _curves(lines, 100 * lines[SHARE] if shares else worst_errors(lines))
         judged = (100 * share, OF_RANGE) if shares else (level, "rad")
-        episodes = sorted({float(row["episode"] or 0.0) for row in lines})
+        episodes = sorted(lines["episode"].unique())
         chosen = [name for name in errors if _family(name) == "rollouts"] or list(errors)
         main = {controller_name(name): errors[name] for name in chosen}
         controls = {name: values for name, values in errors.items() if name not in chosen}
@@ -225,12 +226,11 @@ def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
     axis.set_xlabel(f"setting, after real episode {episode:g}")
 
 
-def _without_common_words(rows: list[Row]) -> list[Row]:
-    """Return the rows with settings that lack the words of the command line which all of them share."""
-    settings = [str(row["setting"]).split(",") for row in rows]
-    common = set.intersection(*(set(words[1:]) for words in settings))
-    names = [",".join(word for word in words if word not in common) for words in settings]
-    return [{**row, "setting": name} for row, name in zip(rows, names, strict=True)]
+def _without_common_words(settings: pd.Series[str]) -> list[str]:
+    """Return settings that lack the words of the command line which all of them share."""
+    words = [setting.split(",") for setting in settings]
+    common = set.intersection(*(set(each[1:]) for each in words))
+    return [",".join(word for word in each if word not in common) for each in words]
 
 
 def _families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
@@ -259,18 +259,10 @@ def _family(setting: str) -> str:
     return stem[1] if stem else "other models, and the gate"
 
 
-def _curves(rows: list[Row], value: Callable[[Row], float]) -> dict[str, Array]:
-    """Return `(n_seeds, n_episodes)` per setting, over the episodes that all its seeds have."""
+def _curves(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, Array]:
+    """Return `(n_seeds, n_episodes)` values per setting, over the episodes that all its seeds have."""
     curves = {}
-    for setting, group in groupby(rows, key=lambda row: str(row["setting"])):
-        seeds = [[value(row) for row in lines] for _, lines in groupby(group, key=lambda row: row["seed"])]
-        curves[setting] = np.array([seed[: min(map(len, seeds))] for seed in seeds])
+    for setting, group in rows.assign(value=values).groupby("setting", sort=False):
+        seeds = [of["value"].to_numpy() for _, of in group.groupby("seed", sort=False)]
+        curves[str(setting)] = np.array([seed[: min(map(len, seeds))] for seed in seeds])
     return curves
-
-
-def _worst(row: Row) -> float:
-    return max(float(v) for k, v in row.items() if k.startswith("evaluated_steady_state_error/") and v is not None)
-
-
-def _share(row: Row) -> float:
-    return 100 * float(row[SHARE] or 0.0)

@@ -1,6 +1,7 @@
 """Learning figures: the statistics they draw against hand-computed ones, and what stands beside what."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dynasindy.evaluation.ablation import write_ablation
@@ -50,7 +51,7 @@ def drawn(tmp_path, monkeypatch):
     def _draw(table, level=0.05, **more):
         found = {}
         monkeypatch.setattr("dynasindy.viz.learning.save_figures", lambda figures, *_: found.update(figures) or [])
-        write_ablation(tmp_path / "ablation_curves.csv", table)
+        write_ablation(tmp_path / "ablation_curves.csv", pd.DataFrame(table))
         draw_ablation(tmp_path, level, **more)
         return found
 
@@ -64,7 +65,7 @@ def lines(axis):
 @pytest.mark.parametrize("common", ["", "".join(f",scenario.reference.option_{k}=10" for k in range(20))])
 def test_a_pair_of_figures_for_every_plant_and_experiment(tmp_path, common):
     both = [rows({f"a{common}": 0.1, f"b{common}": 0.2}, system=system) for system in ("tras", "xi")]
-    write_ablation(tmp_path / "ablation_curves.csv", both[0] + both[1])
+    write_ablation(tmp_path / "ablation_curves.csv", pd.DataFrame(both[0] + both[1]))
     names = {file.name for file in draw_ablation(tmp_path, 0.05)}
     kinds = ("average_rewards", "steady_state_error")
     assert names == {f"{kind}_{system}_dyna.png" for kind in kinds for system in ("tras", "xi")}
