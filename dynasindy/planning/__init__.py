@@ -3,7 +3,7 @@
 from dynasindy.planning.gate import Gate, ModelError, ModelPrediction, replay_error
 from dynasindy.planning.gradient_planning import GradientPlanning
 from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning, Planned, Planner
-from dynasindy.planning.randomization import Randomization, RandomizedSystem
+from dynasindy.planning.randomization import Randomization
 
 __all__ = [
     "Gate",
@@ -16,6 +16,5 @@ __all__ = [
     "Planned",
     "Planner",
     "Randomization",
-    "RandomizedSystem",
     "replay_error",
 ]

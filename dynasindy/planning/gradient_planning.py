@@ -24,7 +24,7 @@ from dynasindy.planning.gate import Bound
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.randomization import GainMargin, ModelEnsemble, Randomization, RandomizedSystem
+from dynasindy.planning.randomization import GainMargin, ModelEnsemble, Randomization
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
@@ -55,9 +55,6 @@ class _Episodes:
         self.system: System = planner.env.system
         if planner.others:
             self.system = ModelEnsemble([self.system, *planner.others])
-        if planner.randomization.parameters:
-            self.system = RandomizedSystem(self.system, planner.randomization.parameters, planner.rollouts)
-            self.system.draw(torch.ones(planner.rollouts, dtype=torch.bool), planner.rng)
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
         self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
@@ -99,8 +96,6 @@ class _Episodes:
         if rows.late is not None and (delays := planner.randomization.delays(len(new), planner.rng)) is not None:
             rows.late = delays.where(new.unsqueeze(-1), rows.late)
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
-        if isinstance(self.system, RandomizedSystem):
-            self.system.draw(new, planner.rng)
 
     def _starts(self, x: Tensor, lost: Tensor) -> Tensor:
         """Draw where episodes begin: where the task does, at real states, or where the last one ended."""

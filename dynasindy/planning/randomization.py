@@ -1,4 +1,4 @@
-"""Domain randomization: imagined plants whose parameters, and whose inputs' delay and strength, are not the model's.
+"""Domain randomization: imagined plants whose inputs' delay and strength are not the model's.
 
 A policy that is planned on one model alone may use all that inputs can do, and hold the model by a hair's breadth: the
 plant, whose inputs are a few hundredths weaker, is lost then. A gain margin is what is asked of any controller:
@@ -24,7 +24,7 @@ from torch import Tensor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.sentences import setting
-from dynasindy.systems import Altered, Stops, System
+from dynasindy.systems import Stops, System
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.systems.machine import Machine
 from dynasindy.tasks import Tracking
@@ -123,22 +123,19 @@ class Randomization:
     """How far imagined plants stray from the model; by default inputs are late, and nothing else differs.
 
     Attributes:
-        parameters: Half range of a factor on each rate of change and on each input, e.g. 0.1 for +-10 %.
         input_delay: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two; true
             is 1.
 
     Raises:
-        ValueError: A number is out of range.
+        ValueError: The delay is out of range.
     """
 
-    parameters: float = 0.0
     input_delay: float | bool = 1.0
 
     def __post_init__(self) -> None:
-        if not (0 <= self.parameters < 1 and 0 <= self.input_delay <= 1):
+        if not 0 <= self.input_delay <= 1:
             raise ValueError(
-                f"a randomization needs 0 <= parameters < 1 and 0 <= input_delay <= 1, got {self}; mend "
-                f"{setting('planning.randomization')}"
+                f"a randomization needs 0 <= input_delay <= 1, got {self}; mend {setting('planning.randomization')}"
             )
 
     def delays(self, rows: int, rng: torch.Generator) -> Tensor | None:
@@ -209,45 +206,3 @@ class _EnsembleCode(Machine):
 def _shares(x: Tensor, u: Tensor, number: int) -> Iterator[tuple[Tensor, Tensor]]:
     """Split states and inputs, `(*batch, rows, n)`, into so many equal shares of the rows."""
     return zip(x.tensor_split(number, -2), u.tensor_split(number, -2))
-
-
-class RandomizedSystem(Altered):
-    """A system in as many versions as there are rows: dx = (1 + g) f(x, (1 + h) u).
-
-    States whose rate is another state (angles) keep their equation.
-
-    Args:
-        system: Nominal vector field.
-        half_range: Half range of g and h.
-        rows: Number of versions; states and inputs are `(*batch, rows, n)`.
-    """
-
-    def __init__(self, system: System, half_range: float, rows: int) -> None:
-        super().__init__(system)
-        self.half_range = half_range
-        n_x, n_u = system.signature.n_x, system.signature.n_u
-        self.gain, self.input_gain = torch.ones(rows, n_x), torch.ones(rows, n_u)
-        self.moved = self._moved()
-
-    def draw(self, new: Tensor, rng: torch.Generator) -> None:
-        """Draw new versions for the rows marked in `new`, bool `(rows,)`."""
-        for tensor, reach in (
-            (self.gain, self.half_range * self.moved),
-            (self.input_gain, torch.tensor(self.half_range)),
-        ):
-            fresh = 1.0 + reach * (2 * torch.rand(tensor.shape, generator=rng) - 1)
-            tensor[new] = fresh[new]
-
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""
-        dx: Tensor = self.system(x, u * self.input_gain)
-        return self.gain * dx
-
-    def _moved(self) -> Tensor:
-        """Return 1 for states with dynamics of their own and 0 for those whose rate is another state, `(n_x,)`."""
-        n_x, n_u = self.signature.n_x, self.signature.n_u
-        x = torch.randn(16, n_x, generator=torch.Generator().manual_seed(0)) * torch.tensor(self.signature.x_scale)
-        with torch.no_grad():
-            dx = self.system(x, torch.zeros(16, n_u))
-        copies = (dx.unsqueeze(-1) - x.unsqueeze(-2)).abs().amax(0).amin(-1) == 0
-        return 1.0 - copies.float()

@@ -24,7 +24,7 @@ from dynasindy.tasks import RandomStep, Step, Tracking
 REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=4, generations=2)
 GRADIENT = partial(
     GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, searches=0,
-    randomization=Randomization(parameters=0.1),
+    randomization=Randomization(input_delay=0.5),
 )  # fmt: skip
 PLANNERS = {
     "none": NoPlanning,
