@@ -15,7 +15,8 @@ from trust import packages
 
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import result
-from dynasindy.dyna.run import Evaluating, Provenance, Saving, run
+from dynasindy.dyna.recorder import Evaluating
+from dynasindy.dyna.run import run
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,6 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     folder = Path(cfg.folder)
     begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
     begun.resume, begun.finish = None, False
-    provenance = Provenance(OmegaConf.to_yaml(begun, resolve=True), command_and_commit(job))
     names = [field.name for field in fields(Recipe) if field.name not in ("seed", "device")]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed, device=cfg.get("device", "cpu"))
@@ -69,8 +69,9 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     before = result(folder, recipe.train.episodes) is not None
     own = packages(OmegaConf.to_container(cfg, resolve=True))
     plugins = (f"plugins=[{','.join(own)}]",) if own else ()
-    saving = Saving(**cfg.checkpoint, again=" ".join([program("train"), *map(shlex.quote, plugins)]))
-    metrics = run(recipe, evaluating, folder, provenance, saving, progress, cfg.finish)
+    again, config = shlex.join([*program("train").split(), *plugins]), OmegaConf.to_yaml(begun, resolve=True)
+    kept = cfg.checkpoint.every, again
+    metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, progress, cfg.finish)
     return Done(cfg, recipe, metrics, before, plugins)
 
 

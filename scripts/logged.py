@@ -180,8 +180,6 @@ def _planning_settings(cfg: DictConfig) -> dict[str, object]:
             f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
             "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
         )
-    if not (within := cfg.evaluation.get("within", WITHIN)) > 0:
-        raise ValueError(f"evaluation.within must be positive, got {within}; give a share of the target range")
     build = instantiate(cfg.planning, _convert_="all")
     if not isinstance(build, partial) or build.func is not GradientPlanning:
         raise ValueError("without a plant a policy is planned through the model's gradient; leave planning=gradient")

@@ -75,8 +75,12 @@ TOP: dict[str, Any] = {
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard", "any_commit"), bool),
     **{"refinement": str, "error_shape": str, "source": Literal["simulated", "logged"]},
     **{"longest_delay": Annotated[float, Field(ge=0)] | None, "horizons": Annotated[list[Positive], SOME] | None},
-    **{"evaluation.every": int, "evaluation.must_improve": bool, "evaluation.must_control": bool},
-    **{"evaluation.within": float, "checkpoint.every": int, "device": str},
+    **{
+        "evaluation.every": Annotated[int, Field(ge=1)],
+        "evaluation.must_improve": bool,
+        "evaluation.must_control": bool,
+    },
+    **{"evaluation.within": Positive, "checkpoint.every": Annotated[int, Field(ge=0)], "device": str},
     **{"data": DataSource, "level": Level},
     **{
         "dt": Annotated[float, Field(gt=0, le=1e5)],

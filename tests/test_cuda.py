@@ -12,7 +12,7 @@ from dynasindy.dyna import Stopped
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.run import Evaluating, Provenance, run
+from dynasindy.dyna.run import Evaluating, run
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -158,7 +158,7 @@ def go(folder, left=None, where="cuda"):
     Plug.left = left
     one = recipe("dyna", where, system=Plug)
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=3.0))
-    return run(one, evaluating, folder, Provenance("a: 1\n"), progress=False)
+    return run(one, evaluating, folder, "a: 1\n", {}, progress=False)
 
 
 @needs_gpu

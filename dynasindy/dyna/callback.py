@@ -10,7 +10,6 @@ from tensordict import TensorDict
 
 from dynasindy.dyna.refit import Refit
 from dynasindy.planning import ModelError, Planned
-from dynasindy.progress import report_progress
 
 
 @dataclass
@@ -149,32 +148,3 @@ class Callbacks(Callback):
         """Pass on that a place is reached."""
         for callback in self.callbacks:
             callback.reached(place)
-
-
-class RunProgress(Callback):
-    """Report episode, return, open-loop reward error of the model and real steps.
-
-    Args:
-        episodes: Episodes of the run.
-        place: Where a resumed run goes on.
-    """
-
-    def __init__(self, episodes: int, place: Place | None = None) -> None:
-        self.episodes, self.note = episodes, ""
-        self._report((place or Place()).episodes)
-
-    def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
-        """Report how long the plant was excited."""
-        self.note = f"real steps {cost.real_steps}"
-        self._report(0)
-
-    def episode(self, episode: Episode, cost: Cost) -> None:
-        """Report what came of an episode."""
-        total = episode.rollout["next", "reward"].sum().item()
-        self.note = (
-            f"return {total:.1f}, open-loop reward error {episode.error.reward_error:.3g}, real steps {cost.real_steps}"
-        )
-        self._report(episode.number)
-
-    def _report(self, done: int) -> None:
-        report_progress("run", done, self.episodes, "episodes", self.note, outer=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import copy
-import csv
 import math
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
 from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_tracking, representative_episode
 from dynasindy.findings import note, records
+from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.systems.equilibria import states_that_matter
@@ -54,11 +54,28 @@ GATE_COLUMNS = (
 IDENTIFICATION = "identification.txt"
 """Name of the file of what the fit of the excitation says of itself."""
 FIRST = "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept."
-"""Its head where other fits came after that one."""
+"""Its head."""
 WINDOWS = "held_out_first_episode"
 """Name of the table of the windows that were held out of the first episode."""
 WRITTEN_EVERY = 10.0
 """Time between two writings of the tables [s]; they are written whole, which takes a while after many episodes."""
+
+
+@dataclass(frozen=True)
+class Evaluating:
+    """When and where the policy is evaluated during a run.
+
+    Attributes:
+        scenario: Situation, without disturbances.
+        every: Episodes between two evaluations, 1 or more; the last one is always evaluated.
+        within: Mean absolute error at the end at which an output counts as controlled [target ranges].
+        tensorboard: Whether the scalars are written for TensorBoard, too.
+    """
+
+    scenario: Scenario
+    every: int = 1
+    within: float = WITHIN
+    tensorboard: bool = False
 
 
 class Recorder(Callback):
@@ -71,36 +88,22 @@ class Recorder(Callback):
     Args:
         folder: Run folder; made if missing.
         parts: What the run works on.
-        scenario: Situation in which the policy is evaluated.
-        every: Episodes between two evaluations; the last episode is evaluated in any case.
+        evaluating: When and where the policy is evaluated.
         episodes: Episodes of the run.
-        within: Error at the end that counts as controlled [target ranges].
-        tensorboard: Whether TensorBoard is to show the run while it goes on.
 
     Raises:
         ModuleNotFoundError: TensorBoard is asked for and not installed.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        parts: Components,
-        scenario: Scenario,
-        every: int,
-        episodes: int,
-        within: float = WITHIN,
-        tensorboard: bool = False,
-    ) -> None:
-        if tensorboard:
+    def __init__(self, folder: Path, parts: Components, evaluating: Evaluating, episodes: int) -> None:
+        if evaluating.tensorboard:
             import_module("tensorboard")  # TorchRL would complain without its name, and only when the run begins
-        self.tensorboard = tensorboard
-        self.folder, self.parts, self.plant, self.scenario = folder, parts, parts.plant, scenario
-        self.every, self.episodes, self.within = every, episodes, within
+        self.folder, self.parts, self.plant = folder, parts, parts.plant
+        self.evaluating, self.episodes = evaluating, episodes
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[list[float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
         self.written = -WRITTEN_EVERY
-        self.said = False  # above the report of the first fit, that others came after it
         self.cost, self.evaluation_steps = Cost(), 0
         self.excitation: list[dict[str, Any]] = []
         self.untrained: Summary = {}
@@ -119,10 +122,14 @@ class Recorder(Callback):
             seconds: Length of the runs [s]; that of the scenario if omitted.
         """
         parts = self.parts
-        evaluation = evaluate(self.plant, parts.agent.deployed, self.scenario, parts.sensing, phase, seconds)
+        evaluation = evaluate(self.plant, parts.agent.deployed, self.evaluating.scenario, parts.sensing, phase, seconds)
         moved = evaluation.trajectory["next"].get("moved", None)  # of rows that may end before the others
         self.evaluation_steps += evaluation.trajectory.numel() if moved is None else int(moved.sum())
         return evaluation
+
+    def progress(self, done: int, note: str = "") -> None:
+        """Report how many episodes are done."""
+        report_progress("run", done, self.episodes, "episodes", note, outer=True)
 
     def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
         """Write the excitation data, and what the fit says of itself and of them."""
@@ -130,11 +137,11 @@ class Recorder(Callback):
         if isinstance(report, FitReport):
             delay = getattr(self.parts.world_model, "delay", 0.0)
             text = f"found: {note('model.delay', seconds=delay)}\n" if delay else ""
-            write_text(self.folder / IDENTIFICATION, f"{report.to_text()}\n{text}")
-            self.said = False
+            write_text(self.folder / IDENTIFICATION, f"{FIRST}\n{report.to_text()}\n{text}")
         fine = None if self.parts.sensing is not None else coarse(self.plant, excited)
         found = [restarts(self.parts, excited), fine, left_out(excited)]
         self.excitation = records(each for each in found if each is not None)
+        self.progress(0, f"real steps {cost.real_steps}")
         self._write_rollout("excitation", excited)
         stops = self._left_out(excited)
         write_json(self.folder / "data" / "left_out.json", {"unit": "s", "at_a_stop": stops})
@@ -142,24 +149,25 @@ class Recorder(Callback):
     def episode(self, episode: Episode, cost: Cost) -> None:
         """Write a row, and the model's prediction of the first and of the last episode."""
         self.cost = cost
-        due = episode.number % self.every == 0 or episode.number == self.episodes
+        due = episode.number % self.evaluating.every == 0 or episode.number == self.episodes
         if due:
             self.latest = summarise(self.evaluate())
-        following = episode.rollout["next"]
+        following, error = episode.rollout["next"], episode.error
         row: dict[str, float | None] = {
             "episode": episode.number,
             "return": following["reward"].sum().item(),
             "one_step_reward_error": (following["predicted_reward"] - following["reward"]).abs().mean().item(),
-            "reward_error": episode.error.reward_error,
-            "state_error": episode.error.state_error,
+            "reward_error": error.reward_error,
+            "state_error": error.state_error,
             "model_trusted": float(episode.trusted),
             **self._spent(cost),
         }
         row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
-        self._log(row)
+        came = f"return {row['return']:.1f}, open-loop reward error {error.reward_error:.3g}"
+        self.progress(episode.number, f"{came}, real steps {cost.real_steps}")
+        self.rows.append(row)
+        self._log_scalars(row)
         self._log_decision(episode)
-        if episode.refit is not None:
-            self._say_which_fit()
         if due or time.perf_counter() - self.written > WRITTEN_EVERY:
             self.write_tables()
         if episode.number in (1, self.episodes):
@@ -207,7 +215,7 @@ class Recorder(Callback):
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
         decisions = [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions]
-        gate, verdict = distrusted(decisions, self.parts.gate.state_error), judge_run(metrics, self.within)
+        gate, verdict = distrusted(decisions, self.parts.gate.state_error), judge_run(metrics, self.evaluating.within)
         findings = [*beyond_targets(final), *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
@@ -271,29 +279,16 @@ class Recorder(Callback):
 
     def _open_logs(self) -> None:
         self.loggers: list[Logger] = [CSVLogger(exp_name="scalars", log_dir=str(self.folder))]
-        if self.tensorboard:
+        if self.evaluating.tensorboard:
             self.loggers.append(TensorboardLogger(exp_name="tensorboard", log_dir=str(self.folder)))
-
-    def _log(self, row: dict[str, float | None]) -> None:
-        self.rows.append(row)
-        self._log_scalars(row)
 
     def _log_scalars(self, row: dict[str, float | None]) -> None:
         for key, value in row.items():
             if value is not None and key != "episode":
                 for logger in self.loggers:
                     logger.log_scalar(key, value, step=int(row["episode"] or 0))
-        if self.tensorboard:
+        if self.evaluating.tensorboard:
             self.loggers[-1].experiment.flush()  # shown at once, and kept if the run is killed
-
-    def _say_which_fit(self) -> None:
-        """Say above the report of the first fit that others came after it; a run without them has one model only."""
-        path, head = self.folder / IDENTIFICATION, f"{FIRST}\n"
-        if self.said or not path.is_file():
-            return
-        self.said = True
-        if not (text := path.read_text()).startswith(head):  # it may have the line of a process that was killed
-            write_text(path, head + text)
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
@@ -375,12 +370,3 @@ def _with_gaps(values: Tensor, counts: Tensor) -> Tensor:
 def _headline(summary: Summary) -> Summary:
     """Return the figures of an evaluation that belong in the progress table."""
     return {k: v for k, v in summary.items() if k == "return" or k.startswith(("steady_state_error/", "rmse/"))}
-
-
-def refitted(folder: Path) -> bool:
-    """Tell whether the model of a run was fitted again after its excitation, by what `gate.csv` has of each refit."""
-    file = folder / "gate.csv"
-    if not file.is_file():
-        return False
-    with file.open(newline="") as rows:
-        return any(row.get("refit_kept") for row in csv.DictReader(rows))

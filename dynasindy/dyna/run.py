@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.callback import Callbacks, Place, RunProgress
+from dynasindy.dyna.callback import Callbacks, Place
 from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
-from dynasindy.dyna.recorder import IDENTIFICATION, Recorder, refitted
-from dynasindy.evaluation.scenarios import Scenario
+from dynasindy.dyna.recorder import IDENTIFICATION, Evaluating, Recorder
 from dynasindy.evaluation.summary import to_text
-from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
 from dynasindy.limits import is_memory_error, memory_wanted, raise_if_memory
 from dynasindy.progress import Progress, width
@@ -37,71 +34,14 @@ class _Stateful(Protocol):
         """Restore what `state_dict` returned."""
 
 
-@dataclass(frozen=True)
-class Evaluating:
-    """When and where the policy is evaluated during a run.
-
-    Attributes:
-        scenario: Situation, without disturbances.
-        every: Episodes between two evaluations; the last one is always evaluated.
-        within: Mean absolute error at the end at which an output counts as controlled [target ranges].
-        tensorboard: Whether the scalars are written for TensorBoard, too.
-
-    Raises:
-        ValueError: A number is not positive.
-    """
-
-    scenario: Scenario
-    every: int = 1
-    within: float = WITHIN
-    tensorboard: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.within > 0:
-            raise ValueError(f"evaluation.within must be positive, got {self.within}; give a share of the target range")
-        if self.every < 1:
-            raise ValueError(f"evaluation.every must be at least 1 episode, got {self.every}; give 1 or more")
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Where a run is from, written beside its results.
-
-    Attributes:
-        settings: The resolved configuration, as YAML.
-        origin: The command, and the commit of the code.
-    """
-
-    settings: str
-    origin: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Saving:
-    """How a run is kept so that it can go on after it was stopped.
-
-    Attributes:
-        every: Episodes between two checkpoints; 0 keeps none.
-        again: How the command is called that goes on with a run.
-
-    Raises:
-        ValueError: `every` is negative.
-    """
-
-    every: int = 1
-    again: str = "dynasindy train"
-
-    def __post_init__(self) -> None:
-        if self.every < 0:
-            raise ValueError(f"checkpoint.every must be 0 episodes (none) or more, got {self.every}; give 1 for all")
-
-
 def run(
     recipe: Recipe,
     evaluating: Evaluating,
     folder: Path,
-    provenance: Provenance,
-    saving: Saving | None = None,
+    config: str,
+    origin: Mapping[str, str],
+    checkpoint_every: int = 1,
+    again: str = "dynasindy train",
     progress: bool = True,
     finish: bool = False,
 ) -> dict[str, Any]:
@@ -111,8 +51,10 @@ def run(
         recipe: What to run; it is built, and so checked, before the folder is touched.
         evaluating: When and where to evaluate.
         folder: Run folder.
-        provenance: Where the run is from.
-        saving: How it is kept.
+        config: The resolved configuration, as YAML.
+        origin: The command, and the commit of the code.
+        checkpoint_every: Episodes between two checkpoints; 0 keeps none.
+        again: How the command is called that goes on with a run.
         progress: Show on standard error what is under way.
         finish: End the run with what it has learnt so far.
 
@@ -126,54 +68,39 @@ def run(
         OSError: The folder cannot be written.
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
-    recorder = Recorder(
-        folder,
-        parts,
-        evaluating.scenario,
-        evaluating.every,
-        recipe.train.episodes,
-        evaluating.within,
-        evaluating.tensorboard,
-    )
+    recorder = Recorder(folder, parts, evaluating, recipe.train.episodes)
     kept: dict[str, _Stateful] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         refuse_links(folder)
-        check_settings(folder, provenance.settings)
+        check_settings(folder, config)
         if (metrics := result(folder, recipe.train.episodes)) is not None:
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
-        saving = saving or Saving()
-        saver = Saver(
-            checkpoints, saving.every, lambda: {name: p.state_dict() for name, p in kept.items()}, saving.again
-        )
+        saver = Saver(checkpoints, checkpoint_every, lambda: {name: p.state_dict() for name, p in kept.items()}, again)
         with _left_in_order(saver, recorder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
             if state is None and finish:
                 raise ValueError(f"{folder} keeps no checkpoint, there is nothing to finish; leave out finish=true")
             if state is None:
                 checkpoints.remove()  # damaged ones, whose numbers would rank before the new
-                _begin(folder, provenance, recorder)
+                clear(folder)
+                write_text(folder / "config.yaml", config)
+                write_json(folder / "origin.json", dict(origin))
+                recorder.begin()
             else:
                 _restore(kept, state, checkpoints.folder)
-                _resume(folder, provenance)
+                _resume(folder, origin.get("commit"))
             with Progress() if progress else nullcontext():
                 if not finish:
-                    shown = RunProgress(recipe.train.episodes, place)
-                    train(parts, recipe.train, Callbacks([recorder, shown, saver]), place)
+                    recorder.progress(place.episodes)
+                    train(parts, recipe.train, Callbacks([recorder, saver]), place)
                 facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
                 metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
         (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()
     return metrics
-
-
-def _begin(folder: Path, provenance: Provenance, recorder: Recorder) -> None:
-    clear(folder)
-    write_text(folder / "config.yaml", provenance.settings)
-    write_json(folder / "origin.json", dict(provenance.origin))
-    recorder.begin()
 
 
 def _restore(kept: Mapping[str, _Stateful], state: Mapping[str, Any], folder: Path) -> None:
@@ -193,13 +120,13 @@ def _restore(kept: Mapping[str, _Stateful], state: Mapping[str, Any], folder: Pa
         ) from error
 
 
-def _resume(folder: Path, provenance: Provenance) -> None:
+def _resume(folder: Path, commit: str | None) -> None:
     """Remove what the run was ended early with, and note in `origin.json` if other code goes on than began it."""
     for name in ("error.txt", "metrics.json"):  # of a run that was ended early, which now goes on
         (folder / name).unlink(missing_ok=True)
     file = folder / "origin.json"
     begun = read_json(file) if file.is_file() else {}
-    if (commit := provenance.origin.get("commit")) != begun.get("commit"):
+    if commit != begun.get("commit"):
         write_json(file, {**begun, "resumed_at_commit": commit})
 
 
@@ -230,8 +157,7 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
     if metrics.get("delay"):
         lines[-1:] = [f"  {note('model.delay', seconds=metrics['delay'])}", ""]
     if (file := folder / IDENTIFICATION).is_file():
-        which = "What the excitation alone could tell, the first fit" if refitted(folder) else "What the fit could tell"
-        lines[-1:] = [f"{which}: {file}", ""]
+        lines[-1:] = [f"What the excitation alone could tell, the first fit: {file}", ""]
     findings = [Finding.from_record(record) for record in metrics.get("findings", ())]
     checked = [Finding.from_record(record) for record in (metrics.get("check") or {}).get("findings", ())]
     untrained = metrics["untrained"]["return"]

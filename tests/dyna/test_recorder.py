@@ -6,13 +6,14 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control import load
 from dynasindy.dyna.callback import Cost, Episode
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import LoopSettings, train
-from dynasindy.dyna.recorder import Recorder
+from dynasindy.dyna.recorder import Evaluating, Recorder
 from dynasindy.dyna.refit import Refit
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
@@ -45,7 +46,7 @@ def record(folder, tensorboard=False):
     )
     parts = recipe.build()
     scenario = Scenario("step", Step([[0.1, 0.1], [0.2, -0.1]]), episodes=2, seconds=6.0)
-    recorder = Recorder(folder, parts, scenario, every=2, episodes=3, tensorboard=tensorboard)
+    recorder = Recorder(folder, parts, Evaluating(scenario, 2, tensorboard=tensorboard), 3)
     recorder.heard = []
     with listening(recorder.heard.append):
         recorder.begin()
@@ -128,7 +129,7 @@ def test_steps_of_evaluation_are_counted_apart(tmp_path):
 
 def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     _, parts, recorder = recorded
-    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again = Recorder(tmp_path, parts, replace(recorder.evaluating, every=5), 3)
     again.begin()
     rollout = parts.env.rollout(4)
     rollout["next", "predicted_reward"] = rollout["next", "reward"] + 0.5
@@ -147,7 +148,7 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
 
 def test_the_windows_by_which_the_first_refit_was_judged_stand_in_a_table(recorded, tmp_path):
     _, parts, recorder = recorded
-    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again = Recorder(tmp_path, parts, replace(recorder.evaluating, every=5), 3)
     again.begin()
     rollout = parts.env.rollout(4)
     rollout["next", "predicted_reward"] = rollout["next", "reward"]
@@ -162,7 +163,7 @@ def test_the_windows_by_which_the_first_refit_was_judged_stand_in_a_table(record
 @pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
 def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded, tmp_path, number, name):
     _, parts, recorder = recorded
-    again = Recorder(tmp_path, parts, recorder.scenario, every=5, episodes=3)
+    again = Recorder(tmp_path, parts, replace(recorder.evaluating, every=5), 3)
     again.begin()
     rollout = parts.env.rollout(4)
     rollout["next", "predicted_reward"] = rollout["next", "reward"]
@@ -192,7 +193,7 @@ def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_
     sparse = SindyModel(parts.plant.system.signature, ["u_a"])
     for model, wanted in ((parts.world_model, False), (sparse, True)):
         folder = tmp_path / type(model).__name__
-        again = Recorder(folder, replace(parts, world_model=model), recorder.scenario, 5, 3)
+        again = Recorder(folder, replace(parts, world_model=model), recorder.evaluating, 3)
         again.untrained = recorder.untrained
         again.finish({})
         assert (folder / "controller.json").is_file() is wanted
@@ -207,7 +208,21 @@ def test_a_sparse_model_leaves_a_controller_that_acts_as_the_policy_and_another_
 def test_behind_sensors_the_state_of_the_observer_is_left_too(recorded, tmp_path):
     _, parts, recorder = recorded
     watched = SimpleNamespace(observer=SimpleNamespace(state_dict=lambda: {"nis": 1.25}))
-    again = Recorder(tmp_path, replace(parts, sensing=watched), recorder.scenario, 5, 3)
+    again = Recorder(tmp_path, replace(parts, sensing=watched), recorder.evaluating, 3)
     again.untrained, again.evaluate = recorder.untrained, recorder.evaluate  # which flies without sensors
     assert again.finish({})["observer"] == {"nis": 1.25}
     assert json.loads((tmp_path / "observer.json").read_text()) == {"nis": 1.25}
+
+
+def test_a_run_reports_its_episodes_with_return_and_model_error(recorded):
+    _, _, recorder = recorded
+    heard = []
+    rollout = TensorDict({"next": {"reward": torch.full((4, 1), -1.5), "predicted_reward": torch.zeros(4, 1)}}, [4])
+    recorder = Recorder(recorder.folder / "other", recorder.parts, replace(recorder.evaluating, every=9), 5)
+    with listening(heard.append):
+        recorder.begin()
+        recorder.progress(3)
+        recorder.episode(Episode(4, rollout, ModelError(0.0123, 0.0, torch.zeros(0)), True), Cost(600))
+    run = [event for event in heard if event.outer]
+    assert [event.count() for event in run] == ["3 of 5 episodes", "4 of 5 episodes"]
+    assert all(part in run[1].note for part in ("return -6.0", "error 0.0123", "steps 600"))

@@ -11,7 +11,8 @@ from dynasindy.agents import TD3, DynaReplay
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
-from dynasindy.dyna.run import Evaluating, Provenance, run, run_report
+from dynasindy.dyna.recorder import Evaluating
+from dynasindy.dyna.run import run, run_report
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
@@ -31,7 +32,7 @@ PLANNERS = {
     "replay": REPLAYED,
     "gradient": GRADIENT,
 }
-PROVENANCE = Provenance("a: 1\n", {"command": "train", "commit": "abc"})
+PROVENANCE = "a: 1\n", {"command": "train", "commit": "abc"}
 
 
 CALLS = 50 * 8 + 20 * 8 * 2 + 50 * 8 + 4
@@ -71,7 +72,7 @@ def recipe(planning, episodes=3):
 def go(folder, name, last=None, episodes=3, **options):
     Plug.calls, Plug.last = 0, last
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
-    return run(recipe(PLANNERS[name], episodes), evaluating, folder, PROVENANCE, progress=False, **options)
+    return run(recipe(PLANNERS[name], episodes), evaluating, folder, *PROVENANCE, progress=False, **options)
 
 
 def kept(folder):
@@ -138,7 +139,7 @@ def test_numbers_that_go_wrong_are_said_with_the_episode_and_lose_nothing(tmp_pa
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     loose = dataclasses.replace(recipe(NoPlanning), system=Loose())
     with pytest.raises(Diverged, match="episode"):
-        run(loose, evaluating, tmp_path, PROVENANCE, progress=False)
+        run(loose, evaluating, tmp_path, *PROVENANCE, progress=False)
     assert not (tmp_path / "policy.pt").exists()
     assert go(tmp_path, "none")["episodes"] == 3  # on the plant as it should be
 
@@ -150,16 +151,16 @@ def test_a_checkpoint_of_another_run_costs_one_line(tmp_path):
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     wider = dataclasses.replace(recipe(REPLAYED), agent=partial(TD3, hidden=(9, 8)))
     with pytest.raises(ValueError, match="checkpoints"):
-        run(wider, evaluating, tmp_path, PROVENANCE, progress=False)
+        run(wider, evaluating, tmp_path, *PROVENANCE, progress=False)
 
 
 def test_other_code_that_goes_on_with_a_run_is_noted(tmp_path):
     with pytest.raises(Stopped):
         go(tmp_path, "none", last=CALLS)
-    assert json.loads((tmp_path / "origin.json").read_text()) == dict(PROVENANCE.origin)
+    assert json.loads((tmp_path / "origin.json").read_text()) == PROVENANCE[1]
     evaluating = Evaluating(Scenario("step", Step([[0.1, 0.1]]), seconds=5.0), every=2)
     Plug.last = None
-    run(recipe(NoPlanning), evaluating, tmp_path, Provenance("a: 1\n", {"commit": "def"}), progress=False)
+    run(recipe(NoPlanning), evaluating, tmp_path, "a: 1\n", {"commit": "def"}, progress=False)
     assert json.loads((tmp_path / "origin.json").read_text())["resumed_at_commit"] == "def"
 
 
@@ -169,7 +170,7 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
     made = recipe(PLANNERS[name], 1)
     made = dataclasses.replace(made, task=partial(settle, reach=0.01, max_steps=20))
     evaluating = Evaluating(Scenario("task", episodes=2, seconds=None))
-    metrics = run(made, evaluating, tmp_path / "run", PROVENANCE, progress=False)
+    metrics = run(made, evaluating, tmp_path / "run", *PROVENANCE, progress=False)
     assert metrics["held"]["share"] == metrics["findings"][-1]["values"]["outputs"] == {}
     assert metrics["verdict"]["controlled"] is None  # nothing is said of control
     told = run_report(metrics, tmp_path / "run")
