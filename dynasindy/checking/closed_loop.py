@@ -23,18 +23,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
-from tensordict import TensorDict
 from torch import Tensor
 
 from dynasindy.control import Controller
-from dynasindy.control.controller import ControlSetup
-from dynasindy.control.integral import IntegralAction
+from dynasindy.control.controller import ControlLaw, ControlSetup, Memory
 from dynasindy.sensing.observer import Belief
-from dynasindy.sensing.offset import acting
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops, integrate, steps_needed
 from dynasindy.systems.steps import Rates, split_delay
-from dynasindy.tasks.references import N_PARAMS
 
 FINE = 1e-6
 """How far from each other a control period and one of steps half as long may end [ranges of a state]."""
@@ -155,13 +151,8 @@ class ClosedLoop:
         # Differences of a step in single precision would be rounding, and little else.
         policy = copy.deepcopy(controller.policy)
         policy = policy.double() if isinstance(policy, torch.nn.Module) else policy
-        self._integral = (
-            None if controller.integral is None else IntegralAction(policy, controller.setup, **controller.integral)
-        )
-        whole = policy if self._integral is None else self._integral
         self.observer = controller.observer
-        pushed = self.observer is not None and bool(self.observer.pushed)
-        self._act = acting(whole, controller.setup, pushed)
+        self.law = ControlLaw(policy, controller.setup, self.observer, controller.integral, torch.float64)
         self.parts = self._layout()
         self.size = max(part.stop for part in self.parts.values())
         self.scale = self._scale()
@@ -215,12 +206,13 @@ class ClosedLoop:
             z[..., part.start : part.start + self.signature.n_x] = x
         return z
 
-    def started(self, x: Tensor) -> Tensor:
-        """Return the vector at states in which the controller is switched on, `(*batch, n)`; inputs were zero."""
-        return self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
+    def started(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return vector and covariance at states in which the controller is switched on, after inputs of zero."""
+        z = self.at(x, torch.zeros(*x.shape[:-1], self.signature.n_u, dtype=torch.float64))
+        return z, torch.zeros(*x.shape[:-1], *self.law.shapes[2], dtype=torch.float64)
 
     def uncertain(self, z: Tensor) -> Tensor:
-        """Return a covariance to begin with, `(*batch, n_o, n_o)`; empty without an observer."""
+        """Return the covariance of an observer that has just begun, `(*batch, n_o, n_o)`; empty without one."""
         if self.observer is None:
             return torch.zeros(*z.shape[:-1], 0, 0, dtype=torch.float64)
         return self.observer.begin(self._measured(z)).covariance.clone()
@@ -241,43 +233,34 @@ class ClosedLoop:
 
     @torch.no_grad()
     def step(
-        self,
-        z: Tensor,
-        covariance: Tensor,
-        r: Tensor,
-        extra: Tensor | float = 0.0,
-        noise: Tensor | float = 0.0,
-        first: bool = False,
+        self, z: Tensor, covariance: Tensor, r: Tensor, extra: Tensor | float = 0.0, noise: Tensor | float = 0.0
     ) -> _Moved:
         """Measure, act, and let the plant move for one control period.
 
         Args:
             z: Vectors of the loop, `(*batch, n)`.
-            covariance: Of the observer, `(*batch, n_o, n_o)`.
+            covariance: Of the observer, `(*batch, n_o, n_o)`; zero where the controller is switched on now.
             r: References, `(*batch, n_r)` [of the outputs].
             extra: What the inputs of the plant get on top of the command, `(*batch, n_u)`.
             noise: What is added to the measured states, `(*batch, n_x)`.
-            first: Whether the controller is switched on now: the observer begins with what it measures.
         """
-        y = self._measured(z) + noise
-        after = z.clone()
-        estimate, covariance, held = self._estimated(z, after, covariance, y, first)
-        if self._integral is not None:
-            self._integral.integral = z[..., self.parts["integral"]]
-        u = self._act(self._shown(estimate, r, held))["action"]
-        if self._integral is not None and self._integral.integral is not None:
-            after[..., self.parts["integral"]] = self._integral.integral
-        if part := self.parts.get("inputs"):
-            after[..., part] = torch.cat([z[..., part], u], -1)[..., u.shape[-1] :]
-        if part := self.parts.get("late"):
-            after[..., part] = torch.cat([z[..., part], z[..., self.parts["x"]]], -1)[..., y.shape[-1] :]
+        x, y = z[..., self.parts["x"]], self._measured(z)
+        held = {
+            name: z[..., self.parts.get(name, slice(0, 0))].unflatten(-1, shape)
+            for name, shape in zip(Memory._fields, self.law.shapes, strict=True)
+            if name != "covariance"
+        }
+        # One covariance may serve many rows, as the differences of a linearisation.
+        shared = covariance if self.observer is None else covariance.expand(*z.shape[:-1], *covariance.shape[-2:])
+        u, memory = self.law.step(Memory(covariance=shared, **held), y + noise, r)
         waiting = torch.cat([z[..., self.parts.get("pending", slice(0, 0))], u + extra], -1)
-        if part := self.parts.get("pending"):
-            after[..., part] = waiting[..., u.shape[-1] :]
-        after[..., self.parts["x"]] = self.plant.period(
-            z[..., self.parts["x"]], waiting.unflatten(-1, (-1, u.shape[-1]))
-        )
-        return _Moved(after, covariance, u)
+        moved = {
+            "x": self.plant.period(x, waiting.unflatten(-1, (-1, u.shape[-1]))),
+            "late": torch.cat([z[..., self.parts.get("late", slice(0, 0))], x], -1)[..., x.shape[-1] :],
+            "pending": waiting[..., u.shape[-1] :],
+            **{name: getattr(memory, name).flatten(z.dim() - 1) for name in held},
+        }
+        return _Moved(torch.cat([moved[name] for name in self.parts], -1), memory.covariance, u)
 
     def _measured(self, z: Tensor) -> Tensor:
         """Return the measurement that arrives now, noise apart."""
@@ -288,44 +271,12 @@ class ClosedLoop:
         """Return the commands that the observer remembers, `(*batch, memory, n_u)`."""
         return z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
 
-    def _estimated(
-        self, z: Tensor, after: Tensor, covariance: Tensor, y: Tensor, first: bool
-    ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Return the state that the policy is shown, covariance and shift, and note what the observer holds."""
-        if (observer := self.observer) is None:
-            return y, covariance, None
-        inputs = self._remembered(z)
-        belief = observer.begin(y)
-        if not first:
-            # One covariance may serve many rows, as the differences of a linearisation.
-            shared = covariance.expand(*z.shape[:-1], *covariance.shape[-2:])
-            belief, _, _ = observer.correct(observer.advance(Belief(z[..., self.parts["mean"]], shared), inputs), y)
-        mean, held = observer.ahead(belief.mean, inputs), None
-        after[..., self.parts["mean"]] = belief.mean
-        if observer.pushed:
-            held = observer.correction(mean, inputs, self.task.outputs, z[..., self.parts["shift"]])
-            after[..., self.parts["shift"]] = held
-        return mean[..., : self.signature.n_x], belief.covariance, held
-
-    def _shown(self, x: Tensor, r: Tensor, held: Tensor | None) -> TensorDict:
-        """Return what the policy is shown; no step is the first, so that the integral goes on."""
-        params = torch.zeros(*x.shape[:-1], self.task.n_r, N_PARAMS, dtype=x.dtype)
-        params[..., 0] = r
-        t = torch.zeros(*x.shape[:-1], 1, dtype=x.dtype)
-        shown = {"observation": self.task.observation(x, params, t), "state": x, "task_params": params}
-        found = TensorDict({**shown, "step_count": torch.ones_like(t)}, batch_size=x.shape[:-1])
-        if held is not None:
-            found["observer"] = TensorDict({"shift": held}, batch_size=x.shape[:-1])
-        return found
-
     def _layout(self) -> dict[str, slice]:
         n_x, n_u = self.signature.n_x, self.signature.n_u
-        sizes = {"x": n_x, "late": 0, "pending": self.plant.pending * n_u}
-        if (observer := self.observer) is not None:
-            remembered = observer.sensors.delay + observer.late()[0] + 2
-            sizes |= {"late": observer.sensors.delay * n_x, "inputs": remembered * n_u, "mean": len(observer.scale)}
-            sizes["shift"] = n_x + n_u if observer.pushed else 0
-        sizes["integral"] = 0 if self._integral is None else self.task.n_r
+        late = 0 if self.observer is None else self.observer.sensors.delay
+        sizes = {"x": n_x, "late": late * n_x, "pending": self.plant.pending * n_u}
+        sizes |= {name: math.prod(shape) for name, shape in zip(Memory._fields, self.law.shapes, strict=True)}
+        del sizes["covariance"]
         parts, start = {}, 0
         for name, size in sizes.items():
             if size:

@@ -97,11 +97,10 @@ def simulate_loop(
         seconds: Length of each flight [s].
         phase: What is under way, in words.
     """
-    z, r = loop.started(x.double()), r.double()
-    covariance, states, inputs = loop.uncertain(z), [x.double()], []
+    (z, covariance), r, states, inputs = loop.started(x.double()), r.double(), [x.double()], []
     periods = max(1, round(seconds / loop.dt))
-    for k in track(phase, range(periods), periods, "control periods"):
-        z, covariance, u = loop.step(z, covariance, r, first=k == 0)
+    for _ in track(phase, range(periods), periods, "control periods"):
+        z, covariance, u = loop.step(z, covariance, r)
         states.append(z[:, loop.parts["x"]])
         inputs.append(u)
     return LoopSimulation(

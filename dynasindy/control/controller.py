@@ -10,6 +10,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,7 +24,6 @@ from dynasindy.sensing.observer import Belief
 from dynasindy.sensing.offset import Policy, acting
 from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Tracking
-from dynasindy.tasks.references import N_PARAMS
 from dynasindy.text import did_you_mean
 
 Values = float | Sequence[float] | NDArray[np.float64] | Tensor | Mapping[str, float]
@@ -45,6 +45,102 @@ class ControlSetup:
     dt: float
     substeps: int = 1
     stops: Stops | None = None
+
+
+class Memory(NamedTuple):
+    """What a controller remembers from one control period to the next; zeros are one that was just reset.
+
+    Attributes:
+        inputs: Commands that its observer needs, the newest at the end, `(*batch, memory, n_u)`; without an observer
+            this part and the next two are empty.
+        mean: Estimate of the observer, `(*batch, n)`.
+        covariance: Of its errors, `(*batch, n, n)`.
+        shift: What counteracts a push, `(*batch, n_x + n_u)`; empty where none is estimated.
+        integral: Of its errors, `(*batch, n_r)`; empty without integral action.
+    """
+
+    inputs: Tensor
+    mean: Tensor
+    covariance: Tensor
+    shift: Tensor
+    integral: Tensor
+
+
+class ControlLaw:
+    """A control period as a function of tensors: `Controller` calls it, checks linearise it, ONNX is its trace.
+
+    Args:
+        policy: Reads `observation`, writes `action`.
+        setup: Task, control period and stops.
+        observer: Estimates the states from what is measured, if anything.
+        integral: Settings of `IntegralAction`, if there is one.
+        dtype: That of the observations.
+
+    Attributes:
+        shapes: Of each part of the memory, the batch apart.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        setup: ControlSetup,
+        observer: Observer | None,
+        integral: Mapping[str, float] | None,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        self.setup, self.observer, self.dtype = setup, observer, dtype
+        self.integral = None if integral is None else IntegralAction(policy, setup, **integral)
+        self.pushed = observer is not None and bool(observer.pushed)
+        self._act = acting(self.integral or policy, setup, self.pushed)
+        self.n_x, n_u = setup.task.signature.n_x, setup.task.signature.n_u
+        n = 0 if observer is None else len(observer.scale)
+        memory = 0 if observer is None else observer.sensors.delay + observer.late()[0] + 2
+        shift, n_r = (self.n_x + n_u) * self.pushed, setup.task.n_r * (integral is not None)
+        self.shapes = (memory, n_u), (n,), (n, n), (shift,), (n_r,)
+
+    def reset(self) -> Memory:
+        """Return the memory of a plant at rest, its inputs zero, of which nothing was measured."""
+        return Memory(*(torch.zeros(shape, dtype=torch.float64) for shape in self.shapes))
+
+    @torch.no_grad()
+    def step(self, memory: Memory, y: Tensor, r: Tensor, rate: Tensor | float = 0.0) -> tuple[Tensor, Memory]:
+        """Return the inputs of the control period that begins now, `(*batch, n_u)`, and what is remembered then.
+
+        Args:
+            memory: What is remembered.
+            y: What was measured, NaN where nothing was, `(*batch, n_x)` float64.
+            r: References, `(*batch, n_r)`.
+            rate: How fast they move [per second], likewise.
+        """
+        x = y
+        if self.observer is not None:
+            x, memory = self._estimate(self.observer, memory, y)
+        if self.integral is not None:
+            self.integral.integral = memory.integral
+        params = _line(r, rate, self.setup.dt)
+        steps = torch.ones(*x.shape[:-1], 1, dtype=x.dtype)  # none is the first, so that the integral goes on
+        observation = self.setup.task.observation(x, params, steps * self.setup.dt).to(self.dtype)
+        shown: dict[str, Any] = {"observation": observation, "state": x, "task_params": params, "step_count": steps}
+        if self.pushed:
+            shown["observer"] = TensorDict({"shift": memory.shift}, x.shape[:-1])
+        u: Tensor = self._act(TensorDict(shown, x.shape[:-1]))["action"]
+        if self.observer is not None:
+            memory = memory._replace(inputs=torch.cat([memory.inputs[..., 1:, :], u.unsqueeze(-2)], -2))
+        if self.integral is not None and self.integral.integral is not None:
+            memory = memory._replace(integral=self.integral.integral)
+        return u, memory
+
+    def _estimate(self, observer: Observer, memory: Memory, y: Tensor) -> tuple[Tensor, Memory]:
+        """Return the state for the time at which the next action arrives, and what the observer remembers."""
+        first = (memory.covariance.diagonal(dim1=-2, dim2=-1) == 0).all(-1, keepdim=True)
+        begun = observer.begin(y)
+        moved, _, _ = observer.correct(observer.advance(Belief(memory.mean, memory.covariance), memory.inputs), y)
+        mean = torch.where(first, begun.mean, moved.mean)
+        covariance = torch.where(first.unsqueeze(-1), begun.covariance, moved.covariance)
+        x, shift = observer.ahead(mean, memory.inputs), memory.shift
+        if self.pushed:
+            shift = observer.correction(x, memory.inputs, self.setup.task.outputs, shift)
+        return x[..., : self.n_x], memory._replace(mean=mean, covariance=covariance, shift=shift)
 
 
 class Controller:
@@ -105,24 +201,15 @@ class Controller:
 
     def reset(self) -> None:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
-        self._integral = None if self.integral is None else IntegralAction(self.policy, self.setup, **self.integral)
-        whole = self._integral or self.policy
-        pushed = self.observer is not None and bool(self.observer.pushed)
-        self._act = acting(whole, self.setup, pushed)
-        self._belief: Belief | None = None
-        self._periods = 0
-        self._shift = torch.zeros(0, dtype=torch.float64)
-        if self.observer is not None:
-            n_u = self.signature.n_u
-            self._inputs = torch.zeros(self.observer.memory, n_u)
-            self._shift = torch.zeros(self.signature.n_x + n_u, dtype=torch.float64)
+        self._law = ControlLaw(self.policy, self.setup, self.observer, self.integral)
+        self._memory, self._begun = self._law.reset(), False
 
     @property
     def estimate(self) -> NDArray[np.float64] | None:
         """State of the plant at the last call of `act`, as far as the observer knows, `(n_x,)`; None without it."""
-        if self._belief is None:
+        if self.observer is None or not self._begun:
             return None
-        mean: NDArray[np.float64] = self._belief.mean[: self.signature.n_x].numpy().copy()
+        mean: NDArray[np.float64] = self._memory.mean[: self.signature.n_x].numpy().copy()
         return mean
 
     def targets_in_words(self) -> list[str]:
@@ -132,7 +219,6 @@ class Controller:
         rows = zip(self.outputs, *(ends or ((), ())), units, strict=False)
         return [f"{name} from {low:g} to {high:g} {unit}" for name, low, high, unit in rows]
 
-    @torch.no_grad()
     def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> NDArray[np.float64]:
         """Return the inputs of the control period that begins now, `(n_u,)`, in [-1, 1].
 
@@ -157,10 +243,16 @@ class Controller:
         for name, values in (("reference", r), ("rate", slope)):
             self._require(name, values, self.outputs, gaps=False)
         self._warn_far(r)
-        action = self._answer(y, r, slope)
-        self._periods = 1
-        if self.observer is not None:
-            self._inputs = torch.cat([self._inputs[1:], action.unsqueeze(0)])
+        try:
+            action, memory = self._law.step(self._memory, y, r, slope)
+            if not all(bool(values.isfinite().all()) for values in (action, *memory)):
+                raise ArithmeticError
+        except (ArithmeticError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
+            raise ValueError(
+                f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers grow beyond "
+                "all limits; the controller is as before: give values of the plant's range, or call its reset"
+            ) from error
+        self._memory, self._begun = memory, True
         found: NDArray[np.float64] = action.double().numpy().copy()
         return found
 
@@ -191,50 +283,8 @@ class Controller:
                 f"the reference of {self.outputs[k]} is {r[k].item():g}; the controller was planned for "
                 f"{self.targets_in_words()[k]}, and nothing is known of what it does so far from that: give a "
                 "reference in this range, or plan for a wider one",
-                stacklevel=4,
+                stacklevel=3,
             )
-
-    def _answer(self, y: Tensor, r: Tensor, slope: Tensor) -> Tensor:
-        """Return the action, `(n_u,)`; estimate and integral stay as they were where it is no number."""
-        belief, shift = self._belief, self._shift
-        integral = None if self._integral is None else self._integral.integral
-        try:
-            action: Tensor = self._act(self._seen(y, r, slope))["action"]
-            kept = [action, self._shift]
-            kept += [] if self._belief is None else [self._belief.mean, self._belief.covariance]
-            kept += [] if self._integral is None or self._integral.integral is None else [self._integral.integral]
-            if not all(bool(values.isfinite().all()) for values in kept):
-                raise ArithmeticError
-        except (ArithmeticError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
-            self._belief, self._shift = belief, shift
-            if self._integral is not None:
-                self._integral.integral = integral
-            raise ValueError(
-                f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers grow beyond "
-                "all limits; the controller is as before: give values of the plant's range, or call its reset"
-            ) from error
-        return action
-
-    def _seen(self, y: Tensor, r: Tensor, slope: Tensor) -> TensorDict:
-        """Return what the policy is shown."""
-        x, held = (y, {}) if self.observer is None else self._estimated(self.observer, y)
-        steps = torch.tensor([self._periods])  # 0 begins, whatever comes later goes on
-        t = steps.to(x) * self.dt
-        params = _line(r, slope, float(t))
-        observation = self.setup.task.observation(x, params, t).float()
-        shown = {"observation": observation, "state": x, "task_params": params, "step_count": steps, "observer": held}
-        return TensorDict(shown if held else {k: v for k, v in shown.items() if k != "observer"})
-
-    def _estimated(self, observer: Observer, y: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the state for the time at which the next action arrives, and what counteracts the push."""
-        if self._belief is None:
-            self._belief = observer.begin(y)
-        else:
-            self._belief, _, _ = observer.correct(observer.advance(self._belief, self._inputs), y)
-        mean = observer.ahead(self._belief.mean, self._inputs)
-        if observer.pushed:
-            self._shift = observer.correction(mean, self._inputs, self.setup.task.outputs, self._shift)
-        return mean[: self.signature.n_x], {"shift": self._shift}
 
     def _numbers(self, what: str, given: Values, names: Sequence[str], missing: float) -> Tensor:
         """Return numbers in the order of names, float64."""
@@ -261,11 +311,10 @@ class Controller:
             raise ValueError(f"{what} of {names[place]} is {values[place].item()}; give a finite number{more}")
 
 
-def _line(r: Tensor, slope: Tensor, t: float) -> Tensor:
-    """Return the parameters of a reference that is at `r` at time t and moves by `slope`, `(n_r, 5)`.
+def _line(r: Tensor, slope: Tensor | float, t: float) -> Tensor:
+    """Return the parameters of references that are at `r` at time t and move by `slope`, `(*batch, n_r, 5)`.
 
     A sine of 1 rad/s at its zero has its amplitude as slope.
     """
-    params = torch.zeros(len(r), N_PARAMS, dtype=r.dtype)
-    params[:, 0], params[:, 1], params[:, 2], params[:, 3] = r, slope, 1 / (2 * math.pi), -t
-    return params
+    zero = torch.zeros_like(r)
+    return torch.stack([r, zero + slope, zero + 1 / (2 * math.pi), zero - t, zero], -1)

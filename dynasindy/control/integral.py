@@ -62,10 +62,10 @@ class IntegralAction:
             self.integral = torch.zeros_like(error)
         self.integral = self.integral.masked_fill(steps == 0, 0.0)
         seen = tensordict.copy()
-        observation = tensordict["observation"].clone()
+        observation, columns = tensordict["observation"], task.error_columns
         shift = (self.integral / task.error_scale).to(observation)
-        observation[..., task.error_columns] += shift
-        seen["observation"] = observation
+        beside = columns.start, observation.shape[-1] - columns.stop
+        seen["observation"] = observation + torch.nn.functional.pad(shift, beside)
         slowness = references.rate(params, t)[..., task.rated] - x[..., task.rates] if task.rates else error[..., :0]
         self.integral = self.advanced(self.integral, error, slowness)
         return tensordict.set("action", self.policy(seen)["action"])

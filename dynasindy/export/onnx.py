@@ -9,33 +9,30 @@ the newer one minutes, which also needs the package onnxscript.
 
 | name    | what it is                                                  | numbers         |
 | ------- | ----------------------------------------------------------- | --------------- |
-| begun   | 1 after the first call                                      | 1               |
 | u       | inputs of the call before                                   | n_u             |
-| x, p    | the observer's estimate and its covariance                  | n, n n          |
-| inputs  | those that it still needs, the last one at the end          | memory n_u      |
-| shift   | what counteracts the push                                   | n_x + n_u       |
-| sum     | the integral                                                | n_r             |
+| memory  | `dynasindy.control.controller.Memory`, part by part         | of its shapes   |
 """
 
 from __future__ import annotations
 
 import copy
 import io
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from dynasindy.control import Controller
+from dynasindy.control.controller import ControlLaw, Memory
 from dynasindy.control.files import network
-from dynasindy.control.integral import IntegralAction
 from dynasindy.export.formats import field_of
 from dynasindy.safe_io import replace_file
-from dynasindy.sensing.observer import Belief, Observer
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import System
 
@@ -64,9 +61,9 @@ def controller_onnx(controller: Controller, path: Path) -> None:
     """
     step, signature = _ControlStep(controller), controller.signature
     n_r = len(controller.outputs)
-    given = [torch.zeros(n, dtype=torch.float64) for n in (step.numbers, signature.n_x, n_r, n_r)]
+    given = [torch.zeros(n, dtype=torch.float64) for n in (sum(step.sizes), signature.n_x, n_r, n_r)]
     told = {"u": signature.input_names, "measurement": signature.state_names, "reference": controller.outputs}
-    more = {"period": f"{controller.dt!r} s", "state": f"{step.numbers} numbers, zeros at the start"}
+    more = {"period": f"{controller.dt!r} s", "state": f"{sum(step.sizes)} numbers, zeros at the start"}
     if own := signature.own_inputs():
         more["units of u"] = "; ".join(own)
     words = {name: ", ".join(names) for name, names in told.items()} | more
@@ -112,90 +109,34 @@ class _Policy(nn.Module):
 class _ControlStep(nn.Module):
     """A call of a controller as a function of tensors, without branches on what they hold.
 
-    Attributes:
-        sizes: Numbers of each part of the state, in their order.
-
     Args:
         controller: Its policy is an actor of `dynasindy.agents`.
     """
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()
-        self.policy, self.task, self.signature = _Policy(controller), controller.setup.task, controller.signature
-        n_x, n_u = self.signature.n_x, self.signature.n_u
-        self.sizes = {"begun": 1, "u": n_u}
-        self.observer: Observer | None = None
-        if controller.observer is not None:
-            self.observer = copy.deepcopy(controller.observer)
-            self.observer.model = _Written(controller.observer.model)
-            n, late = len(self.observer.scale), self.observer.sensors.delay + self.observer.late()[0]
-            self.sizes |= {"x": n, "p": n * n, "inputs": (late + 2) * n_u, "shift": n_x + n_u}
-        self.action: IntegralAction | None = None
-        if controller.integral is not None:
-            self.action = IntegralAction(controller.policy, controller.setup, **controller.integral)
-            self.sizes["sum"] = self.task.n_r
-
-    @property
-    def numbers(self) -> int:
-        """Numbers of the state."""
-        return sum(self.sizes.values())
+        policy = TensorDictModule(_Policy(controller), in_keys=["observation"], out_keys=["action"])
+        observer = copy.deepcopy(controller.observer)
+        if observer is not None:
+            observer.model = _Written(observer.model)
+        self.law = ControlLaw(policy, controller.setup, observer, controller.integral)
+        self.shapes: tuple[tuple[int, ...], ...] = ((controller.signature.n_u,), *self.law.shapes)
+        self.sizes = [math.prod(shape) for shape in self.shapes]
 
     def forward(self, state: Tensor, measurement: Tensor, reference: Tensor, rate: Tensor) -> tuple[Tensor, Tensor]:
         """Return the inputs, `(n_u,)`, and the state after the call; what is no number changes nothing."""
-        kept = dict(zip(self.sizes, state.split([*self.sizes.values()]), strict=True))
-        later = {"begun": torch.ones_like(kept["begun"])}
-        x, push = measurement, None
+        held = iter(state.split([size for size in self.sizes if size]))
+        before, *kept = (
+            next(held).reshape(shape) if size else torch.zeros(shape, dtype=state.dtype)
+            for size, shape in zip(self.sizes, self.shapes, strict=True)
+        )
         with _Plain():
-            if self.observer is not None:
-                x, push = self._estimated(self.observer, kept, measurement, later)
-            u = self._acted(x, reference, rate, kept, later)
-        if push is not None:
-            u = u + push
-        if push is not None or self.task.limited:
-            low, high = self.task.input_limits.to(u)
-            u = torch.minimum(torch.maximum(u, low), high)
-        if self.observer is not None:
-            later["inputs"] = torch.cat([kept["inputs"][len(u) :], u])
-        later["u"] = u
-        whole = torch.cat([later[name] for name in self.sizes])
+            u, memory = self.law.step(Memory(*kept), measurement, reference, rate)
+        u = u.double()
+        whole = torch.cat([u, *(part.flatten() for part in memory if part.numel())])
         # As in Python: infinity is no measurement, while NaN is a lost one.
         sound = torch.cat([whole, reference, rate]).isfinite().all() & ~measurement.isinf().any()
-        return torch.where(sound, u, kept["u"]), torch.where(sound, whole, state)
-
-    def _estimated(
-        self, observer: Observer, kept: Mapping[str, Tensor], y: Tensor, later: dict[str, Tensor]
-    ) -> tuple[Tensor, Tensor | None]:
-        """Return the state that the policy is shown, and what is added to its inputs."""
-        n, n_x, n_u = len(observer.scale), self.signature.n_x, self.signature.n_u
-        inputs = kept["inputs"].reshape(-1, n_u)
-        belief = Belief(kept["x"], kept["p"].reshape(n, n))
-        first, moved = observer.begin(y), observer.correct(observer.advance(belief, inputs), y)[0]
-        begun = kept["begun"] > 0.5
-        later["x"] = torch.where(begun, moved.mean, first.mean)
-        later["p"] = torch.where(begun, moved.covariance, first.covariance).reshape(-1)
-        later["shift"] = kept["shift"]
-        shown = observer.ahead(later["x"], inputs)
-        if not observer.pushed:
-            return shown[:n_x], None
-        later["shift"] = shift = observer.correction(shown, inputs, self.task.outputs, kept["shift"])
-        return shown[:n_x] - shift[:n_x], shift[n_x : n_x + n_u]
-
-    def _acted(
-        self, x: Tensor, r: Tensor, rate: Tensor, kept: Mapping[str, Tensor], later: dict[str, Tensor]
-    ) -> Tensor:
-        """Return the policy's action, `(n_u,)`, and move the integral on."""
-        task, scale = self.task, torch.tensor(self.signature.x_scale, dtype=x.dtype)
-        box = torch.tensor(task.boxes().tolist(), dtype=x.dtype)
-        error = (r - x[list(task.outputs)]) / box
-        shown = [(x / scale).float(), (error / task.error_scale).float()]
-        if task.observe_rate:
-            shown.append((rate / box).float())
-        if self.action is not None:
-            shown[1] = shown[1] + (kept["sum"] / task.error_scale).float()
-            slowness = rate[list(task.rated)] - x[list(task.rates)] if task.rates else rate[:0]
-            later["sum"] = self.action.advanced(kept["sum"], error, slowness)
-        action: Tensor = self.policy(torch.cat(shown))
-        return action.double()
+        return torch.where(sound, u, before), torch.where(sound, whole, state)
 
 
 class _Written(System):

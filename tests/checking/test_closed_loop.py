@@ -36,10 +36,10 @@ def flown(loop, x, r, periods):
 
 
 def stepped(loop, x, r, periods):
-    z = loop.started(x.unsqueeze(0))
-    covariance, states, inputs = loop.uncertain(z), [x], []
+    z, covariance = loop.started(x.unsqueeze(0))
+    states, inputs = [x], []
     for k in range(periods):
-        z, covariance, u = loop.step(z, covariance, torch.tensor([r], dtype=torch.float64), first=k == 0)
+        z, covariance, u = loop.step(z, covariance, torch.tensor([r], dtype=torch.float64))
         states.append(z[0, loop.parts["x"]])
         inputs.append(u[0])
     return torch.stack(states), torch.stack(inputs)

@@ -109,9 +109,9 @@ def test_what_is_no_number_changes_nothing(pendulum, tmp_path):
 def test_the_file_says_what_goes_in_and_comes_out(pendulum, tmp_path):
     told = written(pendulum(**SHORT), tmp_path).session.get_modelmeta().custom_metadata_map
     assert (told["reference"], told["measurement"], told["period"]) == ("theta", "theta, Omega", "0.04 s")
-    # begun, 1 input, 3 states with 9 covariances, two inputs more than the one period of delay, 3 of the shift
+    # 1 input, 3 states with 9 covariances, two inputs more than the one period of delay, 3 of the shift
     assert "units of u" not in told
-    assert told["state"] == f"{1 + 1 + 3 + 9 + 3 + 3} numbers, zeros at the start"
+    assert told["state"] == f"{1 + 3 + 9 + 3 + 3} numbers, zeros at the start"
 
 
 def test_the_file_says_what_inputs_are_in_their_own_unit(pendulum, tmp_path):
