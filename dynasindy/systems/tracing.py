@@ -1,21 +1,27 @@
-"""A plant's equations in formulas, read off its own torch code: it is run once, on symbols.
+"""A plant's equations in formulas, read off a trace of what its own torch code does.
 
-What can be read are the operators, `torch.sin`, `cos`, `exp`, `tanh`, `sqrt`, `abs` and `sign`, `torch.zeros_like` of a
-column, comparisons turned into numbers by `to`, whole powers, `unbind` and `[..., i]` of states and inputs, and a last
-`torch.stack`.
+What can be read are the operators, `torch.sin`, `cos`, `exp`, `tanh`, `sqrt`, `abs`, `square` and `sign`,
+`torch.zeros_like` of a column, comparisons turned into numbers by `to`, whole powers, `unbind` and `[..., i]` of states
+and inputs, and a last `torch.stack`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Self
+from collections.abc import Callable
+from typing import Any
 
 import torch
 
 from dynasindy.systems.machine import Program
 
-CALLED = {"sin": "sin", "cos": "cos", "exp": "exp", "tanh": "tanh", "sqrt": "sqrt", "abs": "fabs", "sign": "sign"}
-"""Functions of torch, and methods of its tensors, with their names in formulas."""
+PATTERNS = {
+    **{"add": "{} + {}", "sub": "{} - {}", "rsub": "{1} - {0}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}"},
+    **{name: f"{name}({{}})" for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "square")},
+    **{"abs": "fabs({})", "reciprocal": "1.0 / {}", "gt": "exceeds({}, {})", "lt": "exceeds({1}, {0})"},
+    **{"ge": "1 - exceeds({1}, {0})", "le": "1 - exceeds({0}, {1})"},
+}
+"""Operations of torch, with their formulas."""
+SAME = ("_to_copy", "clone", "detach", "alias")
 HIGHEST = 8
 """Highest power that is written as a product."""
 
@@ -31,139 +37,67 @@ def program(forward: Callable[[Any, Any], Any], n_x: int, n_u: int) -> Program:
     Raises:
         TypeError: it does something that cannot be read.
     """
-    page = _Page()
-    x, u = (_Row([_Symbol(page, f"{name}[{i}]") for i in range(n)]) for name, n in (("x", n_x), ("u", n_u)))
+    from torch.fx.experimental.proxy_tensor import make_fx  # a second, where nothing else has asked for it
+
+    rows = [torch.zeros(n_x + n_u + 3, n, dtype=torch.float64) for n in (n_x, n_u)]
     try:
-        result = forward(x, u)
-    except (AttributeError, IndexError, TypeError, ValueError) as error:
-        raise TypeError(f"its code cannot be read: {error}") from error
-    if not isinstance(result, _Row) or len(result.columns) != n_x:
+        with torch.no_grad():
+            nodes = make_fx(lambda x, u: forward(x, u))(*rows).graph.nodes
+    except (AttributeError, IndexError, RuntimeError, TypeError, ValueError) as error:
+        raise TypeError(f"its code cannot be read: {str(error).partition(chr(10))[0]}") from error
+    page = _Page([[f"{name}[{i}]" for i in range(n)] for name, n in (("x", n_x), ("u", n_u))])
+    *_, results = [page.read(node) for node in nodes]
+    if not isinstance(results, list) or len(results) != n_x:
         raise TypeError("its code cannot be read: it has to return a stack of one rate of change per state")
-    return Program(n_x, n_u, tuple(page.lines), tuple(page.text(column) for column in result.columns))
+    return Program(n_x, n_u, tuple((name, formula) for formula, name in page.names.items()), tuple(results))
 
 
 class _Page:
-    """Lines of formulas; the same one is written once."""
+    """Formulas by their names, each written once; a value is the text of a column, or a list of columns."""
 
-    def __init__(self) -> None:
-        self.lines: list[tuple[str, str]] = []
-        self._names: dict[str, str] = {}
+    def __init__(self, given: list[list[str]]) -> None:
+        self.given, self.names = iter(given), dict[str, str]()
+        self.values: dict[torch.fx.Node, str | list[str]] = {}
 
-    def line(self, formula: str) -> _Symbol:
-        """Write a formula and return what stands for it."""
-        if formula not in self._names:
-            self._names[formula] = f"v{len(self.lines)}"
-            self.lines.append((self._names[formula], formula))
-        return _Symbol(self, self._names[formula])
+    def read(self, node: torch.fx.Node) -> str | list[str]:
+        """Return what an operation gives, and write its formula."""
+        name = str(node.target).split(".")[1] if node.op == "call_function" and "." in str(node.target) else node.op
+        match name, node.args:
+            case "placeholder", _:
+                found: str | list[str] = next(self.given)
+            case "output", (torch.fx.Node() as last,):
+                found = self.values[last]
+            case "unbind", (torch.fx.Node() as row, (-1 | 1)):
+                found = self.values[row]
+            case ("call_function", (torch.fx.Node() as row, int(i))) | (
+                "select", (torch.fx.Node() as row, (-1 | 1), int(i))
+            ):  # fmt: skip
+                found = self.values[row][i]
+            case "stack", (columns, (-1 | 1)) if isinstance(columns, list | tuple):
+                found = [self._text(column) for column in columns]
+            case "zeros_like", _:
+                found = self._line("0.0")
+            case "pow", (value, int() | float() as power) if power in range(1, HIGHEST + 1):
+                found = one = self._text(value)
+                for _ in range(int(power) - 1):
+                    found = self._line(f"{found} * {one}")
+            case _ if name in SAME:
+                found = self._text(node.args[0])
+            case _ if name in PATTERNS and not node.kwargs:
+                found = self._line(PATTERNS[name].format(*map(self._text, node.args)))
+            case _:
+                raise TypeError(f"its code cannot be read: {node.target}{node.args} is none of what can be")
+        self.values[node] = found
+        return found
 
-    def text(self, value: object) -> str:
-        """Return a symbol or a number as part of a formula."""
-        if isinstance(value, _Symbol):
-            return value.name
+    def _line(self, formula: str) -> str:
+        return self.names.setdefault(formula, f"v{len(self.names)}")
+
+    def _text(self, value: object) -> str:
+        """Return a column or a number as part of a formula."""
+        found = self.values.get(value) if isinstance(value, torch.fx.Node) else None
+        if isinstance(found, str):
+            return found
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise TypeError(f"{type(value).__name__} is neither a state nor a number")
+            raise TypeError(f"its code cannot be read: {value} is neither a state nor a number")
         return repr(float(value)) if value >= 0 else f"(-{-float(value)!r})"
-
-
-_Operator = Callable[["_Symbol", object], "_Symbol"]
-
-
-def _infix(sign: str) -> tuple[_Operator, _Operator]:
-    """Return an operator with the symbol to its left, and that with the symbol to its right."""
-    text = f"{{}} {sign} {{}}"
-    return lambda self, other: self.formula(text, self, other), lambda self, other: self.formula(text, other, self)
-
-
-class _Symbol:
-    """Stand for one column of a tensor."""
-
-    def __init__(self, page: _Page, name: str) -> None:
-        self.page, self.name = page, name
-
-    dtype = torch.float64
-
-    def to(self, *_: object) -> Self:
-        """Return a comparison as the number that it is here."""
-        return self
-
-    def square(self) -> _Symbol:
-        """Return the square."""
-        return self.formula("square({})", self)
-
-    def formula(self, pattern: str, *values: object) -> _Symbol:
-        """Write a formula of some values and return what stands for it."""
-        return self.page.line(pattern.format(*map(self.page.text, values)))
-
-    def __neg__(self) -> _Symbol:
-        return self.formula("-{}", self)
-
-    __add__, __radd__ = _infix("+")
-    __sub__, __rsub__ = _infix("-")
-    __mul__, __rmul__ = _infix("*")
-    __truediv__, __rtruediv__ = _infix("/")
-
-    def __pow__(self, power: object) -> _Symbol:
-        if power not in range(1, HIGHEST + 1):
-            raise TypeError(f"the power {power} is none of 1 to {HIGHEST}")
-        assert isinstance(power, int | float)
-        result = self
-        for _ in range(int(power) - 1):
-            result = result * self
-        return result
-
-    def __gt__(self, other: object) -> _Symbol:
-        return self.formula("exceeds({}, {})", self, other)
-
-    def __lt__(self, other: object) -> _Symbol:
-        return self.formula("exceeds({}, {})", other, self)
-
-    def __ge__(self, other: object) -> _Symbol:
-        return self.formula("1 - exceeds({}, {})", other, self)
-
-    def __le__(self, other: object) -> _Symbol:
-        return self.formula("1 - exceeds({}, {})", self, other)
-
-    def __bool__(self) -> bool:
-        raise TypeError("it decides by a state; write a product with the comparison")
-
-    def __getattr__(self, name: str) -> Callable[[], _Symbol]:
-        if name not in CALLED:
-            raise AttributeError(f"a column has no '{name}' here")
-        return lambda: self.formula(f"{CALLED[name]}({{}})", self)
-
-    @classmethod
-    def __torch_function__(
-        cls, func: Any, types: Sequence[type], args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
-    ) -> Any:
-        """Answer a call of torch's own functions."""
-        name = getattr(func, "__name__", "")
-        if name == "stack" and (args[1:] == (-1,) or (kwargs or {}) == {"dim": -1}):
-            return _Row(list(args[0]))
-        if name == "zeros_like" and len(args) == 1 and not kwargs:
-            return args[0].page.line("0.0")
-        if name == "square" and not kwargs:
-            return args[0].square()
-        if name in CALLED and len(args) == 1 and not kwargs:
-            return getattr(args[0], name)()
-        raise TypeError(f"torch.{name} is called")
-
-
-class _Row:
-    """Stand for a tensor by its columns."""
-
-    dtype = torch.float64
-
-    def __init__(self, columns: Sequence[_Symbol]) -> None:
-        self.columns = tuple(columns)
-
-    def unbind(self, dim: int) -> tuple[_Symbol, ...]:
-        """Return the columns."""
-        if dim != -1:
-            raise TypeError(f"unbind({dim}) is not of the last dimension")
-        return self.columns
-
-    def __getitem__(self, place: object) -> _Symbol:
-        match place:
-            case (e, int(i)) if e is Ellipsis:
-                return self.columns[i]
-        raise TypeError(f"[{place}] is not one of its columns, [..., i]")

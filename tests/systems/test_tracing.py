@@ -106,14 +106,14 @@ def test_everything_that_can_be_read():
     ("forward", "words"),
     [
         (lambda x, u: x @ torch.eye(2), "cannot be read"),
-        (lambda x, u: torch.stack([x[..., 0] if x[..., 0] > 0 else x[..., 1]] * 2, -1), "decides"),
+        (lambda x, u: torch.stack([x[..., 0] if x[..., 0] > 0 else x[..., 1]] * 2, -1), "cannot be read"),
         (lambda x, u: torch.stack([x[..., 0] ** 0.5] * 2, -1), "0.5"),
         (lambda x, u: torch.stack([x[..., 0]] * 3, -1), "per state"),
         (lambda x, u: torch.stack([torch.erf(x[..., 0])] * 2, -1), "erf"),
         (lambda x, u: torch.stack([x[..., 0] * torch.ones(3)] * 2, -1), "cannot be read"),
         (lambda x, u: torch.stack(x.unbind(0), -1), "unbind"),
         (lambda x, u: torch.stack([c for a, b, c in [x.unbind(-1)]] * 2, -1), "cannot be read"),
-        (lambda x, u: torch.stack([x[0]] * 2, -1), r"\[0\]"),
+        (lambda x, u: torch.stack([x[0]] * 2, -1), "select"),
         (lambda x, u: torch.stack([x[..., 0].cumsum(0)] * 2, -1), "cumsum"),
     ],
 )
