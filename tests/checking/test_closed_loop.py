@@ -38,7 +38,7 @@ def flown(loop, x, r, periods):
 def stepped(loop, x, r, periods):
     z, covariance = loop.started(x.unsqueeze(0))
     states, inputs = [x], []
-    for k in range(periods):
+    for _ in range(periods):
         z, covariance, u = loop.step(z, covariance, torch.tensor([r], dtype=torch.float64))
         states.append(z[0, loop.parts["x"]])
         inputs.append(u[0])
