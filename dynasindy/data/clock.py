@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,15 +94,10 @@ def is_counter(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all() and (column == column.round()).all())
 
 
-@dataclass(frozen=True)
-class _Ticks:
-    """Stamps of a clock that moves in ticks.
+class _Ticks(NamedTuple):
+    """Stamps of a clock that moves in ticks [s]: they are `at` these [ticks], `digits` units of the last digit each.
 
-    Attributes:
-        tick: The time between two ticks [s].
-        at: Stamps from the first one on [ticks], `(rows,)`.
-        digits: How many units of the last digit a tick has; 0 where it is no whole number of them.
-        slack: What rounding adds to the ticks [ticks].
+    Where a tick is no whole number of such units `digits` is 0. Rounding adds `slack` [ticks].
     """
 
     tick: float
@@ -109,91 +105,79 @@ class _Ticks:
     digits: int
     slack: float
 
-    @classmethod
-    def of(cls, column: Array, unit: float) -> list[_Ticks]:
-        """Find the times of which all stamps may be multiples, the likelier first; none of those with all digits.
 
-        Args:
-            column: Stamps as they are in the file, `(rows,)`.
-            unit: Unit of the column [s].
-        """
-        largest = np.abs(column).max()
-        noise = 4 * float(np.spacing(largest))
-        places = (k for k in range(PLACES + 1) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
-        digit = next((10.0**-k for k in places), 0.0)
-        single = float(np.spacing(np.float32(largest)))
-        if digit < single and _is_single(column):
-            column, digit = column.astype(np.float32).astype(np.float64), single
-        steps = (np.diff(column) / max(digit, noise)).round().astype(np.int64)
-        if digit <= noise or not (divisor := int(np.gcd.reduce(steps))):
-            return []
-        tick, steps = digit * divisor, steps // divisor
-        at, slack = (column - column[0]) / tick, 2 * noise / tick
-        found = [cls(tick * unit, at, divisor, slack)]
-        if ratio := _coarser(steps):
-            found.append(cls(tick * ratio * unit, at / ratio, 0, (2 + slack) / ratio))
-        return found
+def _possible_ticks(column: Array, unit: float) -> Iterator[_Ticks]:
+    """Yield the ticks of which all stamps may be multiples, the likelier first; none of stamps with all digits."""
+    largest = np.abs(column).max()
+    noise = 4 * float(np.spacing(largest))
+    places = (k for k in range(PLACES + 1) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
+    digit = next((10.0**-k for k in places), 0.0)
+    single = float(np.spacing(np.float32(largest)))
+    if digit < single and _is_single(column):
+        column, digit = column.astype(np.float32).astype(np.float64), single
+    steps = (np.diff(column) / max(digit, noise)).round().astype(np.int64)
+    if digit <= noise or not (divisor := int(np.gcd.reduce(steps))):
+        return
+    tick = digit * divisor
+    at, slack = (column - column[0]) / tick, 2 * noise / tick
+    yield _Ticks(tick * unit, at, divisor, slack)
+    if ratio := _coarser(steps // divisor):
+        yield _Ticks(tick * ratio * unit, at / ratio, 0, (2 + slack) / ratio)
 
-    @property
-    def steps(self) -> Array:
-        """Whole ticks from each row to the next, `(rows - 1,)`."""
-        return np.diff(self.at).round()
 
-    def even(self, period: float, within: float) -> tuple[Array, int]:
-        """Return the times of an even clock [s], `(rows,)`, and how often it began anew.
+def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
+    """Return the number of each row on an even clock, `(rows,)`, and how often the clock was set anew.
 
-        A row that comes later than an even time may be those that were lost before it; one that fits no even time
-        begins anew, after a gap.
+    A row that comes later than its number says is behind rows that were lost.
 
-        Args:
-            period: Time between two even times [ticks].
-            within: Width of the strip about even times in which stamps stay [ticks].
-        """
-        low = high = last = 0.0
-        number, anew = -1, 0
-        numbers: list[int] = []
-        for stamp in self.at.tolist():
-            number += 1
-            off = stamp - period * number
-            if off > low + within:
-                lost = math.ceil((off - low - within) / period)
-                number, off = number + lost, off - period * lost
-            if not high - within <= off <= low + within:
-                anew, number = anew + 1, numbers[-1] + max(2, round((stamp - last) / period))
-                low = high = off = stamp - period * number
-            low, high, last = min(low, off), max(high, off), stamp
-            numbers.append(number)
-        return period * self.tick * np.array(numbers, dtype=np.float64), anew
+    Args:
+        at: Stamps [ticks].
+        period: Time between two even times [ticks].
+        within: Width of the strip about even times in which stamps stay [ticks].
+    """
+    low = high = 0.0
+    number, anew, numbers = -1, 0, list[int]()
+    for stamp in at.tolist():
+        number += 1
+        number += max(0, math.ceil((stamp - period * number - low - within) / period))
+        off = stamp - period * number
+        if off < high - within:
+            anew, low, high = anew + 1, off, off
+        low, high = min(low, off), max(high, off)
+        numbers.append(number)
+    return np.array(numbers, dtype=np.float64), anew
 
-    def periods(self, low: float, starts: NDArray[np.int64], within: float) -> tuple[float, float] | None:
-        """Return the shortest and the longest period [ticks] of an even clock that gives these stamps, if any does.
 
-        Args:
-            low: The smaller number of ticks from row to row; the period is between it and the next one.
-            starts: First rows of stretches that are taken apart.
-            within: Width of the strip in which the stamps of a stretch stay about even times [ticks].
-        """
-        rows = np.arange(len(self.at))
+def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: float) -> tuple[float, float] | None:
+    """Return the shortest and the longest period [ticks] of an even clock that gives such stamps, if any does.
 
-        def width(period: float) -> float:  # of the strip: a convex function
-            off = self.at - period * rows
-            return float((np.maximum.reduceat(off, starts) - np.minimum.reduceat(off, starts)).max())
+    Args:
+        at: Stamps [ticks].
+        low: The smaller number of ticks from row to row; the period is between it and the next one.
+        starts: First rows of stretches that are taken apart.
+        within: Width of the strip about even times in which the stamps of a stretch stay [ticks].
+    """
+    rows = np.arange(len(at))
 
-        first, last = low, low + 1.0
-        for _ in range(70):
-            left, right = first + (last - first) / 3, last - (last - first) / 3
-            first, last = (first, right) if width(left) <= width(right) else (left, last)
-        middle = 0.5 * (first + last)
-        if width(middle) > within:
-            return None
-        ends = []
-        for beyond in (low, low + 1.0):
-            inner, outer = middle, beyond
-            for _ in range(40):
-                between = 0.5 * (inner + outer)
-                inner, outer = (between, outer) if width(between) <= within else (inner, between)
-            ends.append(inner)
-        return ends[0], ends[1]
+    def width(period: float) -> float:  # of the strip: a convex function
+        off = at - period * rows
+        return float((np.maximum.reduceat(off, starts) - np.minimum.reduceat(off, starts)).max())
+
+    first, last = low, low + 1.0
+    for _ in range(70):
+        left, right = first + (last - first) / 3, last - (last - first) / 3
+        first, last = (first, right) if width(left) <= width(right) else (left, last)
+    middle = 0.5 * (first + last)
+    if width(middle) > within:
+        return None
+    ends = []
+    for outer in (low, low + 1.0):
+        inner = middle
+        for _ in range(40):
+            between = 0.5 * (inner + outer)
+            inner, outer = (between, outer) if width(between) <= within else (inner, between)
+        ends.append(inner)
+    return ends[0], ends[1]
 
 
 def _is_single(column: Array) -> bool:
@@ -236,7 +220,7 @@ def _even_times(
     """
     if len(t) < 3 or not (np.diff(t) >= 0).all():
         return t, None
-    for ticks in _Ticks.of(column, unit):
+    for ticks in _possible_ticks(column, unit):
         if (found := _fit_even_clock(path, ticks, dt)) is not None:
             times, period = found
             return times, (ticks.tick, period)
@@ -245,7 +229,7 @@ def _even_times(
 
 def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, float] | None:
     """Return times of an even clock and its period [s] if it can have given such stamps, else None."""
-    steps, rows = ticks.steps, len(ticks.at)
+    steps, rows = np.diff(ticks.at).round(), len(ticks.at)
     sizes, counts = np.unique(steps, return_counts=True)
     pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
     low = float(sizes[pairs.argmax()])
@@ -254,22 +238,22 @@ def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, 
         period = dt / ticks.tick
         if abs(period - round(period)) * rows < 0.5 or not low <= period <= low + 1:  # even times are ticks, or others
             return None
-        times, anew = ticks.even(period, within)
-        return (times, dt) if anew <= (1 - MOSTLY) * rows else None
+        numbers, anew = _numbered(ticks.at, period, within)
+        return (dt * numbers, dt) if anew <= (1 - MOSTLY) * rows else None
     inside = (steps == low) | (steps == low + 1)
     rare = low if (steps == low).sum() < (steps == low + 1).sum() else low + 1
     odd = np.flatnonzero(steps == rare)
     if len(odd) < (ODD if low < 2 else 1):
         return None
-    stretches = np.append(0, np.flatnonzero(~inside) + 1)
-    found = ticks.periods(low, stretches, within) if inside.mean() >= MOSTLY else None
+    starts = np.append(0, np.flatnonzero(~inside) + 1)
+    found = _possible_periods(ticks.at, low, starts, within) if inside.mean() >= MOSTLY else None
     mixed = low == 1 and ticks.digits < 2 and (len(odd) > LOST * rows or _is_rhythm(np.diff(odd)))
     if found is None and not mixed:
         return None
     if found is None or found[1] - found[0] > SURE * (found[0] + found[1]) or (low == 1 and ticks.digits != 1):
         raise LogError("log.coarse_time", file=path, tick=ticks.tick, low=low, high=low + 1)
     period = _round_between(found[0] * ticks.tick, found[1] * ticks.tick)
-    return ticks.even(period / ticks.tick, within)[0], period
+    return period * _numbered(ticks.at, period / ticks.tick, within)[0], period
 
 
 def _is_rhythm(intervals: NDArray[np.int64]) -> bool:
