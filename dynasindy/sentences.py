@@ -89,7 +89,7 @@ def lines(findings: Iterable[Finding]) -> list[str]:
 
 
 class _Formatter(string.Formatter):
-    """Format lists, durations, units, plurals and settings, beside what Python formats."""
+    """Format lists, durations, units, settings and words said if a value is true, beside what Python formats."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec == "list":
@@ -100,11 +100,10 @@ class _Formatter(string.Formatter):
             return format_duration(value)
         if format_spec == "unit":
             return "" if value in ("", "-") else f" {value}"
-        return (
-            setting(format_spec, value)
-            if "." in format_spec[1:-1] and format_spec[0].isalpha()
-            else format(value, format_spec)
-        )
+        if format_spec.startswith("?"):
+            return f" {format_spec[1:]}" if value else ""
+        named = "." in format_spec[1:-1] and format_spec[0].isalpha()
+        return setting(format_spec, value) if named else format(value, format_spec)
 
 
 _FORMATTER = _Formatter()
@@ -130,11 +129,6 @@ def error_of(value: float) -> str:
 # --- the log ---------------------------------------------------------------------------------------------------------
 
 
-def _time(column: str, unit: str, dates: bool, dt: float) -> str:
-    how = "read as dates" if dates else f"in {unit}" if unit else "taken as seconds"
-    return f"time is the column {column}, {how}{f': {dt:.4g} s between rows' if dt else ''}"
-
-
 def _named_unit(column: str, unit: str) -> str:
     """Return the setting that says the unit of the time."""
     text = f"{column} [{unit}]"
@@ -142,36 +136,38 @@ def _named_unit(column: str, unit: str) -> str:
 
 
 def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool, refused: bool = False) -> str:
-    what = "values" if skipped else "states"
     where = ", ".join(f"{name}: {count}" for name, count in counts.items())
-    text = f"{rows} of {total} rows have {what} that are missing or not finite ({where}), the first in line {line}; "
-    if refused:
-        return f"{text}mend them or set {setting('data.missing')}=skip"
-    return text + (
-        "they were skipped" if skipped else "the fit goes on without them, and with what else these rows hold"
-    )
+    then = f"mend them or set {setting('data.missing')}=skip"
+    if not refused:
+        then = "they were skipped" if skipped else "the fit goes on without them, and with what else these rows hold"
+    what = "values" if skipped else "states"
+    return f"{rows} of {total} rows have {what} missing or not finite ({where}), the first in line {line}; {then}"
 
 
 def _unwrapped(state: str, turn: float, times: int, counts: bool) -> str:
-    size = "2 pi" if math.isclose(turn, 2 * math.pi) else f"{turn:g}"
     scaled = {state: {"name": state, "unit": "rad", "scale": float(f"{2 * math.pi / turn:.6g}")}}
     more = f"; if these are a turn, {setting('data.states', scaled)} gives rad" if counts or turn == 360 else ""
     return (
-        f"{state} jumps by {size} {times} times and was unwrapped, as a controller has to do{more}; a unit that is "
+        f"{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do{more}; a unit that is "
         "none of an angle keeps it as it is"
     )
 
 
-def _words_in_column(line: int, column: str, text: str, count: int) -> str:
-    first = f"line {line}, column {column!r} holds {text!r}, which is no number"
-    if count == 1:
-        return f"{first}; it counts as missing"
-    more = "1 more cell of the column holds none" if count == 2 else f"{count - 1} more cells of the column hold none"
-    return f"{first}, and {more}; they count as missing"
+LEFT_OUT = {
+    "constant": "what never changes tells nothing of the plant",
+    "counter": "they grow evenly, as a counter of rows or a second clock does",
+    "words": "they hold words and no numbers (write ON and OFF as 1 and 0)",
+    "empty": "cells that are empty or NaN are all that they hold",
+    "dates": "they hold dates, and the time is another column",
+    "reference": "they are references by name",
+}
+"""Why columns are left out that nobody named."""
 
 
-def _pairs(found: Mapping[str, Any], form: str) -> str:
-    return ", ".join(f"{name} ({form.format(value)})" for name, value in found.items())
+def _left_out(why: str, columns: Mapping[str, Any] | Sequence[str]) -> str:
+    known = columns if isinstance(columns, Mapping) else dict.fromkeys(columns, "")
+    names = [f"{name} ({value:g})" if isinstance(value, float) else name for name, value in known.items()]
+    return f"left out, as {LEFT_OUT[why]}: {', '.join(names)}; <data.states> or <data.inputs> may name them"
 
 
 def _taken(left_out: Sequence[Finding]) -> str:
@@ -185,13 +181,14 @@ def _no_roles(
     lacks: str,
     clock: str,
     left_out: Sequence[Finding],
-    guess: Mapping[str, Any] | None,
+    guess: Mapping[str, Any] | None = None,
 ) -> str:
     """Say what a file lacks, and which columns may be what."""
     lacking = {
         "time": f"none of them is called {clock}",
         "inputs": "none that moves is called u, u_... or input_..., as inputs are",
         "states": "besides time and inputs none is left, which would be a state",
+        "command": f"besides {clock}, the time, what changes is no command and what it moves: log both",
     }
     return (
         f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; "
@@ -204,30 +201,23 @@ def _guess(
     time: str | None, inputs: Sequence[str], states: Sequence[str], clock_known: bool, counter: str, held: bool
 ) -> str:
     """Say what columns may be: sentences, then settings to copy."""
-    hints = []
-    if not time:
-        hints.append(
-            "No column grows from row to row, as time does: write the time of each row into the file, or give "
-            "<data.dt>, the time between two rows in seconds"
-        )
-    if counter:
-        hints.append(
-            f"{counter} holds whole numbers, as a counter does: if it counts rows, give <data.dt>, too, in seconds"
-        )
-    if not held:
-        hints.append(
-            "No column is held for some samples, as commands are: if the log has no command, log it, too, for without "
-            "one nothing can be identified"
-        )
-    text = "".join(f" {hint}." for hint in hints) + " This is a first guess, to be corrected: "
+    hints = [
+        " No column grows from row to row, as time does: write the time of each row into the file, or give <data.dt>, "
+        "the time between two rows in seconds." * (not time),
+        f" {counter} holds whole numbers, as a counter does: if it counts rows, give <data.dt>, too, in seconds."
+        * bool(counter),
+        " No column is held for some samples, as commands are: without a command nothing can be identified."
+        * (not held),
+    ]
     given: dict[str, Any] = {} if not time or (clock_known and time == "time") else {"time": time}
     given |= {"inputs": [*inputs], "states": [*states]}
-    seconds = not time or (counter and not clock_known)
+    seconds = ["dt=SECONDS"] if not time or (counter and not clock_known) else []
+    words = [f"{key}={value!r}" for key, value in given.items()]
+    copied = f"read({', '.join(['path', *words, *seconds])})"
     if _words_of_commands:
         words = [f"'data.{key}={_flow_of_names(value)}'" for key, value in given.items()]
-        return text + " ".join([*words, *(["data.dt=SECONDS"] if seconds else [])])
-    words = [f"{key}={value!r}" for key, value in given.items()]
-    return f"{text}read({', '.join(['path', *words, *(['dt=SECONDS'] if seconds else [])])})"
+        copied = " ".join([*words, *(f"data.{word}" for word in seconds)])
+    return f"{''.join(hints)} This is a first guess, to be corrected: {copied}"
 
 
 def _flow_of_names(value: Any) -> str:
@@ -237,75 +227,38 @@ def _flow_of_names(value: Any) -> str:
     return value if re.fullmatch(r"[A-Za-z_]\w*", value) else f'"{value}"'
 
 
-def _nothing_moves(
-    path: str,
-    columns: Sequence[str],
-    numbers: Sequence[str],
-    clock: str,
-    moving: str,
-    driven: bool,
-    left_out: Sequence[Finding],
-) -> str:
-    lack = "what the plant does" if driven else "the command that moves the plant"
-    return (
-        f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; besides "
-        f"{clock}, the time, {f'only {moving}' if moving else 'nothing'} changes. Allowed are one state or more and "
-        f"one input or more: log {lack}, too, for without one nothing can be identified.{_taken(left_out)}"
-    )
-
-
 def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], state: str = "") -> str:
     what = f"samples of {state}" if state else "transitions"
-    more = "; ".join(map(str, left_out)) or "nothing"
-    return f"{path} gives {count} {what}; allowed are {least} or more: log longer. What was decided of it: {more}"
+    return f"{path} gives {count} {what}; allowed are {least} or more: log longer.{_taken(left_out)}"
 
 
 def _rate_units(
-    state: str,
-    rate: str,
-    factor: float,
-    cause: str,
-    guessed: bool,
-    unit: str = "",
-    states: Mapping[str, Any] | None = None,
+    state: str, rate: str, factor: float, cause: str, guessed: bool, unit: str = "", states: Any = None
 ) -> str:
-    slope = f"{state}, whose slope over time is {factor:.3g} times {rate}"
+    slope = f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}; {cause}?"
     if states is not None:
         return (
-            f"{rate} was given as the rate of {slope} ({cause}?); allowed is a rate in {unit}, for its equation is "
-            f"taken as exact: give {setting('data.states', states)}, or correct the column"
+            f"{slope} It was given as the rate of {state}; allowed is a rate in {unit}, for its equation is taken as "
+            f"exact: give {setting('data.states', states)}, or correct the column"
         )
-    text = f"{rate} does not fit {slope}; {cause}? Correct the column, or give it a scale in <data.states>"
-    if not guessed:
-        return text
-    return (
-        f"{text}. That {rate} is the rate of {state} is a guess: a gear between them or another axis may be the cause, "
-        f"too; if so, give {rate} a unit of its own, such as 'motor rad/s', and this is not said"
-    )
-
-
-def _louder(inputs: Sequence[Mapping[str, Any]]) -> str:
-    """Say how far inputs went, and how far they are to go."""
-    words = []
-    for each in inputs:
-        unit = "" if each["unit"] == "-" else f" {each['unit']}"
-        went = f"{each['input']}, which goes from {each['low']:.2g} to {each['high']:.2g}{unit},"
-        if each["times"] is None:
-            words.append(f"{each['input']}, which does not move")
-        elif each["limited"]:
-            words.append(f"{went} as far as its actuator reaches, about {each['times']:.2g} times as far")
-        else:
-            words.append(f"{went} about {each['times']:.2g} times as far")
-    return f"log it anew and move {', or '.join(words)}"
+    guess = f" That it is the rate of {state} is a guess; a unit of its own, as 'motor rad/s', says that it is none"
+    return f"{slope} Correct the column, or give it a scale in <data.states>.{guess * guessed}"
 
 
 def _quiet(steps: Mapping[str, int], wanted: int, inputs: Sequence[Mapping[str, Any]]) -> str:
+    """Say which states move too little, how far inputs went, and how far they are to go."""
     which = " and ".join(f"{name}, which moves by {count} steps of its sensor" for name, count in steps.items())
-    return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: {_louder(inputs)}"
-
-
-def _beyond_quiet(state: str, low: float, high: float, unit: str, reach: float, quiet: Finding) -> str:
-    return f"the targets of {state} go from {low:g} to {high:g} {unit}, the log to {reach:.2g} only; {quiet}"
+    words = []
+    for each in inputs:
+        unit = "" if each["unit"] == "-" else f" {each['unit']}"
+        far = "as far as its actuator reaches, " * each["limited"]
+        if each["times"] is None:
+            words.append(f"{each['input']}, which does not move")
+            continue
+        went = f"{each['input']}, which goes from {each['low']:.2g} to {each['high']:.2g}{unit}"
+        words.append(f"{went}, {far}about {each['times']:.2g} times as far")
+    move = f"log it anew and move {', or '.join(words)}"
+    return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: {move}"
 
 
 # --- the model -------------------------------------------------------------------------------------------------------
@@ -319,42 +272,6 @@ def _bend(input: str, kind: str, low: float, high: float, unit: str) -> str:
     return f"{input} has no more effect {' and '.join(sides)}"
 
 
-def _idle(states: Sequence[str], initial: Mapping[str, Any]) -> str:
-    stands, needs = ("stands", "it needs") if len(states) == 1 else ("stand", "they need")
-    return (
-        f"{' and '.join(states)} {stands} in no equation: no sensor sees what it does in any form, so {needs} a first "
-        f"guess of the equations, as in {setting('plant.initial', initial)}, with numbers of your plant"
-    )
-
-
-def _rates_added(known: Mapping[str, str]) -> str:
-    its, are = ("its rate", "It is") if len(known) == 1 else ("their rates", "They are")
-    return (
-        f"what {' and '.join(known)} will do depends on {its}, which the log lacks. {are} estimated with the model, as "
-        f"if {setting('plant.known', dict(known))} had been given; {setting('plant.known', {})} leaves that out"
-    )
-
-
-def _rates_missing(states: Sequence[str], known: Mapping[str, str]) -> str:
-    its = "its rate, which is" if len(states) == 1 else "their rates, which are"
-    return (
-        f"what {' and '.join(states)} will do depends on {its} no state yet. Give {setting('plant.known', known)}: a "
-        "column of that name is read as the rate; without one, the rate is estimated"
-    )
-
-
-def _predicts(seconds: float, exact: Sequence[str]) -> str:
-    near = f", and {', '.join(exact)} as exactly as the sensors can tell" if exact else ""
-    return f"this model predicts {format_duration(seconds)} ahead{near}"
-
-
-def _runs_away(seconds: float, states: Sequence[str]) -> str:
-    return (
-        f"this model does not predict: within {format_duration(seconds)} {', '.join(states)} "
-        f"run{'s' * (len(states) == 1)} away"
-    )
-
-
 def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str], held: Mapping[str, float]) -> str:
     said = ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
     than = ", ".join(map(error_of, held.values()))
@@ -362,48 +279,11 @@ def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str
     return f"this model does not predict: over {over} it misses {said}; the last value held misses {than}"
 
 
-def _falls(states: Sequence[str], seconds: float) -> str:
-    half = "half of the error of the last value held"
-    least = f"up to {format_duration(seconds)} ahead this model has at most {half}"
-    if not seconds:
-        least = f"this model has more than {half} over any time"
-    return (
-        f"a linear model on past samples lets {' and '.join(states)} run away, too: the plant seems to run away by "
-        f"itself, as a pole that falls, and no model predicts that for long without the controller; {least}"
-    )
-
-
 def _linear_better(state: str, seconds: float, error: float, linear: float, unit: str, far: bool) -> str:
-    ours = "this one runs away" if not math.isfinite(error) else f"this one to {error_of(error)} {unit}"
     why = "a function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
     return (
         f"a linear model on past samples predicts {state} {format_duration(seconds)} ahead to {error_of(linear)} "
-        f"{unit}, {ours}: {why if far else 'it is the better one over that time, and something may be missing here'}"
-    )
-
-
-def _standard_errors(median: float, least: str, worst: float, of_step: bool) -> str:
-    return (
-        f"coefficients{' of the change over a step' * of_step} are known within {median:.2g} % of themselves in the "
-        f"median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)"
-    )
-
-
-def _unscaled(states: Sequence[str]) -> str:
-    its = "its" if len(states) == 1 else "their"
-    return (
-        f"no sensor sees {' and '.join(states)}, and nothing else tells {its} unit: in any other unit, with "
-        "coefficients to match, the model predicts the same. The fit keeps about the unit of the first guess, and "
-        "coefficients and standard errors are in that unit"
-    )
-
-
-def _longest_delay(seconds: float) -> str:
-    longer = setting("longest_delay", float(f"{2 * seconds:g}"))
-    return (
-        f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give "
-        f"{longer}, or 0 where it stands for what the equations lack. Coefficients may be further off than their "
-        "standard errors say, which take the delay as right"
+        f"{unit}, this one to {error_of(error)}: {why if far else 'something may be missing here'}"
     )
 
 
@@ -417,26 +297,20 @@ def verdict_lines(findings: Sequence[Finding]) -> list[str]:
     return [f"verdict: {first}", *map(line, others)]
 
 
+# --- a run -----------------------------------------------------------------------------------------------------------
+
+
 def _restarts(times: int, beyond: Sequence[Mapping[str, Any]]) -> str:
-    why = [
-        f"{each['state']} beyond {each['low']:g} to {each['high']:g} {each['unit']} {_times(each['times'])}"
-        for each in beyond
-    ]
+    why = ["{state} beyond {low:g} to {high:g} {unit}, {times} times".format_map(each) for each in beyond]
     reasons = ", ".join(why) or "an episode was over"
-    return f"the excitation ended early and began anew at the start {_times(times)}: {reasons}"
-
-
-def _times(n: int) -> str:
-    return "once" if n == 1 else f"{n} times"
+    return f"the excitation ended early and began anew at the start {times} times: {reasons}"
 
 
 def _stops(count: int, total: int, much: bool) -> str:
-    touched = f"the excitation reached a mechanical stop in {count} of {total} control periods"
-    if not much:
-        return f"{touched}; the model is fitted to the other {total - count}"
+    more = "; a smaller <excitation.amplitude>, or another <excitation.offset>, would leave more data" * much
     return (
-        f"{touched}, so the model is fitted to the other {total - count} only; a smaller <excitation.amplitude>, or "
-        "another <excitation.offset>, would leave more data"
+        f"the excitation reached a mechanical stop in {count} of {total} control periods; the model is fitted to the "
+        f"others{more}"
     )
 
 
@@ -467,17 +341,10 @@ def _better(trained: float, untrained: float, scenario: str, percent: float, har
 
 
 def _no_better(trained: float, untrained: float, scenario: str, episodes: bool) -> str:
+    found = f"there is no usable result: the trained policy is not better: {_returns(trained, untrained, scenario)}"
     if not (math.isfinite(trained) and math.isfinite(untrained)):
-        return (
-            f"there is no usable result: the return in scenario '{scenario}' is not finite (trained {trained}, "
-            f"untrained {untrained}); check the plant and the task's reward"
-        )
-    how = "worse than" if trained < untrained else "no better than"
-    look = ", or look in gate.csv whether the model was trusted" if episodes else ""
-    return (
-        f"there is no usable result: the trained policy is {how} the untrained one: "
-        f"{_returns(trained, untrained, scenario)}; train for more episodes{look}"
-    )
+        return f"{found}; check the plant and the task's reward"
+    return f"{found}; train for more episodes" + ", or look in gate.csv whether the model was trusted" * episodes
 
 
 def _controlled(
@@ -513,9 +380,8 @@ def _controlled(
             parts.append(f"{_untracked([*shares], not swings, True)} in {most} of the runs")
     parts += [_track_rates(rates, targets)] if away and targets else []
     parts += [_ringing(ringing)] if ringing else []
-    parts += [
-        f"{name} runs on in {percent(share)} of the runs, which nothing depends on" for name, share in idle.items()
-    ]
+    runs_on = "runs on, which nothing depends on, in"
+    parts += [f"{name} {runs_on} {percent(share)} of the runs" for name, share in idle.items()]
     return f"{word}: {'; '.join(parts)}"
 
 
@@ -541,10 +407,7 @@ def _track_rates(rates: Sequence[str], targets: Mapping[str, Sequence[float]]) -
     words = [setting("plant.outputs", names), setting("plant.low", low), setting("plant.high", high)]
     if not _words_of_commands:
         words = [setting("plan.task", dict(zip(names, zip(low, high, strict=True), strict=True)))]
-    return (
-        f"it helps to track {' and '.join(rates)} as well, which {'is' if len(rates) == 1 else 'are'} 0 at rest: "
-        + (" ".join(words))
-    )
+    return f"it helps to track {' and '.join(rates)} as well, which are 0 at rest: {' '.join(words)}"
 
 
 def _ringing(states: Sequence[str]) -> str:
@@ -559,18 +422,11 @@ def percent(share: float | None) -> str:
 
 
 def _distrusted(closed: int, episodes: int, episode: int, error: float | None, cause: str, limit: float | None) -> str:
-    what = (
-        {
-            "reward_closes": f"the model's reward error on real periods that it was not fitted to was {error:.2g} "
-            f"per control period, above {setting('gate.close_above', limit)}",
-            "reward_opens": f"the model's reward error on real periods that it was not fitted to was {error:.2g} per "
-            f"control period, above {setting('gate.open_below', limit)}, at which a closed gate opens",
-            "state": f"its state error was {error:.2g} ranges, above {setting('gate.state_error', limit)}",
-        }
-        if error is not None and limit is not None
-        else {}
-    )
-    why = what.get(cause, "its errors on real periods were no numbers")
+    why = "its errors on real periods were no numbers"
+    if error is not None and limit is not None:
+        key = {"reward_closes": "close_above", "reward_opens": "open_below", "state": "state_error"}[cause]
+        what = f"{error:.2g} ranges of a state" if cause == "state" else f"{error:.2g} of reward per control period"
+        why = f"its error on real periods that it was not fitted to was {what}, above {setting(f'gate.{key}', limit)}"
     return (
         f"the model was not trusted after {closed} of {episodes} episodes, so nothing was planned on it there: after "
         f"episode {episode} {why}; gate.csv tells of each"
@@ -587,12 +443,9 @@ def _forecast_errors(
     end = "the end" if seconds is None else f"the end of simulations of {format_duration(seconds)}"
     texts = []
     for name, each in outputs.items():
-        both = dict.fromkeys(
-            f"{value:.2g}" for value in (each["least"], each["most"])
-        )  # one of them where they are alike
+        both = dict.fromkeys(f"{value:.2g}" for value in (each["least"], each["most"]))  # one where they are alike
         over = "" if each["overshoot"] is None else f", after it overshot by {each['overshoot']:.2g} % of the step"
-        hidden = each["resolved"]
-        hidden = "" if hidden is None else f" (its sensor resolves {hidden:.2g} %, and cannot show what is less)"
+        hidden = "" if each["resolved"] is None else f" (its sensor resolves {each['resolved']:.2g} %)"
         reference = "of a turn" if each["of_turn"] else "of the target range"
         average = f"{name} {' to '.join(both)} % {reference} on average{hidden}"
         texts.append(f"{average}, {each['worst']:.2g} % at worst{over}")
@@ -604,7 +457,7 @@ def _other_period(cause: str, value: float, periods: float, wanted: float, log: 
     causes = {
         "oscillation": f"the model swings every {value:.3g} s, which is {periods:.2g} control periods only",
         "doubling": f"a deviation of the unstable model doubles in {value:.3g} s, which is {periods:.2g} control "
-        f"periods only",
+        "periods only",
         "settles": f"the model takes {format_duration(value, digits=2)} to settle fully, and a plan looks "
         f"{format_duration(periods, digits=2)} ahead",
     }
@@ -621,7 +474,7 @@ def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
         "sample_oscillation": f"one sample of the log, as the model's fastest oscillation takes {value:.3g} s",
         "sample_doubling": f"one sample of the log, as a deviation of the unstable model doubles in {value:.3g} s",
         "settles": f"as the model settles in {format_duration(value, digits=2)}, and a plan looks {ahead} periods "
-        f"ahead",
+        "ahead",
         "samples": "ten samples of the log",
     }
     return f"the control period is {seconds:g} s, {causes[cause]}; <env.dt> chooses another one"
@@ -657,26 +510,24 @@ def _error_limit(limit: float, unit: str, size: float, output: str, **_: Any) ->
 def _stability(targets: int, unstable: int, outputs: Sequence[str], target: Sequence[float], **more: Any) -> str:
     grid = f"{targets} target{'s' * (targets > 1)} of {' and '.join(outputs)}"
     if not unstable:
-        radius, slowest, dt = (more[key] for key in ("radius", "slowest", "dt"))
+        slowest, dt = (format_duration(more[key], digits=2) for key in ("slowest", "dt"))
         return (
-            f"stable at {'all ' * (targets > 1)}{grid}; largest spectral radius {_beside(radius, 1.0, 4)} at "
-            f"{_places(target)}: there the slowest part of plant and controller together dies out with a time "
-            f"constant of {format_duration(slowest, digits=2)}, which is -dt / ln(radius) with the control period dt "
-            f"= {format_duration(dt, digits=2)}; threshold: < 1"
+            f"stable at {'all ' * (targets > 1)}{grid}; largest spectral radius {_beside(more['radius'], 1.0, 4)} at "
+            f"{_places(target)}, threshold: < 1. There the slowest part of plant and controller together dies out with "
+            f"a time constant of {slowest}, which is -dt / ln(radius) with the control period dt = {dt}"
         )
     rest = f"; at {more['restless']} of these targets there is no rest" if more["restless"] else ""
-    swing, limit = more["swing"], more["swing_limit"]
-    share = math.inf if swing["share"] is None else swing["share"]
-    moves = (
-        f"the loop goes on swinging, by {_swing(swing)}, {_beside(100 * share, 100 * limit, 2)} % of its typical size"
-    )
-    moves += f", and {more['input']} by {more['input_swing']:.2g}"
-    if math.isinf(share):
-        moves = f"{swing['output']} runs away, or its swings still grow"
+    swing, limit, share = more["swing"], 100 * more["swing_limit"], more["swing"]["share"]
+    moves = f"{swing['output']} runs away, or its swings still grow"
+    if share is not None and not math.isinf(share):
+        moves = (
+            f"the loop goes on swinging, by {_swing(swing)}, {_beside(100 * share, limit, 2)} % of its typical size, "
+            f"and {more['input']} by {more['input_swing']:.2g}"
+        )
     return (
         f"NOT stable at {unstable} of {grid}, {'such as ' * (unstable > 1)}{_places(target)}{rest}; simulated there "
         f"for {format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
-        f"{moves}; thresholds: spectral radius < 1 at all, swings of {100 * limit:g} %"
+        f"{moves}; thresholds: spectral radius < 1 at all, swings of {limit:g} %"
     )
 
 
@@ -688,14 +539,12 @@ def _margin(form: str) -> Callable[..., str]:
     """Return what says a margin, its figure being in `form`."""
 
     def text(value: float | None, limit: float, input: str, target: Sequence[float], small: bool, dt: float) -> str:
+        least = "without limit"
+        if value is not None and not math.isinf(value):
+            lag = f", {1000 * value * dt:.0f} ms," * form.endswith("periods")
+            least = f"the least is {form.format(_beside(value, limit))}{lag}"
         slow = ", in movements so small that dry friction damps them" * small
-        if value is None or math.isinf(value):
-            return f"without limit of {input} at {_places(target)}{slow}; threshold: {form.format(f'{limit:g}')}"
-        lag = f", {1000 * value * dt:.0f} ms," * form.endswith("periods")
-        figure = form.format(_beside(value, limit))
-        return (
-            f"the least is {figure}{lag} of {input} at {_places(target)}{slow}; threshold: {form.format(f'{limit:g}')}"
-        )
+        return f"{least} of {input} at {_places(target)}{slow}; threshold: {form.format(f'{limit:g}')}"
 
     return text
 
@@ -708,14 +557,12 @@ def _large_movements(gain: float | None, delay: float = 0.0, **more: Any) -> str
         "at least " * more["tried"][kind] + _beside(value, limits[kind])
         for kind, value in (("gain", gain), ("delay", delay))
     )
-    counts = more["counts"]
-    both = " and the ".join(f"{name} margin" for name in counts)
-    which = "The margins above are less than these, and count"
-    if counts:
-        which = f"This is less than the {both} above, so this line counts for {'both' if counts[1:] else 'that'}"
+    which = "the margins above are less than these, and count"
+    if more["counts"]:
+        which = f"less than the {' and the '.join(f'{name} margin' for name in more['counts'])} above, this counts"
     return (
         f"simulated from target to target, the inputs may act {stronger} times as strongly, or {later} control "
-        f"periods, {1000 * delay * more['dt']:.0f} ms, later. {which}; thresholds: {limits['gain']:g} and "
+        f"periods, {1000 * delay * more['dt']:.0f} ms, later; {which}; thresholds: {limits['gain']:g} and "
         f"{limits['delay']:g}"
     )
 
@@ -734,36 +581,27 @@ def _coefficients(
 ) -> str:
     stays = "stable with all" if not unstable else f"NOT stable with {unstable}"
     far = "no rest" if radius is None or math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
-    steady = "no steady error, as none comes to rest"
-    if unstable < plants:
-        steady = f"steady error at most {_error(**error)}" + ", of those that come to rest" * bool(unstable)
-    if ran_away:
-        steady += f"; {ran_away} run{'s' * (ran_away == 1)} away in the step of steps.png"
+    steady = f"of those that come to rest a steady error of at most {_error(**error)}"
+    if unstable == plants:
+        steady = "no steady error, as none comes to rest"
     return (
-        f"{plants} plants with other coefficients, {how}, at the {held} target{'s' * (held > 1)} where the model "
-        f"itself is stable: {stays} of these plants, at worst {far}, {steady}; threshold: stable, "
+        f"{plants} plants with other coefficients, {how}, at {held} targets where the model itself is stable: {stays}, "
+        f"at worst {far}, {steady}, and {ran_away} run away in the step of steps.png; threshold: stable, "
         f"{_error_limit(**error)}"
     )
 
 
 def _settling(
-    model: float | None,
-    slowest: float | None,
-    plants: int,
-    all_stable: bool,
-    closed: float,
-    limit: float,
-    longest: float,
+    model: float | None, slowest: float | None, plants: int, all_stable: bool, closed: float, **more: float
 ) -> str:
-    end = f"more than {format_duration(longest, digits=2)}"
+    end = f"more than {format_duration(more['longest'], digits=2)}"
     shown, own = (
         end if each is None or math.isinf(each) else format_duration(each, digits=3) for each in (slowest, model)
     )
     return (
-        "between opposite targets, and as if inputs had no limits, all but "
-        f"{100 * closed:g} % of the way is done after {own} "
-        f"with the model, and after {shown} with the slowest of {plants} plants with other coefficients"
-        f"{'' if all_stable else ' that are stable'}; threshold: {format_duration(limit, digits=3)}"
+        f"between opposite targets, and as if inputs had no limits, all but {100 * closed:g} % of the way is done "
+        f"after {own} with the model, and after {shown} with the slowest of {plants} plants with other coefficients"
+        f"{'' if all_stable else ' that are stable'}; threshold: {format_duration(more['limit'], digits=3)}"
     )
 
 
@@ -849,30 +687,19 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     # reading
     "log.repeated_headings": "line {lines:list} repeats the headings",
     "log.no_headings": "the file has no headings; its columns are called {names:list}",
-    "log.title_lines": lambda count: (
-        f"{'1 line' if count == 1 else f'{count} lines'} above the headings {'was' if count == 1 else 'were'} skipped"
-    ),
+    "log.title_lines": "{count} lines above the headings were skipped",
     "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",
     "log.other_lengths": "left out, as the others have {length} values: {names:list}",
     "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
-    "log.words": _words_in_column,
-    "log.constant_columns": lambda columns: (
-        "left out, as what never changes tells nothing of the plant: " + _pairs(columns, "{:g} in all rows")
+    "log.words": "line {line}, column {column!r} holds {text!r}, which is no number; it counts as "
+    "missing, as do all {count} such cells of the column",
+    "log.left_out": _left_out,
+    "log.time": lambda column, unit, dates, dt: (
+        f"time is the column {column}, {'read as dates' if dates else f'in {unit}' if unit else 'taken as seconds'}"
+        + f": {dt:.4g} s between rows" * bool(dt)
     ),
-    "log.counters": lambda columns: (
-        f"left out, as {'it grows' if len(columns) == 1 else 'they grow'} evenly, as a counter of rows or a second "
-        f"clock does: {', '.join(columns)}; <data.states> or <data.inputs> may name it all the same"
-    ),
-    "log.text_columns": lambda columns: (
-        "left out, as they hold words and no numbers: "
-        + _pairs(columns, "{!r}")
-        + "; write ON and OFF as 1 and 0 to have them read"
-    ),
-    "log.empty_columns": "left out, as cells that are empty or NaN are all that they hold: {columns:list}",
-    "log.date_columns": "left out, as they hold dates, and the time is another column: {columns:list}",
-    "log.time": _time,
     "log.coarse_clock": "{column} moves in ticks of {tick:.4g} s, and rows are taken as even, {dt:.6g} s apart",
     "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
@@ -889,15 +716,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "they count as missing",
     "log.unwrapped": _unwrapped,
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
-    "log.gaps": lambda count: (
-        f"{count} gap{'s' * (count != 1)} longer than 1.5 sampling times split{'s' * (count == 1)} the recording"
-    ),
+    "log.gaps": "{count} gaps longer than 1.5 sampling times split the recording",
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines between the "
     "jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each step. If the "
     "samples were even and only their times were written late, give a counter as the time and {dt:data.dt}",
     "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
-    "log.references": "left out, as references by name: {columns:list}; what is none can be named in <data.states> or "
-    "<data.inputs>",
     "log.followed": "{columns:list} move in steps that another column follows, and are taken as references, which are "
     "neither inputs nor states; if they are states, give {states:data.states}",
     "log.guessed_inputs": "{inputs:list} are taken as inputs, for they move in steps and all others in most rows; no "
@@ -908,10 +731,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.differentiated": "{state} was reconstructed from {of}",
     "log.short_stretches": "{count} samples in stretches under {least} samples have no rate; they were skipped",
     "log.converted": lambda units, kept: (
-        "converted: "
-        + ", ".join(f"{name} from {old} to {new}" for name, (old, new) in units.items())
-        + ". Targets and limits are to be given in these units, and a controller reads them so; "
-        + f"{setting('data.states', kept)} would keep the units of the file"
+        f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}. Targets and "
+        "limits are to be given in these units, and a controller reads them so; "
+        f"{setting('data.states', kept)} would keep the units of the file"
     ),
     "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, so nothing is known of "
     "the values between them, which a controller uses. Log some of these, too; where the actuator can only switch, "
@@ -953,7 +775,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     # logs that cannot be read
     "log.no_roles": _no_roles,
-    "log.nothing_moves": _nothing_moves,
     "log.too_few": _too_few,
     "log.column_without_numbers": "the column {column} holds no number, only cells that are empty or NaN; allowed are "
     "columns of numbers: log what it should hold, or leave it out",
@@ -986,20 +807,20 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": _rate_units,
-    "log.low_signal_targets": _beyond_quiet,
+    "log.low_signal_targets": "the targets of {state} go from {low:g} to {high:g} {unit}, the log to {reach:.2g} "
+    "only; {quiet}",
     "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
     "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "
     "degrees by unit: deg of its column in <data.states>",
     # the fit
-    "fit.standard_errors": _standard_errors,
-    "fit.unscaled": _unscaled,
+    "fit.standard_errors": "coefficients{of_step:?of the change over a step} are known within {median:.2g} % of "
+    "themselves in the median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)",
+    "fit.unscaled": "no sensor sees {states:and}, and nothing else tells its unit: in any other unit, with "
+    "coefficients to match, the model predicts the same. Coefficients and standard errors are in about the unit of the "
+    "first guess",
     "fit.trajectories": lambda unmeasured: (
         "the fit compares whole simulations with the log and not single steps, as "
-        + (
-            f"not all of {', '.join(unmeasured)} was measured"
-            if unmeasured
-            else "the errors of single steps look like noise of the sensors"
-        )
+        + (f"{', '.join(unmeasured)} lack samples" if unmeasured else "single steps seem to miss by noise of sensors")
     ),
     "fit.single_steps": "the fit predicts each sample from the one before, as errors of such predictions do not look "
     "like noise of the sensors",
@@ -1010,7 +831,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "over them",
     "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
     "the log lacks",
-    "fit.longest_delay": _longest_delay,
+    "fit.longest_delay": lambda seconds: (
+        f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give "
+        f"{setting('longest_delay', float(f'{2 * seconds:g}'))}, or 0 where it stands for what the equations lack. "
+        "Standard errors take the delay as right"
+    ),
     "fit.multiple_shooting": "the fit simulates the log in pieces that begin anew every {samples} samples, as one "
     "simulation through all samples runs away (error=prediction)",
     "fit.shorter_shooting": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
@@ -1019,8 +844,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
-    "fit.rates_added": _rates_added,
-    "fit.rates_missing": _rates_missing,
+    "fit.rates_added": "what {known:and} will do depends on rates that the log lacks. They are estimated with the "
+    "model, as if {known:plant.known} had been given; <plant.known={{}}> leaves them out",
+    "fit.rates_missing": "what {states:and} will do depends on rates that are no states yet. Give {known:plant.known}: "
+    "a column of that name is read as the rate; without one, the rate is estimated",
     "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
     "training data that the fit had not seen: {what}",
     "fit.behind": lambda state, seconds, factor: (
@@ -1040,17 +867,25 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.spring": "{state}' has a spring in {of}",
     "model.input_nonlinearity": _bend,
     "model.lag_state": lambda signal, seconds, is_input, state: (
-        f"{signal} acts through a lag of {seconds:.3g} s, a state that no sensor sees"
-        if is_input
-        else f"a part of the plant that no sensor sees follows {signal} with a time constant of {seconds:.3g} s: it is "
-        f"the state {state}"
+        (
+            f"{signal} acts through a lag of {seconds:.3g} s"
+            if is_input
+            else f"something follows {signal} with a time constant of {seconds:.3g} s"
+        )
+        + f": the state {state}, which no sensor sees"
     ),
-    "model.idle_state": _idle,
-    "model.predicts": _predicts,
+    "model.idle_state": "{states:and} stand in no equation: no sensor sees what they do in any form, which needs a "
+    "first guess of the equations, as in {initial:plant.initial}, with numbers of your plant",
+    "model.predicts": lambda seconds, exact: (
+        f"this model predicts {format_duration(seconds)} ahead"
+        + f", and {', '.join(exact)} as exactly as the sensors can tell" * bool(exact)
+    ),
     "model.incomplete": "this model is better than the last value held for {seconds:time}, but it lacks something",
-    "model.runs_away": _runs_away,
+    "model.runs_away": "this model does not predict: within {seconds:time} it runs away in {states:list}",
     "model.misses": _misses,
-    "model.unstable_plant": _falls,
+    "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too: the plant seems to run "
+    "away by itself, as a pole that falls, and no model predicts that for long without the controller; up to "
+    "{seconds:time} ahead this model has at most half of the error of the last value held",
     "model.linear_better": _linear_better,
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be "

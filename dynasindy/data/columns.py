@@ -258,15 +258,14 @@ def infer(
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
     left_out: dict[str, Any] = {
-        "constant_columns": still,
-        "counters": counts,
-        "text_columns": {name: text for name, text in words.items() if name not in dates},
-        "empty_columns": empty,
-        "date_columns": dates if timed else dates[1:],  # the first is the time where nothing else is
+        "constant": still,
+        "counter": counts,
+        "words": [name for name in words if name not in dates],
+        "empty": empty,
+        "dates": dates if timed else dates[1:],  # the first is the time where nothing else is
+        "reference": targets,
     }
-    out = [note(f"log.{why}", columns=columns) for why, columns in left_out.items() if columns]
-    if targets:
-        out.append(note("log.references", columns=targets))
+    out = [note("log.left_out", why=why, columns=columns) for why, columns in left_out.items() if columns]
     if not left or not found or not timed:
         raise _without_roles(path, look, clock, list(found), out, dt)
     if led:
@@ -290,8 +289,7 @@ def _without_roles(
     facts: dict[str, Any] = {"path": path, "columns": [*look.headings], "numbers": [*look.numeric], "clock": clock}
     facts["left_out"] = [*out]
     if timed and len(moving) < 2:
-        driven = [split_unit(name)[0] for name in moving] == list(inputs) != []
-        return LogError("log.nothing_moves", **facts, moving="".join(moving), driven=driven)
+        return LogError("log.no_roles", **facts, lacks="command")
     lacks = "time" if not timed else "inputs" if not inputs else "states"
     guess = guess_columns(look, clock if timed else None, inputs, dt) if look.numeric else None
     return LogError("log.no_roles", **facts, lacks=lacks, guess=guess)

@@ -147,7 +147,7 @@ def test_a_second_clock_and_a_counter_that_lost_rows_are_no_states(tmp_path):
     headings = ["time", "stamp_pc", "seq", "angle", "rate", "u"]
     found = recording(tmp_path / "l.csv", table(headings, T, other, counter, ANGLE, RATE, COMMAND))
     require_truth(found)
-    (left,) = [each for each in found.findings if each.code == "log.counters"]
+    (left,) = [each for each in found.findings if each.values.get("why") == "counter"]
     assert set(left.values["columns"]) == {"stamp_pc", "seq"}
 
 

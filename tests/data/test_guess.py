@@ -53,7 +53,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k},{math.sin(k)},{k // 4 % 2},24.5" for k in range(80)]
     path.write_text("\n".join(["time,angle,motor,supply", *rows]))
-    still = note("log.constant_columns", columns={"supply": 24.5})
+    still = note("log.left_out", why="constant", columns={"supply": 24.5})
     states, inputs = infer(str(path), findings=(told := []))
     assert (list(states), list(inputs)) == (["angle"], ["motor"]) and still in told
     assert told[-1] == weak("log.guessed_inputs", inputs=["motor"], states=["angle"])
@@ -62,7 +62,7 @@ def test_a_column_that_never_changes_is_no_input_and_no_state_and_is_said(tmp_pa
     path.write_text("\n".join(["time,angle,u_motor,u_supply", *rows]))
     found = LoggedData(str(path)).recording(None)
     assert found.signature.input_names == ("u_motor",)
-    assert note("log.constant_columns", columns={"u_supply": 24.5}) in found.findings
+    assert note("log.left_out", why="constant", columns={"u_supply": 24.5}) in found.findings
     assert LoggedData(str(path), states=["angle"]).recording(None).signature.input_names == ("u_motor",)
 
 
@@ -163,7 +163,7 @@ def test_a_reference_is_left_out_by_its_name_unless_it_is_named(tmp_path, name):
     path.write_text("\n".join([f"t,{name},y,u", *(",".join(map(repr, row)) for row in rows)]))
     found = LoggedData(str(path)).recording(None)
     assert found.signature.state_names == ("y",)
-    assert codes(found)["log.references"] == note("log.references", columns=[name])
+    assert codes(found)["log.left_out"] == note("log.left_out", why="reference", columns=[name])
     assert LoggedData(str(path), states=["y", name]).recording(None).signature.state_names == ("y", name)
     assert LoggedData(str(path), inputs=[name]).recording(None).signature.input_names == (name,)
 

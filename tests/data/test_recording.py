@@ -324,11 +324,11 @@ def test_a_counter_of_rows_beside_the_time_is_no_state_unless_it_is_named(tmp_pa
     table = np.concatenate([log(), 3.0 + np.arange(80)[:, None]], -1)
     path = write(tmp_path / "log.csv", table, ("time", "angle", "rate", "u", "row"))
     states, _ = infer(path, findings=(found := []))
-    assert list(states) == ["angle", "rate"] and found == [note("log.counters", columns=["row"])]
+    assert list(states) == ["angle", "rate"] and found == [note("log.left_out", why="counter", columns=["row"])]
     assert list(infer(path, states=["angle", "row"])[0]) == ["angle", "row"]
     path = write(tmp_path / "log.csv", table, ("Zeit", "angle", "rate", "volt", "row"))
     with pytest.raises(LogError) as error:
         infer(path)
     told = error.value.finding.values
-    assert told["left_out"] == [note("log.counters", columns=["row"])]
+    assert told["left_out"] == [note("log.left_out", why="counter", columns=["row"])]
     assert (told["guess"]["inputs"], told["guess"]["states"]) == (["volt"], ["angle", "rate"])
