@@ -56,18 +56,9 @@ def simulate_program(
         ValueError: a formula holds something that is none.
         FileNotFoundError: there is no compiler.
     """
-    listing = _listing(replace(program, constants=()), len(program.constants))
-    h, steps, difference = steps_of(program.step, dt, substeps)
-    constants = torch.tensor([*program.constants, *listing.numbers], dtype=torch.float64)
-    ends, room = x.new_empty(*u.shape[:2], program.n_x), x.new_empty((listing.values + 4 * program.n_x) * WIDTH)
-    sizes = (program.n_x, program.n_u, len(constants), listing.values + program.n_x)
-    places = map(_data, (listing.code, listing.results, constants))
-    rows, periods, count = (ctypes.c_long(n) for n in (len(x), u.shape[1], len(listing.code)))
-    whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
-    correction = _correction(update)
-    data = map(_data, (*whole, ends, room, *correction))
-    _library().simulate(rows, periods, *sizes, count, *places, ctypes.c_double(h), steps, int(difference), *data)
-    return ends
+    listing = _listing(replace(program, constants=(), step=None), len(program.constants), None)
+    units, steps = torch.eye(program.n_x, dtype=torch.float64), steps_of(program.step, dt, substeps)
+    return _simulated(listing, program, units, None, x, u, u_end, steps, update)[0]
 
 
 class MeasurementUpdate(NamedTuple):
@@ -88,12 +79,6 @@ class MeasurementUpdate(NamedTuple):
         return x + (self.measured[:, period] - x).nan_to_num() @ self.gain.mT
 
 
-def _correction(update: MeasurementUpdate | None) -> tuple[Tensor | None, Tensor | None]:
-    if update is None:
-        return None, None
-    return update.measured.double().contiguous(), update.gain.double().contiguous()
-
-
 class Slopes:
     """Differentiate a model that is sparse in functions: dx/dt = Xi' Theta(x, u).
 
@@ -107,16 +92,15 @@ class Slopes:
     """
 
     def __init__(self, functions: Program, shapes: Sequence[int | None] = ()) -> None:
-        self.program, self.n_shapes = functions, len(shapes)
-        self._code = _library()
-        self._listing = _slopes_listing(
-            replace(functions, constants=(), step=None), len(functions.constants), (*shapes,)
-        )
+        self.program = functions
+        _library()
+        self._listing = _listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
 
     def rates_by_state(self, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Return the derivatives of the rates by the states, `(B, n_x, n_x)`."""
         none = torch.zeros(0, dtype=torch.int64)
-        after = self._passed(xi, (none, none), x, u.unsqueeze(1), None, Steps(1.0, 1, True))[1]
+        steps = Steps(1.0, 1, True)
+        after = _simulated(self._listing, self.program, xi, (none, none), x, u.unsqueeze(1), None, steps, None)[1]
         return after[:, 0, :, : xi.shape[1]] - torch.eye(xi.shape[1], dtype=after.dtype)
 
     def trajectories(
@@ -146,42 +130,47 @@ class Slopes:
             States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the fitted
             elements of the gain, the shapes and the coefficients, `(rows, T, n_x, n_x + G + S + P)`.
         """
-        return self._passed(xi, parameters, x, u, u_end, steps_of(self.program.step, dt, substeps), update)
+        steps = steps_of(self.program.step, dt, substeps)
+        return _simulated(self._listing, self.program, xi, parameters, x, u, u_end, steps, update)
 
-    def _passed(
-        self,
-        xi: Tensor,
-        parameters: tuple[Tensor, Tensor],
-        x: Tensor,
-        u: Tensor,
-        u_end: Tensor | None,
-        steps: Steps,
-        update: MeasurementUpdate | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        listing, n_x, (rows, periods, n_u) = self._listing, self.program.n_x, u.shape
-        features, states = (xi != 0).nonzero(as_tuple=True)
-        rates = torch.stack([states, listing.functions[features]]).int(), xi[features, states]
-        by_state, state_places = _summed(xi, listing.by_state, n_x)
-        by_shape, shape_places = _summed(xi, listing.by_shape, max(self.n_shapes, 1))
-        sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
-        sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
-        constants = torch.tensor([*self.program.constants, *listing.numbers], dtype=torch.float64)
-        fitted = torch.zeros(2, 0) if update is None or update.free is None else update.free
-        own, columns = torch.stack(parameters).int(), n_x + fitted.shape[1] + self.n_shapes + len(parameters[0])
-        sizes = (n_x, n_u, len(constants), listing.values, len(xi), self.n_shapes, own.shape[1])
-        stages = 4 * (len(xi) + state_places.shape[1] + shape_places.shape[1] + 2 * n_x)
-        room = x.new_empty((listing.values + stages + n_x * (steps.number + 2 + 3 * columns)) * WIDTH)
-        ends, slopes = x.new_empty(rows, periods, n_x), x.new_empty(rows, periods, n_x, columns)
-        whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
-        arguments = [
-            *(*map(ctypes.c_long, (rows, periods)), *sizes, *map(ctypes.c_long, (listing.first, len(listing.code)))),
-            *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
-            *(int(steps.difference), *whole, ends, slopes, room, *_correction(update), fitted.shape[1], fitted.int()),
-        ]
-        self._code.sensitivities(
-            *(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments)
-        )
-        return ends, slopes
+
+def _simulated(
+    listing: _Listing,
+    program: Program,
+    xi: Tensor,
+    parameters: tuple[Tensor, Tensor] | None,
+    x: Tensor,
+    u: Tensor,
+    u_end: Tensor | None,
+    steps: Steps,
+    update: MeasurementUpdate | None,
+) -> tuple[Tensor, Tensor]:
+    """Return states at the ends of periods, and their derivatives as `Slopes.trajectories`; no columns if unasked."""
+    n_x, n_shapes, (rows, periods, n_u) = program.n_x, listing.shapes, u.shape
+    features, states = (xi != 0).nonzero(as_tuple=True)
+    rates = torch.stack([states, listing.functions[features]]).int(), xi[features, states]
+    by_state, state_places = _summed(xi, listing.by_state, n_x)
+    by_shape, shape_places = _summed(xi, listing.by_shape, max(n_shapes, 1))
+    sums = [part for to, by in (rates, by_state, by_shape) for part in (to.shape[1], to, by)]
+    sums += [part for places in (state_places, shape_places) for part in (places.shape[1], places)]
+    constants = torch.tensor([*program.constants, *listing.numbers], dtype=torch.float64)
+    fitted = torch.zeros(2, 0) if update is None or update.free is None else update.free
+    own = torch.zeros(2, 0).int() if parameters is None else torch.stack(parameters).int()
+    columns = 0 if parameters is None else n_x + fitted.shape[1] + n_shapes + own.shape[1]
+    sizes = (n_x, n_u, len(constants), listing.values, len(xi), n_shapes, own.shape[1])
+    stages = 4 * (len(xi) + state_places.shape[1] + shape_places.shape[1] + 3 * n_x)
+    room = x.new_empty((listing.values + stages + n_x * (steps.number + 1 + 3 * columns)) * WIDTH)
+    ends, slopes = x.new_empty(rows, periods, n_x), x.new_empty(rows, periods, n_x, columns)
+    whole = [None if part is None else part.contiguous() for part in (x, u, u_end)]
+    correction = [None, None] if update is None else [v.double().contiguous() for v in (update.measured, update.gain)]
+    arguments = [
+        *(*map(ctypes.c_long, (rows, periods)), *sizes, *map(ctypes.c_long, (listing.first, len(listing.code)))),
+        *(listing.code, listing.functions.int(), *sums, own, constants, ctypes.c_double(steps.h), steps.number),
+        *(int(steps.difference), *whole, ends, slopes if columns else None, room, *correction),
+        *(fitted.shape[1], fitted.int()),
+    ]
+    _library().simulate(*(_data(part) if part is None or torch.is_tensor(part) else part for part in arguments))
+    return ends, slopes
 
 
 def _data(tensor: Tensor | None) -> ctypes.c_void_p:
@@ -201,22 +190,6 @@ def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tenso
 
 
 class _Listing(NamedTuple):
-    """Hold the instructions of a program.
-
-    Attributes:
-        code: operation, operands and result of each, `(N, 4)` int32.
-        results: where the rate of each state is, `(n_x,)` int32.
-        numbers: what stands in the formulas, behind the constants of the program.
-        values: how many values there are.
-    """
-
-    code: Tensor
-    results: Tensor
-    numbers: tuple[float, ...]
-    values: int
-
-
-class _SlopesListing(NamedTuple):
     """Hold the instructions of functions and of their slopes.
 
     Attributes:
@@ -225,6 +198,7 @@ class _SlopesListing(NamedTuple):
         functions: where each function is, `(n_functions,)`.
         by_state: function, state and place of each slope that is not zero, `(3, n)`.
         by_shape: the same by the numbers inside functions.
+        shapes: how many of these there are.
         numbers: what stands in the formulas, behind the constants of the program.
         values: how many values there are.
     """
@@ -234,6 +208,7 @@ class _SlopesListing(NamedTuple):
     functions: Tensor
     by_state: Tensor
     by_shape: Tensor
+    shapes: int
     numbers: tuple[float, ...]
     values: int
 
@@ -241,41 +216,36 @@ class _SlopesListing(NamedTuple):
 @cache
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
-    return load_library(text.replace("@width@", str(WIDTH)), ("simulate", "sensitivities"), fast=True, cached=True)
+    return load_library(text.replace("@width@", str(WIDTH)), ("simulate",), fast=True, cached=True)
 
 
 @lru_cache(maxsize=512)
-def _listing(program: Program, constants: int) -> _Listing:
-    """Return the instructions of a program whose constants are left out, so many as there are."""
-    writer = _Instructions(program, constants, [*program.lines, *(("", result) for result in program.results)])
-    results = torch.tensor(writer.places[len(program.lines) :], dtype=torch.int32)
-    return _Listing(writer.listed(), results, writer.numbers, writer.values)
-
-
-@lru_cache(maxsize=512)
-def _slopes_listing(program: Program, constants: int, shapes: tuple[int | None, ...]) -> _SlopesListing:
-    """Return the instructions of functions, whose constants are left out, and of their slopes."""
-    n_x, n_functions = program.n_x, len(program.results)
-    numbered = {f"x[{i}]": i for i in range(n_x)}
-    numbered |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
-    tangents = Tangents(numbered, [f"u[{j}]" for j in range(program.n_u)])
-    for name, formula in program.lines:
-        tangents.line(name, formula)
-    found = [tangents.last(result) for result in program.results]
-    own = {name for name, _ in program.lines}
-    values = [line for line in tangents.lines if line[0] in own] + [("", text) for text, _ in found]
-    slopes = [(k, variable, text) for k, (_, row) in enumerate(found) for variable, text in sorted(row.items())]
-    inner = [line for line in tangents.lines if line[0] not in own]
+def _listing(program: Program, constants: int, shapes: tuple[int | None, ...] | None) -> _Listing:
+    """Return the instructions of functions, their constants left out, and of their slopes, unless these are None."""
+    n_x, n_functions, values, inner, slopes = program.n_x, len(program.results), [*program.lines], [], []
+    results = [*program.results]
+    if shapes is not None:
+        numbered = {f"x[{i}]": i for i in range(n_x)}
+        numbered |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
+        tangents = Tangents(numbered, [f"u[{j}]" for j in range(program.n_u)])
+        for name, formula in program.lines:
+            tangents.line(name, formula)
+        found = [tangents.last(result) for result in program.results]
+        names, results = {name for name, _ in program.lines}, [text for text, _ in found]
+        values = [line for line in tangents.lines if line[0] in names]
+        inner = [line for line in tangents.lines if line[0] not in names]
+        slopes = [(k, variable, text) for k, (_, row) in enumerate(found) for variable, text in sorted(row.items())]
+    values += [("", text) for text in results]
     writer = _Instructions(program, constants, [*values, *inner, *(("", text) for *_, text in slopes)])
-    first, places = writer.counts[len(values) - 1], writer.places[len(values) + len(inner) :]
+    places = writer.places[len(values) + len(inner) :]
     table = torch.tensor([(k, v, place) for (k, v, _), place in zip(slopes, places, strict=True)]).reshape(-1, 3).long()
-    by_shape = table[table[:, 1] >= n_x] - torch.tensor([0, n_x, 0])
-    return _SlopesListing(
+    return _Listing(
         writer.listed(),
-        first,
+        writer.counts[len(values) - 1],
         torch.tensor(writer.places[len(values) - n_functions : len(values)]),
         table[table[:, 1] < n_x].mT,
-        by_shape.mT,
+        (table[table[:, 1] >= n_x] - torch.tensor([0, n_x, 0])).mT,
+        len(shapes or ()),
         writer.numbers,
         writer.values,
     )

@@ -91,56 +91,6 @@ static void correct(const double *gain, int n_x, int width, long every, const do
         for (int r = 0; r < W; r++) s[places[k] * columns + n_x + k][r] += error[places[n_g + k]][r];
 }
 
-/* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x). The first values
-   of `room` are states and inputs, then come `n_k` constants; behind all `n_v` values are 4 n_x arrays of the steps. Of
-   a difference equation a step has one stage. With a gain states are corrected by what was measured: (rows, periods,
-   n_x), before the next period. */
-void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, long n, const int *code, const int *results,
-              const double *constants, double h, int steps, int difference, const double *x, const double *u,
-              const double *u_end, double *ends, double *room, const double *measured, const double *gain)
-{
-    double (*v)[W] = (double (*)[W])room, (*at)[W] = v + n_v, (*sum)[W] = at + n_x, (*once)[W] = sum + n_x;
-    for (int k = 0; k < n_k; k++)
-        for (int r = 0; r < W; r++) v[n_x + n_u + k][r] = constants[k];
-    for (long first = 0; first < rows; first += W) {
-        int width = rows - first < W ? (int)(rows - first) : W;
-        for (int i = 0; i < n_x; i++)
-            for (int r = 0; r < W; r++) at[i][r] = x[(first + (r < width ? r : 0)) * n_x + i];
-        for (long t = 0; t < periods; t++) {
-            const double *begin = u + t * n_u, *end = u_end ? u_end + t * n_u : NULL;
-            put_inputs(v + n_x, first, width, n_u, periods, begin, end, 0);
-            for (int s = 0; s < steps; s++) {
-                for (int stage = 0; stage < (difference ? 1 : 4); stage++) {
-                    for (int i = 0; i < n_x; i++) {
-                        if (stage == 0) { memcpy(v[i], at[i], sizeof *v); continue; }
-                        const double *k = v[results[i]], size = h * ahead[stage];
-                        double *restrict outer = sum[i], *restrict inner = once[i];
-                        for (int r = 0; r < W; r++) {
-                            if (stage == 1) outer[r] = k[r];
-                            else inner[r] = stage == 2 ? k[r] : inner[r] + k[r];
-                        }
-                        for (int r = 0; r < W; r++) v[n_v - n_x + i][r] = at[i][r] + size * k[r];
-                    }
-                    if (end) put_inputs(v + n_x, first, width, n_u, periods, begin, end, (s + ahead[stage]) / steps);
-                    if (stage) memcpy(v, v + n_v - n_x, n_x * sizeof *v); /* all at once: a rate may be another state */
-                    evaluate(n, code, v);
-                }
-                for (int i = 0; i < n_x; i++) {
-                    const double *k = v[results[i]];
-                    for (int r = 0; r < W; r++)
-                        once[i][r] = difference ? at[i][r] + h * k[r]
-                                                : at[i][r] + h / 6 * ((sum[i][r] + k[r]) + 2 * once[i][r]);
-                }
-                memcpy(at, once, n_x * sizeof *at);
-            }
-            for (int r = 0; r < width; r++)
-                for (int i = 0; i < n_x; i++) ends[((first + r) * periods + t) * n_x + i] = at[i][r];
-            long row = (first * periods + t) * n_x;
-            if (gain) correct(gain, n_x, width, periods * n_x, measured + row, ends + row, at, NULL, 0, 0, NULL);
-        }
-    }
-}
-
 /* Sums: `to[k]` of what is computed grows by `by[k]` times `from[k]` of the values. */
 struct sums { int n; const int *to, *from; const double *by; };
 /* A matrix that is mostly zero: row and column of each element that is not. */
@@ -169,18 +119,26 @@ static void add_up(struct sums sums, int n, double (*v)[W], double (*result)[W])
 /* One stage of step s, by the first `n` instructions; of all of them there are slopes, too. */
 static void pass_stage(const struct flow *f, int s, int stage, long n, int slopes)
 {
-    double (*at)[W] = f->at + s * f->n_x, (*next)[W] = at + f->n_x, size = f->h * ahead[stage];
-    double part = f->stages == 1 ? f->h : f->h / (stage == 1 || stage == 2 ? 3 : 6);
+    double (*at)[W] = f->at + s * f->n_x, (*rate)[W] = f->rate + stage * f->n_x, size = f->h * ahead[stage];
     for (int i = 0; i < f->n_x; i++)
-        for (int r = 0; r < W; r++) f->v[i][r] = stage ? at[i][r] + size * f->rate[i][r] : at[i][r];
+        for (int r = 0; r < W; r++) f->v[i][r] = stage ? at[i][r] + size * rate[i - f->n_x][r] : at[i][r];
     evaluate(n, f->code, f->v);
-    add_up(f->rates, f->n_x, f->v, f->rate);
-    for (int i = 0; i < f->n_x; i++)
-        for (int r = 0; r < W; r++) next[i][r] = (stage ? next[i][r] : at[i][r]) + part * f->rate[i][r];
+    add_up(f->rates, f->n_x, f->v, rate);
     if (!slopes) return;
     for (int k = 0; k < f->n_f; k++) memcpy(f->theta + stage * f->n_f + k, f->v + f->features[k], sizeof *f->v);
     add_up(f->by_state, f->state_places.n, f->v, f->of_state + stage * f->state_places.n);
     add_up(f->by_shape, f->shape_places.n, f->v, f->of_shape + stage * f->shape_places.n);
+}
+
+/* The states after step s, by the rates of its stages. */
+static void end_step(const struct flow *f, int s)
+{
+    double (*at)[W] = f->at + s * f->n_x, (*next)[W] = at + f->n_x, (*k)[W] = f->rate;
+    int n = f->n_x;
+    for (int i = 0; i < n; i++, k++)
+        for (int r = 0; r < W; r++)
+            next[i][r] = f->stages == 1 ? at[i][r] + f->h * k[0][r]
+                                        : at[i][r] + f->h / 6 * ((k[0][r] + k[3 * n][r]) + 2 * (k[n][r] + k[2 * n][r]));
 }
 
 /* Weights of the rates of a stage times their slopes by the states. */
@@ -270,18 +228,19 @@ static void chain(int n_x, long columns, double (*own)[W], double (*before)[W], 
 
 /* x: (rows, n_x), u and u_end, which may be none: (rows, periods, n_u) give ends: (rows, periods, n_x), and their
    derivatives by the states x, elements of the gain, the numbers inside functions and the coefficients, slopes:
-   (rows, periods, n_x, n_x + n_g + n_s + n_p). The first `n_values` instructions compute functions, the others their
+   (rows, periods, n_x, n_x + n_g + n_s + n_p), unless there is no room for these. With a gain states are corrected by
+   what was measured: (rows, periods, n_x), before the next period. Of a difference equation a step has one stage. The
+   first values of `room` are states and inputs, then come `n_k` constants and what is computed. The first `n_values` instructions compute functions, the others their
    slopes. A step k1 .. k4 of h moves an error of its end by a4 = h/6, a3 = h/3 + h a4 J4, a2 = h/3 + h/2 a3 J3 and
    a1 = h/6 + h/2 a2 J2 times the errors of its four rates, where J are the slopes of the rates by the states: so each
    function is weighed once. */
-void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n_f, int n_s, int n_p,
-                   long n_values, long n, const int *code, const int *features, int n_rates, const int *rates,
-                   const double *rates_by, int n_states, const int *states, const double *states_by, int n_shapes,
-                   const int *shapes, const double *shapes_by, int n_state_places, const int *state_places,
-                   int n_shape_places, const int *shape_places, const int *parameters, const double *constants,
-                   double h, int steps, int difference, const double *x, const double *u, const double *u_end,
-                   double *ends, double *slopes, double *room, const double *measured, const double *gain,
-                   int n_g, const int *places)
+void simulate(long rows, long periods, int n_x, int n_u, int n_k, int n_v, int n_f, int n_s, int n_p, long n_values,
+              long n, const int *code, const int *features, int n_rates, const int *rates, const double *rates_by,
+              int n_states, const int *states, const double *states_by, int n_shapes, const int *shapes,
+              const double *shapes_by, int n_state_places, const int *state_places, int n_shape_places,
+              const int *shape_places, const int *parameters, const double *constants, double h, int steps,
+              int difference, const double *x, const double *u, const double *u_end, double *ends, double *slopes,
+              double *room, const double *measured, const double *gain, int n_g, const int *places)
 {
     struct flow f = {n_x, n_f, difference ? 1 : 4, steps, h, code, features,
                      {n_rates, rates, rates + n_rates, rates_by}, {n_states, states, states + n_states, states_by},
@@ -289,11 +248,11 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
                      {n_state_places, state_places, state_places + n_state_places},
                      {n_shape_places, shape_places, shape_places + n_shape_places},
                      NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL};
-    long columns = n_x + n_g + n_s + n_p, size = n_x * columns;
+    long columns = slopes ? n_x + n_g + n_s + n_p : 0, size = n_x * columns;
     f.v = (double (*)[W])room;
     f.at = f.v + n_v;
     f.rate = f.at + (steps + 1) * n_x;
-    f.theta = f.rate + n_x;
+    f.theta = f.rate + 4 * n_x;
     f.of_state = f.theta + 4 * n_f;
     f.of_shape = f.of_state + 4 * n_state_places;
     f.weight = f.of_shape + 4 * n_shape_places;
@@ -310,23 +269,24 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
             if (t) memcpy(f.at, f.at + steps * n_x, n_x * sizeof *f.at);
             put_inputs(f.v + n_x, first, width, n_u, periods, begin, end, 0);
             memset(own, 0, size * sizeof *own);
-            for (int i = 0; i < n_x; i++)
+            for (int i = 0; i < n_x && slopes; i++)
                 for (int r = 0; r < W; r++) own[i * columns + i][r] = 1;
             /* Backwards: all steps but the last are passed once without slopes, and once with them. */
-            for (int pass = 0; pass < 2 * steps - 1; pass++) {
-                int at = pass < steps ? pass : 2 * steps - 2 - pass, with = pass >= steps - 1;
+            for (int pass = 0; pass < (slopes ? 2 * steps - 1 : steps); pass++) {
+                int at = pass < steps ? pass : 2 * steps - 2 - pass, with = slopes && pass >= steps - 1;
                 for (int stage = 0; stage < f.stages; stage++) {
                     double share = (at + ahead[stage]) / steps;
                     if (end) put_inputs(f.v + n_x, first, width, n_u, periods, begin, end, share);
                     pass_stage(&f, at, stage, with ? n : n_values, with);
                 }
+                if (pass < steps) end_step(&f, at);
                 for (int i = 0; with && i < n_x; i++) {
                     weigh_stages(&f, own + i * columns);
                     add_shapes(&f, own + i * columns + n_x + n_g);
                     add_own(&f, n_p, parameters, parameters + n_p, own + i * columns + n_x + n_g + n_s);
                 }
             }
-            if (t) {
+            if (t && slopes) {
                 double (*before)[W] = s;
                 chain(n_x, columns, own, before, spare);
                 s = spare;
@@ -343,7 +303,8 @@ void sensitivities(long rows, long periods, int n_x, int n_u, int n_k, int n_v, 
             long row = (first * periods + t) * n_x;
             double (*last)[W] = f.at + steps * n_x;
             if (gain)
-                correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns, n_g, places);
+                correct(gain, n_x, width, periods * n_x, measured + row, ends + row, last, s, columns, slopes ? n_g : 0,
+                        places);
         }
     }
 }
