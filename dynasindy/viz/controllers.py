@@ -7,9 +7,6 @@ from typing import Any
 
 from dynasindy.viz.style import BLUE, CYCLE, GREEN, ORANGE, PURPLE, RED, SKY
 
-BROWN = "#5D3A1A"
-"""Beside the palette, and darker than all of it; grey explains lines and bands in legends."""
-
 
 @dataclass(frozen=True)
 class ControllerStyle:
@@ -33,42 +30,20 @@ CONTROLLERS: Mapping[str, ControllerStyle] = {
     "rollouts_400": ControllerStyle("400 rollouts", SKY),
     "rollouts_800": ControllerStyle("800 rollouts", GREEN),
     "rollouts_0_tuned": ControllerStyle("TD3 tuned for no planning", RED, "--"),
-    "direct": ControllerStyle("direct TD3", RED, ":"),
     "sb3_sac": ControllerStyle("SAC", PURPLE),
     "sb3_sac_5": ControllerStyle("SAC, five updates per step", PURPLE, "--"),
     "sb3_td3": ControllerStyle("Stable-Baselines3's TD3", ORANGE),
     "sb3_td3_5": ControllerStyle("Stable-Baselines3's TD3, five updates per step", ORANGE, "--"),
-    "oracle": ControllerStyle("true plant as the model", BROWN),
-    "pysindy": ControllerStyle("PySINDy as the model", SKY, "--"),
-    "pysindy_gate_off": ControllerStyle("PySINDy as the model, gate off", SKY, ":"),
-    "gate_off": ControllerStyle("gate off", BROWN, "--"),
-    "horizon_1": ControllerStyle("rollouts of 1 period", ORANGE, "-."),
-    "horizon_5": ControllerStyle("rollouts of 5 periods", SKY, "-."),
-    "horizon_20": ControllerStyle("rollouts of 20 periods", PURPLE, "-."),
-    "horizon_100": ControllerStyle("rollouts of 100 periods", GREEN, "-."),
-    "horizon_400": ControllerStyle("rollouts of 400 periods", BROWN, "-."),
-    "real_share_05": ControllerStyle("5 % of a batch real", PURPLE, ":"),
-    "real_share_25": ControllerStyle("25 % of a batch real", ORANGE, ":"),
-    "real_share_50": ControllerStyle("50 % of a batch real", BROWN, ":"),
 }
-"""The default, and the settings of the ablation."""
-FAMILIES: Mapping[str, str] = {
-    "horizon": "length of a rollout, at equal numbers of imagined transitions",
-    "real_share": "share of real transitions in a batch",
-}
-"""What the settings of the ablation that end in a number vary."""
-PATTERNS = ((r"rollouts_(\d+)", "{} rollouts"), (r"horizon_(\d+)", "rollouts of {} periods"))
-"""Words for settings of other numbers than those above."""
+"""The default, the paper's settings, and agents without a model."""
 
 
 def controller_name(setting: str) -> str:
-    """Return the words for a setting: `rollouts_800` is `800 rollouts`, `real_share_05` is `5 % of a batch real`."""
+    """Return the words for a setting: `rollouts_800` is `800 rollouts`."""
     if setting in CONTROLLERS:
         return CONTROLLERS[setting].words
-    for pattern, words in PATTERNS:
-        if found := re.fullmatch(pattern, setting):
-            return words.format(found[1])
-    return setting if "," in setting else setting.replace("_", " ")
+    found = re.fullmatch(r"rollouts_(\d+)", setting)
+    return f"{found[1]} rollouts" if found else setting if "," in setting else setting.replace("_", " ")
 
 
 def name_by_planning(planning: Mapping[str, Any]) -> str:

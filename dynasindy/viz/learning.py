@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from dynasindy.evaluation.ablation import SHARE, Level, read_ablation, worst_errors
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
 from dynasindy.safe_io import file_name
-from dynasindy.viz.controllers import FAMILIES, controller_name, line_styles
+from dynasindy.viz.controllers import controller_name, line_styles
 from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, legend_beside, panels, save_figures, styled
 
 Curves = Mapping[str, ArrayLike]
@@ -36,8 +36,6 @@ APART = 0.12
 """Distance of the seeds of a setting after a single episode, of the width of its strip."""
 MOST_NAMED, STRIP = 6, 80
 """Strips that have their names below them at most, and the letters of one line of all these names."""
-REFERENCE = "rollouts_800"
-"""Setting beside which all others stand, but those compared at equal numbers of imagined transitions (`horizon`)."""
 OF_RANGE = "% of the target range"
 """Unit of errors where outputs in several units are compared."""
 
@@ -105,8 +103,7 @@ def draw_ablation(
 ) -> list[Path]:
     """Draw returns and errors for every plant and experiment in `ablation_curves.csv`.
 
-    The numbers of rollouts, as in the paper, stand in two figures of their own; the errors of all other settings, the
-    controls, in a third, a panel per family.
+    Where there are more settings than can be told apart, the figures have the numbers of rollouts, as the paper's.
 
     Args:
         results: Folder of the tables; the figures go there too.
@@ -128,46 +125,29 @@ def draw_ablation(
         errors = _curves(lines, 100 * lines[SHARE] if shares else worst_errors(lines))
         judged = (100 * share, OF_RANGE) if shares else (level, "rad")
         episodes = sorted(lines["episode"].unique())
-        chosen = [name for name in errors if _family(name) == "rollouts"] or list(errors)
-        main = {controller_name(name): errors[name] for name in chosen}
-        controls = {name: values for name, values in errors.items() if name not in chosen}
+        few = [name for name in errors if re.fullmatch(r"rollouts_\d+", name)] if len(errors) > MOST_NAMED else []
+        chosen = {name: controller_name(name) for name in few or errors}
+        rewards = {words: returns[name] for name, words in chosen.items()}
+        worst = {words: errors[name] for name, words in chosen.items()}
         figures = {
-            "average_rewards": average_rewards(
-                {controller_name(name): returns[name] for name in chosen},
-                episodes,
-                f"Imagined rollouts: average rewards, {title}",
-            ),
-            "steady_state_error": _draw_errors({"": main}, episodes, *judged, f"Steady-state error, {title}"),
+            "average_rewards": average_rewards(rewards, episodes, f"Imagined rollouts: average rewards, {title}"),
+            "steady_state_error": _draw_errors(worst, episodes, *judged, f"Steady-state error, {title}"),
         }
-        if controls:
-            families = _families(controls, errors.get(REFERENCE))
-            figures["controls"] = _draw_errors(families, episodes, *judged, f"Controls: steady-state error, {title}")
         files += save_figures({f"{name}_{case}": figure for name, figure in figures.items()}, results, formats)
     return files
 
 
 @styled
-def _draw_errors(families: Mapping[str, Curves], episode: ArrayLike, level: float, unit: str, title: str) -> Figure:
-    """Draw the error of the worse axis over episodes, a panel per family of settings, with the same vertical axis."""
-    once = all(map(_single_episode, families.values()))  # then each panel has a strip for each of its settings
-    alone = len(families) == 1 and "" in families
-    size = (8.5, 3.8) if alone else (10.0, 0.6 + 2.6 * len(families))
-    figure, axes = panels(len(families), 1, size, title, sharex=not once)
+def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, title: str) -> Figure:
+    """Draw the error of the worse axis over episodes."""
+    figure, (axis,) = panels(1, 1, (8.5, 3.8), title)
+    _draw_bands(axis, curves, episode)
+    axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
+    axis.set_yscale("log")
+    legend_beside(axis)
     short = "% of range" if unit == OF_RANGE else unit
     when = "of the last 5 s" if unit == "rad" else "at the end"  # a slow plant's end is longer
-    for axis, (family, curves) in zip(axes, families.items(), strict=True):
-        if axis is not axes[0]:
-            axis.sharey(axes[0])
-        _draw_bands(axis, curves, episode)
-        axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
-        axis.set_yscale("log")
-        legend_beside(axis)
-        axis.set_title(family)
-        axis.set_ylabel(
-            f"mean abs error {when}, worse axis [{short}]" if alone else f"steady-state error,\nworse axis [{short}]"
-        )
-        if not once and not alone:
-            axis.label_outer(remove_inner_ticks=False)
+    axis.set_ylabel(f"mean abs error {when}, worse axis [{short}]")
     return figure
 
 
@@ -178,7 +158,8 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) ->
     there is no course: settings stand side by side, and so do the seeds of each.
     """
     seeds = {name: np.atleast_2d(array(values)) for name, values in curves.items()}
-    once, last = _single_episode(curves), max((rows.shape[1] for rows in seeds.values()), default=0)
+    last = max((rows.shape[1] for rows in seeds.values()), default=0)
+    once = last == 1
     episodes = np.arange(1.0, last + 1) if episode is None else array(episode)[:last]
     for place, ((name, rows), line) in enumerate(zip(seeds.items(), line_styles(curves).values(), strict=True)):
         x = np.array([float(place)]) if once else episodes[: rows.shape[1]]
@@ -211,11 +192,6 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) ->
         axis.set_xlabel("real episode")
 
 
-def _single_episode(curves: Curves) -> bool:
-    """Return whether no curve has more than one episode."""
-    return bool(curves) and all(np.atleast_2d(array(values)).shape[1] == 1 for values in curves.values())
-
-
 def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
     """Write the names of settings under their strips, which stand at 0, 1, ..., unless these are too many to read."""
     few = len(names) <= MOST_NAMED
@@ -231,32 +207,6 @@ def _without_common_words(settings: pd.Series[str]) -> list[str]:
     words = [setting.split(",") for setting in settings]
     common = set.intersection(*(set(each[1:]) for each in words))
     return [",".join(word for word in each if word not in common) for each in words]
-
-
-def _families(curves: Mapping[str, Array], reference: Array | None) -> dict[str, dict[str, Array]]:
-    """Return the controls by what they vary, each beside the reference but where the amount of data would differ."""
-    families: dict[str, dict[str, Array]] = {}
-    for name in sorted(curves, key=_by_number):
-        family = _family(name)
-        first = {} if family == "horizon" or reference is None else {controller_name(REFERENCE): reference}
-        members = families.setdefault(FAMILIES.get(family, family.replace("_", " ")), first)
-        members[controller_name(name)] = curves[name]
-    return dict(sorted(families.items()))
-
-
-def _by_number(setting: str) -> list[tuple[str, int]]:
-    """Return a key that sorts `horizon_20` before `horizon_100`."""
-    return [("", int(word)) if word.isdigit() else (word, 0) for word in re.split(r"(\d+)", setting)]
-
-
-def _family(setting: str) -> str:
-    """Return what a setting varies: `real_share` for `real_share_05`; those of a kind of their own stand together."""
-    if "," in setting:
-        return "changed on the command line"
-    if setting.startswith(("rollouts_0_tuned", "direct", "sb3_")):  # `rollouts_0` stands beside the numbers of rollouts
-        return "without a model"
-    stem = re.fullmatch(r"(.+)_\d+", setting)
-    return stem[1] if stem else "other models, and the gate"
 
 
 def _curves(rows: pd.DataFrame, values: pd.Series[float]) -> dict[str, Array]:

@@ -81,21 +81,14 @@ def test_the_error_of_the_worse_axis_stands_at_its_evaluations_beside_the_level(
     assert curves["required: at most 0.05 rad"][0][1] == 0.05
 
 
-def test_controls_stand_by_what_they_vary_beside_the_reference_where_it_compares(drawn):
-    names = ("direct", "horizon_100", "horizon_20", "oracle", "real_share_05", "horizon_20,agent.tau=0.1")
-    names += ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "rollouts_800")
-    found = drawn(rows(dict.fromkeys(names, 0.1), seeds=(0,)))
-    assert set(found) == {f"{name}_xi_dyna" for name in ("average_rewards", "steady_state_error", "controls")}
-    many = "800 rollouts"
-    members = [[name.partition(" (")[0] for name in lines(axis)][:-1] for axis in found["controls_xi_dyna"].axes]
-    assert members == [
-        [many, "horizon_20,agent.tau=0.1"],
-        ["rollouts of 20 periods", "rollouts of 100 periods"],  # at equal transitions, of which the reference has more
-        [many, "true plant as the model"],
-        [many, "5 % of a batch real"],
-        [many, "direct TD3", "TD3 tuned for no planning", "SAC", "SAC, five updates per step"],
-    ]
-    assert len({axis.get_ylim() for axis in found["controls_xi_dyna"].axes}) == 1
+def test_of_many_settings_those_of_the_paper_are_drawn(drawn):
+    names = ("direct", "oracle", "sb3_sac", "sb3_sac_5", "rollouts_0", "rollouts_800")
+    some = drawn(rows(dict.fromkeys(names, 0.1), seeds=(0,)))["steady_state_error_xi_dyna"].axes[0]
+    assert len([name for name in lines(some) if "(1 seed)" in name]) == 6
+    found = drawn(rows(dict.fromkeys((*names, "pysindy"), 0.1), seeds=(0,)))
+    shown = [name.partition(" (")[0] for name in lines(found["steady_state_error_xi_dyna"].axes[0])][:-1]
+    assert set(found) == {"average_rewards_xi_dyna", "steady_state_error_xi_dyna"}
+    assert shown == ["no planning", "800 rollouts"]
 
 
 def test_errors_of_outputs_in_several_units_are_drawn_as_per_cent_of_the_target_range(drawn):
@@ -106,7 +99,7 @@ def test_errors_of_outputs_in_several_units_are_drawn_as_per_cent_of_the_target_
         for row in rows({name: 0.1}, (n,), (0,), steady_state_share=0.4 / n)
     ]
     found = drawn(table, share=0.1)
-    for name, curve in (("steady_state_error", "800 rollouts (1 seed)"), ("controls", "a (1 seed)")):
-        curves = lines(found[f"{name}_xi_dyna"].axes[0])
+    for curve in ("800 rollouts (1 seed)", "a (1 seed)"):
+        curves = lines(found["steady_state_error_xi_dyna"].axes[0])
         assert curves["required: at most 10 % of the target range"][0][1] == 10.0
         np.testing.assert_allclose(curves[curve], [[1, 40.0], [2, 20.0]])
