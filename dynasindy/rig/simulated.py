@@ -1,4 +1,4 @@
-"""A simulated rig: a plant in a process of its own that streams samples over UDP and keeps a watch of its own.
+"""A simulated rig: a plant in a thread of its own that streams samples over UDP and keeps a watch of its own.
 
 It applies the inputs that arrived since its last sample. A period without any is bridged with the inputs as they were,
 a second one ends in the safe input.
@@ -6,16 +6,13 @@ a second one ends in the safe input.
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 import socket
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
-from pickle import PicklingError
 
 import numpy as np
 import torch
@@ -64,6 +61,7 @@ class SimulatedRig:
     Attributes:
         port: Free port on which it listens.
         record: What it saw and did.
+        stopped: To be set to end what it serves.
     """
 
     def __init__(
@@ -83,7 +81,7 @@ class SimulatedRig:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
-        self.record = _Record()
+        self.record, self.stopped = _Record(), threading.Event()
         # The first period makes machine code of the plant, which would take longer than a control period.
         self._moved(self.start, self.safe)
 
@@ -104,6 +102,8 @@ class SimulatedRig:
         u, missed = self.safe, 0
         coming = deque([self.safe] * (self.sensors.actuator_delay if self.sensors else 0))
         for k in range(periods):
+            if self.stopped.is_set():
+                break
             y = x if self.sensors is None else self.sensors.read(x, self.system.signature, self.rng)
             self._socket.sendto(pack(k, y.numpy()), caller)
             found = self._inputs(begun + (k + 1) * self.dt, lockstep)
@@ -152,7 +152,7 @@ def rehearsal(
     bounds: Mapping[str, Ends] | None = None,
     start: Mapping[str, Ends] | None = None,
 ) -> Iterator[UdpRig]:
-    """Talk to a simulated rig in another process, which ends with the conversation.
+    """Talk to a simulated rig in another thread, which ends with the conversation.
 
     Args:
         system: The plant.
@@ -181,39 +181,12 @@ def rehearsal(
     limits = state_limits(system.signature, bounds or {})
     require_start_within(system.signature, ends, limits)
     require_plant(system, _begins, limits)
-    settings = {"dt": dt, "sensors": sensors, "seed": seed, "start": _begins(torch.Size()).numpy()}
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    far_end = context.Process(target=_serve, args=(there,), daemon=True)
-    far_end.start()
-    try:
+    rig = SimulatedRig(system, dt, sensors, seed=seed, start=_begins(torch.Size()).numpy())
+    thread = threading.Thread(target=rig.serve, args=(FOREVER,), daemon=True)
+    thread.start()
+    with connect(system, dt, port=rig.port) as caller:
         try:
-            here.send({"system": system, **settings})
-            answer: int | Exception = here.recv()
-        except (AttributeError, PicklingError) as error:  # a class within a function has no address
-            answer = error
-        if isinstance(answer, Exception):
-            plant = type(system)
-            raise ValueError(
-                f"the simulated rig plays its plant in another process, which cannot import {plant.__qualname__} of "
-                f"{plant.__module__} ({answer}); write the class into a Python file of its own that can be imported "
-                "(docs/plant.md), and import it from there"
-            ) from answer
-        with connect(system, dt, port=answer) as rig:
-            yield rig
-    finally:
-        far_end.terminate()
-        far_end.join()
-
-
-def _serve(pipe: Connection) -> None:
-    torch.set_num_threads(1)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a script's own handlers came with its module
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the flight; this end notices its silence
-    try:
-        rig = SimulatedRig(**pipe.recv())
-    except (ImportError, AttributeError) as error:  # the other end knows what to say about it
-        pipe.send(error)
-        return
-    pipe.send(rig.port)
-    rig.serve(FOREVER)
+            yield caller
+        finally:
+            rig.stopped.set()  # the safe input that is asked for next also wakes what was never called
+    thread.join()

@@ -68,7 +68,7 @@ def test_what_is_no_datagram_changes_nothing():
 
 
 @pytest.mark.slow
-def test_a_rehearsal_is_a_rig_in_another_process():
+def test_a_rehearsal_is_a_rig_of_its_own_clock():
     with rehearsal(Pendulum(), 0.05) as rig:
         rig.begin()
         assert rig.read(60.0).tolist() == [0.0, 0.0]
