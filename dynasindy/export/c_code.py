@@ -23,7 +23,6 @@ from dynasindy.control import Controller
 from dynasindy.control.files import network, require_states
 from dynasindy.control.integral import IntegralAction
 from dynasindy.export.expressions import (
-    Formulas,
     c_number,
     comment,
     fill,
@@ -41,6 +40,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.compiler import SUFFIX, compile_library
+from dynasindy.systems.machine import Program
 from dynasindy.systems.steps import Steps
 
 _HELPERS = {
@@ -97,15 +97,15 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
     return Sources(name, header, source + _function(found, f"void {name}_{result}({arguments})", result))
 
 
-def field(model: SindyModel, found: Formulas) -> str:
+def field(model: SindyModel, found: Program) -> str:
     """Return the text of the static function `field(x, u, dx)`, what it calls, and its equations as a comment."""
     head = "static void field(const double *x, const double *u, double *dx)"
     return f"{_helpers(found)}{_equations(model)}{_function(found, head)}"
 
 
-def _helpers(found: Formulas) -> str:
+def _helpers(found: Program) -> str:
     """Return the functions that formulas call and <math.h> does not have."""
-    return "".join(f"{text}\n" for name, text in _HELPERS.items() if name in found.calls)
+    return "".join(f"{text}\n" for name, text in _HELPERS.items() if found.has(name))
 
 
 def _places(signature: Signature, name: str) -> str:
@@ -153,8 +153,8 @@ def _equations(model: SindyModel) -> str:
     return "/* The identified equations, rounded:\n *\n" + _block(model.equations()) + "\n */\n"
 
 
-def _function(found: Formulas, head: str, result: str = "dx") -> str:
-    spare = [f"    (void){variable};\n" for variable in ("x", "u") if not found.reads(variable)]
+def _function(found: Program, head: str, result: str = "dx") -> str:
+    spare = [f"    (void){variable};\n" for variable in ("x", "u") if not found.has(variable)]
     body = [f"    const double {name} = {formula};\n" for name, formula in found.lines]
     results = [f"    {result}[{i}] = {formula};\n" for i, formula in enumerate(found.results)]
     return f"{head}\n{{\n{''.join([*body, *spare, *results])}}}\n"

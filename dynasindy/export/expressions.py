@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
@@ -23,7 +22,7 @@ from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import InfixWriter
 from dynasindy.sindy.equations import mapping
 from dynasindy.sindy.library import Library
-from dynasindy.systems.tangents import FORMULA_FUNCTIONS
+from dynasindy.systems.machine import Program
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 PLAIN = str.maketrans({"°": "deg", "²": "^2", "³": "^3", "·": "*", "µ": "u"})
@@ -126,29 +125,7 @@ def fill(name: str, words: Mapping[str, object], flags: Collection[str] = ()) ->
     return "\n".join(kept) + "\n"
 
 
-_CALL = re.compile(rf"\b({'|'.join(FORMULA_FUNCTIONS)})\(")
-
-
-@dataclass(frozen=True)
-class Formulas:
-    """A vector field dx/dt = f(x, u) in formulas of `x[0]`, `u[0]`, ...
-
-    Attributes:
-        lines: Name and formula of each value, in the order in which they are computed.
-        results: Formula of dx/dt of each state.
-        calls: Which of `FORMULA_FUNCTIONS` are called.
-    """
-
-    lines: tuple[tuple[str, str], ...]
-    results: tuple[str, ...]
-    calls: frozenset[str]
-
-    def reads(self, variable: str) -> bool:
-        """Whether `x` or `u` occurs."""
-        return any(f"{variable}[" in formula for formula in (*self.results, *(text for _, text in self.lines)))
-
-
-def formulas(model: SindyModel) -> Formulas:
+def formulas(model: SindyModel) -> Program:
     """Return the rates of change of a model as formulas.
 
     Raises:
@@ -157,7 +134,7 @@ def formulas(model: SindyModel) -> Formulas:
     return _written(model.library, model.coefficients)
 
 
-def right_sides(model: SindyModel) -> Formulas:
+def right_sides(model: SindyModel) -> Program:
     """Return the right sides of the equations as formulas: rates of change, or of a difference equation next states.
 
     Raises:
@@ -166,12 +143,9 @@ def right_sides(model: SindyModel) -> Formulas:
     return _written(*mapping(model.library, model.coefficients))
 
 
-def _written(library: Library, coefficients: Tensor) -> Formulas:
-    writer = _FormulaWriter(library, coefficients)
-    lines = writer.named
-    written = [*(text for _, text in lines), *writer.results]
-    calls = frozenset(name for text in written for name in _CALL.findall(text))
-    return Formulas(lines, tuple(writer.results), calls)
+def _written(library: Library, coefficients: Tensor) -> Program:
+    writer, signature = _FormulaWriter(library, coefficients), library.signature
+    return Program(signature.n_x, signature.n_u, writer.named, tuple(writer.results))
 
 
 class _FormulaWriter(InfixWriter):

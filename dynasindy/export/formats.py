@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.export.expressions import Formulas, comment, formulas, identifiers, right_sides
+from dynasindy.export.expressions import comment, formulas, identifiers, right_sides
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import equations_to_latex
+from dynasindy.systems.machine import Program
 
 NumpyField = Callable[[Any, Any], NDArray[np.float64]]
 
@@ -74,7 +75,7 @@ def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any]
     return _run(formulas(model), calls)
 
 
-def _run(found: Formulas, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
+def _run(found: Program, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
     """Return formulas as a function."""
     scope = dict(calls)
     # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
@@ -110,7 +111,7 @@ def control_system(model: SindyModel) -> Any:
     )
 
 
-def _python(found: Formulas, word: str = "dx") -> str:
+def _python(found: Program, word: str = "dx") -> str:
     """Return the text of `field(x, u)`."""
     what = "dx/dt of the states" if word == "dx" else "the states one step later"
     body = "".join(f"    {name} = {formula}\n" for name, formula in found.lines)

@@ -62,6 +62,10 @@ class Program:
     constants: tuple[float, ...] = ()
     step: float | None = None
 
+    def has(self, word: str) -> bool:
+        """Whether a formula has a word, such as `u`, or `sin`."""
+        return any(re.search(rf"\b{word}\b", text) for text in (*(formula for _, formula in self.lines), *self.results))
+
     def with_constants(self, added_to: Sequence[int], count: int) -> Program:
         """Return the vector field with states more that stay, the first of which add to the rates of some.
 
