@@ -120,6 +120,19 @@ def network(controller: Controller) -> MLP:
     return module
 
 
+def require_sparse(observer: Observer) -> SindyModel:
+    """Return the model of an observer.
+
+    Raises:
+        ValueError: It is of another kind.
+    """
+    if not isinstance(observer.model, SindyModel):
+        raise ValueError(
+            f"the observer works on a {type(observer.model).__name__}, which no file holds; fit a SindyModel"
+        )
+    return observer.model
+
+
 def _layers(network: MLP) -> list[dict[str, Any]]:
     return [
         {"in": w.shape[1], "out": w.shape[0], "weight": _packed(w), "bias": _packed(b)}
@@ -254,14 +267,10 @@ def _observer(controller: Controller) -> dict[str, Any] | None:
     """Return the record of the observer."""
     if (observer := controller.observer) is None:
         return None
-    if not isinstance(observer.model, SindyModel):
-        raise ValueError(
-            f"the observer works on a {type(observer.model).__name__}, which no file holds; fit a SindyModel"
-        )
     return {
         "sensors": asdict(observer.sensors),
         "state": observer.state_dict(),
-        "model": observer.model.record(),
+        "model": require_sparse(observer).record(),
     }
 
 
