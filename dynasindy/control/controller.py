@@ -185,11 +185,16 @@ class Controller:
         """Names of the tracked states, in the order of the references."""
         return self.setup.task.output_names
 
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the states that are measured: all of them, or those that the observer is told."""
+        channels = self.observer.sensors.channels if self.observer is not None else None
+        return tuple(name for name in self.signature.state_names if channels is None or name in channels)
+
     def __repr__(self) -> str:
         names, units = self.signature.state_names, self.signature.state_units
         outputs = ", ".join(f"{name} [{units[names.index(name)]}]" for name in self.outputs)
-        measured = self._measured()
-        seen = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True) if name in measured)
+        seen = ", ".join(f"{name} [{units[names.index(name)]}]" for name in self.measured)
         parts = [part for part, there in (("observer", self.observer), ("integral action", self.integral)) if there]
         more = f", with {' and '.join(parts)}" if parts else ""
         inputs = ", ".join(self.signature.input_names)
@@ -236,7 +241,7 @@ class Controller:
         """
         y = self._numbers("measurement", measurement, self.signature.state_names, math.nan)
         if self.observer is not None:
-            y[[i for i, name in enumerate(self.signature.state_names) if name not in self._measured()]] = math.nan
+            y[[i for i, name in enumerate(self.signature.state_names) if name not in self.measured]] = math.nan
         self._require("measurement", y, self.signature.state_names, gaps=self.observer is not None)
         r = self._numbers("reference", reference, self.outputs, math.nan)
         slope = self._numbers("rate", {} if rate is None else rate, self.outputs, 0.0)
@@ -256,15 +261,9 @@ class Controller:
         found: NDArray[np.float64] = action.double().numpy().copy()
         return found
 
-    def _measured(self) -> list[str]:
-        """Return the names of the states that are measured: all of them, or those that the observer is told."""
-        names = self.signature.state_names
-        channels = self.observer.sensors.channels if self.observer is not None else None
-        return [name for name in names if channels is None or name in channels]
-
     def _refused(self, what: str, name: str, names: Sequence[str]) -> ValueError:
         """Return the error that a name of nothing ends in, with what can be given."""
-        measured = self._measured() if what == "measurement" else list(names)
+        measured = list(self.measured) if what == "measurement" else list(names)
         estimated = ", ".join(each for each in names if each not in measured)
         more = f"; leave out {estimated}, which the controller estimates" if estimated else ""
         hint = did_you_mean(name, measured)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import ctypes
 import tempfile
 import textwrap
-import time
-from collections.abc import Callable, Mapping, Sequence
+import timeit
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from dynasindy.agents.networks import MLP
 from dynasindy.control import Controller
-from dynasindy.control.files import network, require_states
+from dynasindy.control.files import network, require_sparse, require_states
 from dynasindy.control.integral import IntegralAction
 from dynasindy.export.expressions import (
     c_number,
@@ -180,11 +181,9 @@ class ControllerSources(Sources):
     """A controller in C.
 
     Attributes:
-        measured: Names of the states that are read in `y`.
         shape: Numbers of states, of inputs and of tracked states.
     """
 
-    measured: tuple[str, ...]
     shape: tuple[int, int, int]
 
 
@@ -200,52 +199,28 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
             formula, or so many states that a call would overflow the stack.
     """
     name, mlp = module_name(name), network(controller)
-    task, signature = controller.setup.task, controller.signature
-    watching = None if controller.observer is None else _Filter.of(controller.observer)
-    if watching is not None and (n := len(watching.model.signature.state_names) + signature.n_u) > MANY:
-        raise ValueError(
-            f"an observer of {n} states and inputs overflows the stack in C; allowed are {MANY}: identify fewer states"
-        )
-    found = None if watching is None else formulas(watching.model)
+    task, signature, observer = controller.setup.task, controller.signature, controller.observer
     weights = _weights(mlp)
-    flags, words = _flags(controller), _words(controller, name)
-    text = f'{_HEAD}#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(watching, name)}\n{_tables(controller)}'
-    if watching is not None and found is not None:
-        flags |= watching.flags
-        words |= watching.words
-        text += "\n/* ---- The model ---- */\n\n" + field(watching.model, found) + fill("solve.c", {})
-        text += fill("flow.c", words, flags) + fill("observer.c", words, flags)
-        text += fill("push.c", words, flags) if "pushed" in flags else ""
-    words |= _policy(weights) | {"widest": max(max(w.shape) for w, _ in weights)}
+    has = {"integral": controller.integral is not None, "observe_rate": task.observe_rate, "rates": bool(task.rates)}
+    has |= {"all_rates": len(task.rates) == task.n_r, "some_rates": 0 < len(task.rates) < task.n_r}
+    words = _words(controller, name) | _policy(weights) | {"widest": max(max(w.shape) for w, _ in weights)}
+    if observer is not None:
+        if (n := observer.n_x + signature.n_u) > MANY:
+            raise ValueError(
+                f"an observer of {n} states and inputs overflows the stack in C; allowed are {MANY}: identify fewer "
+                "states"
+            )
+        has |= _observer_words(controller, observer, words)
+    flags = {flag for flag, there in has.items() if there}
+    text = f'{_HEAD}#include "{name}.h"\n\n#include <math.h>\n\n{_sizes(words, name)}\n{_tables(controller)}'
+    if observer is not None:
+        model = require_sparse(observer)
+        text += "\n/* ---- The model ---- */\n\n" + field(model, formulas(model))
+        parts = ("solve.c", "flow.c", "observer.c", *(["push.c"] if observer.pushed else []))
+        text += "".join(fill(part, words, flags) for part in parts)
     text += fill("policy.c", words, flags) + fill("controller.c", words, flags)
     shape = signature.n_x, signature.n_u, task.n_r
-    words |= {"words": _block(_told(controller)), **_watching_words(controller)}
-    return ControllerSources(name, fill("controller.h", words, flags), text, measured(controller), shape)
-
-
-def measured(controller: Controller) -> tuple[str, ...]:
-    """Return the names of the states that a controller has to be given."""
-    if controller.observer is None:
-        return controller.signature.state_names
-    return tuple(controller.signature.state_names[i] for i in _Filter.of(controller.observer).sensed)
-
-
-def _watching_words(controller: Controller) -> dict[str, str]:
-    """Return what the header says of measurements."""
-    if controller.observer is None:
-        return {"measured": "all states"}
-    seen = ", ".join(measured(controller))
-    return {"measured": _block([f"NaN where nothing was; the sensors are those of {seen}"])[3:].replace("\n", "\n ")}
-
-
-def _flags(controller: Controller) -> set[str]:
-    task = controller.setup.task
-    return {
-        *(["integral"] if controller.integral is not None else []),
-        *(["observe_rate"] if task.observe_rate else []),
-        *(["rates"] if task.rates else []),
-        *(["all_rates" if len(task.rates) == task.n_r else "some_rates"] if task.rates else []),
-    }
+    return ControllerSources(name, fill("controller.h", words, flags), text, shape)
 
 
 def _words(controller: Controller, name: str) -> dict[str, object]:
@@ -255,6 +230,8 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
         "name": name,
         "title": "A controller: measurements and references in, inputs of the plant out.",
         "guard": f"{name.upper()}_H",
+        "words": _block(_told(controller)),
+        "measured": "all states",
         "dt": number(controller.dt),
         "n_x": signature.n_x,
         "n_u": signature.n_u,
@@ -274,12 +251,11 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
     return words
 
 
-def _sizes(watching: _Filter | None, name: str) -> str:
+def _sizes(words: Mapping[str, object], name: str) -> str:
     """Return the enumerators of sizes."""
     sizes = {"NX": f"{name}_NX", "NU": f"{name}_NU", "NR": f"{name}_NR"}
-    if watching is not None:
-        late = str(watching.late)
-        sizes |= {"N": f"{name}_N", "M": str(len(watching.sensed)), "MEMORY": f"{name}_MEMORY", "LATE": late}
+    if "late" in words:
+        sizes |= {"N": f"{name}_N", "M": str(words["m"]), "MEMORY": f"{name}_MEMORY", "LATE": str(words["late"])}
     return enumerators(sizes)
 
 
@@ -342,64 +318,43 @@ def _told(controller: Controller) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class _Filter:
-    """What the observer in C is made of.
-
-    Attributes:
-        model: The identified model.
-        sensed: Places of the states that are measured.
-        words: What stands in the gaps of the templates.
-        flags: Which parts of the templates stay.
-        late: Control periods by which inputs and measurements are late together.
-    """
-
-    model: SindyModel
-    sensed: tuple[int, ...]
-    words: dict[str, object]
-    flags: set[str]
-    late: int
-
-    @classmethod
-    def of(cls, observer: Observer) -> _Filter:
-        """Return the numbers of an observer."""
-        if not isinstance(observer.model, SindyModel):
-            raise ValueError(
-                f"the observer works on a {type(observer.model).__name__}, which is not written in C; fit a SindyModel"
-            )
-        whole, part = observer.late()
-        late, dt = observer.sensors.delay + whole, observer.dt
-        sensed = tuple(i for i, r in enumerate(observer.variance.tolist()) if r < torch.inf)
-        rest, parts_of, ahead = (observer.steps(s) if s else NO_STEPS for s in (dt - part, part, dt))
-        rest_steps, part_steps = rest.number, max(1, parts_of.number)
-        stops, n_stops = stop_words(observer.stops, observer.n_x)
-        n = len(observer.scale)
-        scale, followers = observer.scale, observer.model.followers
-        words: dict[str, object] = {
-            "n": n,
-            "memory": late + 2,
-            "step": _joined(NUDGE * scale),
-            "strays": _joined((observer.q * scale).square() * dt),
-            "unknown": _joined((UNKNOWN * scale).square()),
-            "sensed": ", ".join(map(str, sensed)),
-            "variance": _joined(observer.variance[list(sensed)]),
-            "narrowest": _joined((LEAST * scale[list(sensed)]).square()),
-            "far": number(FAR**2),
-            "followers": "\n".join(f"    s->x[{i}] = s->x[{state}];" for i, state in followers.items()),
-            "pushed": ", ".join(map(str, observer.pushed)),
-            "pushes_word": " and, behind them, of the pushes, which stay" if observer.pushed else "",
-            "whole_scale": _joined(torch.cat([scale[: observer.n_x], torch.ones(observer.model.signature.n_u)])),
-            "late_words": f"{late} periods" + (f" and {part!r} s" if part else ""),
-            "late_index": ", k" if late else "",
-            "part": number(part), "part_steps": part_steps,
-            "rest": number(dt - part), "rest_steps": rest_steps,
-            "substeps": ahead.number,
-            **stops,
-        }  # fmt: skip
-        parts: dict[str, object] = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part}
-        parts |= {"late": late, "difference": observer.model.step is not None}
-        flags = {flag for flag, there in parts.items() if there} | ({"followers"} if followers else set())
-        return cls(observer.model, sensed, words, flags, late)
+def _observer_words(controller: Controller, observer: Observer, words: dict[str, object]) -> dict[str, bool]:
+    """Add what stands of an observer in the gaps of the templates, and return which parts of these stay."""
+    model, (whole, part), dt, scale = require_sparse(observer), observer.late(), observer.dt, observer.scale
+    late, seen = observer.sensors.delay + whole, controller.measured
+    sensed = [controller.signature.state_index(state) for state in seen]
+    rest, parts_of, ahead = (observer.steps(s) if s else NO_STEPS for s in (dt - part, part, dt))
+    stops, n_stops = stop_words(observer.stops, observer.n_x)
+    told = _block([f"NaN where nothing was; the sensors are those of {', '.join(seen)}"])
+    words |= {
+        "measured": told[3:].replace("\n", "\n "),
+        "n": len(scale),
+        "m": len(sensed),
+        "late": late,
+        "memory": late + 2,
+        "step": _joined(NUDGE * scale),
+        "strays": _joined((observer.q * scale).square() * dt),
+        "unknown": _joined((UNKNOWN * scale).square()),
+        "sensed": ", ".join(map(str, sensed)),
+        "variance": _joined(observer.variance[sensed]),
+        "narrowest": _joined((LEAST * scale[sensed]).square()),
+        "far": number(FAR**2),
+        "followers": "\n".join(f"    s->x[{i}] = s->x[{state}];" for i, state in model.followers.items()),
+        "pushed": ", ".join(map(str, observer.pushed)),
+        "pushes_word": " and, behind them, of the pushes, which stay" if observer.pushed else "",
+        "whole_scale": _joined(torch.cat([scale[: observer.n_x], torch.ones(model.signature.n_u)])),
+        "late_words": f"{late} periods" + (f" and {part!r} s" if part else ""),
+        "late_index": ", k" if late else "",
+        "part": number(part),
+        "part_steps": max(1, parts_of.number),
+        "rest": number(dt - part),
+        "rest_steps": rest.number,
+        "substeps": ahead.number,
+        **stops,
+    }
+    has: dict[str, object] = {"observer": True, "pushed": observer.pushed, "stops": n_stops, "part": part, "late": late}
+    has |= {"difference": model.step is not None, "followers": model.followers}
+    return {flag: bool(there) for flag, there in has.items()}
 
 
 def stop_words(stops: Stops | None, n_x: int) -> tuple[dict[str, object], int]:
@@ -432,10 +387,27 @@ class Native:
     """
 
     def __init__(self, sources: ControllerSources) -> None:
-        size = f"unsigned long size(void);\nunsigned long size(void) {{ return sizeof({sources.name}_state); }}\n"
-        loaded = _loaded(sources, size)
-        self.shape = sources.shape
-        self._reset, self._act = (getattr(loaded, f"{sources.name}_{name}") for name in ("reset", "act"))
+        name = sources.name
+        more = f'''#include "{name}.h"
+
+unsigned long size(void);
+unsigned long size(void) {{ return sizeof({name}_state); }}
+
+void many({name}_state *s, const double *y, double *u, int n);
+void many({name}_state *s, const double *y, double *u, int n)
+{{
+    while (n--)
+        {name}_act(s, y, y, y, u);
+}}
+'''
+        # A folder of its own each time: a library that is loaded must not be overwritten.
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
+            for file, text in {**sources.files(), "more.c": more}.items():
+                (Path(place) / file).write_text(text, encoding="utf-8")
+            units = [Path(place) / f"{name}.c", Path(place) / "more.c"]
+            loaded = ctypes.CDLL(str(compile_library(units, Path(place) / f"loaded{SUFFIX}")))
+        self.shape, self._many = sources.shape, loaded.many
+        self._reset, self._act = (getattr(loaded, f"{name}_{function}") for function in ("reset", "act"))
         numbers = ctypes.POINTER(ctypes.c_double)
         self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
         self._act.argtypes, self._act.restype = [ctypes.c_void_p, *[numbers] * 4], ctypes.c_int
@@ -465,44 +437,16 @@ class Native:
             raise ValueError("a measurement, a reference or an input is not finite; give finite numbers")
         return u
 
-
-def microseconds(sources: ControllerSources) -> float:
-    """Return the time that a call of a controller takes on this computer, the best of five [us].
-
-    Raises:
-        FileNotFoundError: There is no compiler.
-        ValueError: The compiler refuses the sources.
-    """
-    many = (
-        f"static {sources.name}_state state;\n\n"
-        "void many(const double *y, double *u, int n);\n\nvoid many(const double *y, double *u, int n)\n{\n"
-        f"    while (n--)\n        {sources.name}_act(&state, y, y, y, u);\n}}\n"
-    )
-    call = _loaded(sources, many).many
-    # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
-    n = max(sources.shape)
-    rest = (ctypes.c_double * n)(*[0.1] * n)
-    u, calls, best = (ctypes.c_double * sources.shape[1])(), 1, 0.0
-    while best < 0.02:
-        calls *= 4
-        best = min(_timed(call, rest, u, ctypes.c_int(calls)) for _ in range(5))
-    return 1e6 * best / calls
-
-
-def _loaded(sources: ControllerSources, more: str) -> ctypes.CDLL:
-    """Compile and load a controller with more lines of C."""
-    # A folder of its own each time: a library that is loaded must not be overwritten.
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
-        for name, text in {**sources.files(), "more.c": f'#include "{sources.name}.h"\n\n{more}'}.items():
-            (Path(place) / name).write_text(text, encoding="utf-8")
-        units = [Path(place) / f"{sources.name}.c", Path(place) / "more.c"]
-        return ctypes.CDLL(str(compile_library(units, Path(place) / f"loaded{SUFFIX}")))
-
-
-def _timed(call: Callable[..., object], *arguments: object) -> float:
-    start = time.perf_counter()
-    call(*arguments)
-    return time.perf_counter() - start
+    def microseconds(self) -> float:
+        """Return the time that a call takes on this computer, the best of five [us]."""
+        # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
+        given, u, calls, best = np.full(max(self.shape), 0.1), np.empty(self.shape[1]), 1, 0.0
+        while best < 0.02:
+            calls *= 4
+            call = partial(self._many, self.state, _pointer(given), _pointer(u), ctypes.c_int(calls))
+            best = min(timeit.repeat(call, number=1, repeat=5))
+        self.reset()
+        return 1e6 * best / calls
 
 
 def _numbers(values: Sequence[float], count: int) -> object:

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.export.c_code import controller_sources, enumerators, field, measured, stop_words
+from dynasindy.export.c_code import controller_sources, enumerators, field, stop_words
 from dynasindy.export.expressions import fill, formulas, number
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
@@ -93,7 +93,7 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
     """
     sources = controller_sources(controller)
     name = sources.name
-    signature, seen = controller.signature, measured(controller)
+    signature, seen = controller.signature, controller.measured
     units = dict(zip(signature.state_names, signature.state_units, strict=True))
     variables = (
         *(_Variable(f"y_{state}", units[state]) for state in seen),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dynasindy.control import Controller, load
 from dynasindy.control.files import FORMAT, NAME
-from dynasindy.export.c_code import ControllerSources, controller_sources, microseconds, model_sources
+from dynasindy.export.c_code import ControllerSources, Native, controller_sources, model_sources
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
 from dynasindy.export.onnx import controller_onnx, policy_onnx
@@ -116,7 +116,7 @@ def _c(sources: ControllerSources, folder: Path) -> str:
         write_text(folder / name, text)
     timed = "not timed, as there is no C compiler on this computer"
     if compiler():
-        timed = f"{microseconds(sources):.3g} us per call on this computer, compiled with -O2"
+        timed = f"{Native(sources).microseconds():.3g} us per call on this computer, compiled with -O2"
     return f"{' and '.join(sources.files())}: {timed}"
 
 

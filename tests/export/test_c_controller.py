@@ -266,7 +266,7 @@ def answers(act, readings, r):
 def glitched(controller, seed, periods=120):
     """Readings of a swing of which a tenth is broken in one sensor or in all, the first one, too."""
     rng, scale = np.random.default_rng(seed), np.array(controller.signature.x_scale)
-    sensors = [k for k, name in enumerate(controller.signature.state_names) if name in controller._measured()]
+    sensors = [k for k, name in enumerate(controller.signature.state_names) if name in controller.measured]
     readings = []
     for k in range(periods):
         y = np.full(len(scale), math.nan)
