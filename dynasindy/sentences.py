@@ -685,7 +685,6 @@ def check_summary(findings: Sequence[Finding]) -> str:
 
 SENTENCES: dict[str, str | Callable[..., str]] = {
     # reading
-    "log.repeated_headings": "line {lines:list} repeats the headings",
     "log.no_headings": "the file has no headings; its columns are called {names:list}",
     "log.title_lines": "{count} lines above the headings were skipped",
     "log.sheet": "the sheet {sheet} is read, which holds most; left out: {others:list}",

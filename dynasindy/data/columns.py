@@ -158,6 +158,11 @@ def _is_followed(column: Array, others: Iterable[Array]) -> bool:
     return any(np.median(first) > AWAY and np.median(last) < 1 - AWAY for first, last in pairs)
 
 
+def _stem(name: str) -> str:
+    """Return what `Heater 1` and `Heater 2` have in common."""
+    return re.sub(r"[\W_]*\d+$", "", name)
+
+
 def _stepping(columns: Mapping[str, Array]) -> list[str]:
     """Return the columns that are inputs by how they move: in steps, where all others move in most rows.
 
@@ -171,10 +176,9 @@ def _stepping(columns: Mapping[str, Array]) -> list[str]:
     found = [name for name, share in standing.items() if share > HELD and not _is_label(columns[name])]
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     smooth = all(standing[name] < most for name in columns if name not in found)
-    stems = {name: re.sub(r"[\W_]*\d+$", "", name) for name in columns}
-    if not smooth or len({stems[name] for name in found}) != 1:
+    if not smooth or len(set(map(_stem, found))) != 1:
         return []
-    pair = [name for name in columns if stems[name] == stems[found[0]]]
+    pair = [name for name in columns if _stem(name) == _stem(found[0])]
     alone = found if len(found) < len(columns) else []
     return pair if len(pair) < len(columns) else alone  # columns of one matrix are no pair
 
@@ -384,45 +388,19 @@ def _is_valid(column: Column) -> bool:
     return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
 
 
-def row_counter(path: Path, time: str, named: Collection[str]) -> str:
-    """Return the heading of the time of a log whose sampling time is given: its counter of rows, where it has no time.
+def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) -> str:
+    """Return the heading of the time of a log in which nothing is called one.
 
-    That is the only column that grows all along, in whole numbers and, but where rows are missing, by the same step. An
-    encoder of a motor that turns one way grows, too, by other steps. Where there is no such column, or where a heading
-    reads like a time, what was given is returned.
-
-    Args:
-        path: The file.
-        time: Heading of the time as it was given, or `time`.
-        named: Names of the columns that were named as states or inputs.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is no table of text.
-    """
-    look = summarise_columns(path)
-    if time != CLOCK or look.dated or clock_of(look.headings, time).heading in look.headings:
-        return time
-    growing = look.growing
-    if len(growing) != 1 or split_unit(growing[0])[0] in named or not is_counter(look.moving[growing[0]]):
-        return time
-    steps = np.diff(look.moving[growing[0]])
-    step = np.median(steps)
-    regular = (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
-    return growing[0] if regular else time
-
-
-def clock_in_units(path: Path, time: str, named: Collection[str], dates: bool) -> str:
-    """Return the heading of the time of a log in which nothing is called one: the only column with a unit of time.
-
-    It rises throughout, and by much the same in most rows. Dates are as good as a unit. Where there is no such column,
-    or a choice, what was given is returned.
+    It is the only column with a unit of time that rises throughout, and by much the same in most rows; dates are as
+    good as a unit. Where the sampling time is given it is else the counter of rows: the only column that grows all
+    along, in whole numbers and, but where rows are missing, by the same step. An encoder of a motor that turns one way
+    grows, too, by other steps. Where there is no such column, or a choice, what was given is returned.
 
     Args:
         path: The file.
         time: Heading of the time as it was given, or `time`.
         named: Names of the columns that were named as states or inputs.
-        dates: Whether dates are looked at.
+        dt: Sampling time that was given [s]; dates are looked at where there is none.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -433,9 +411,18 @@ def clock_in_units(path: Path, time: str, named: Collection[str], dates: bool) -
         return time
     look = summarise_columns(path)
     columns = {h: look.moving[h] for h in look.growing if parts_of(h)[1].lower() in SECONDS}
-    columns |= {h: look.table.column(h) for h in look.dated if dates}
+    columns |= {h: look.table.column(h) for h in look.dated if dt is None}
     found = [h for h, column in columns.items() if split_unit(h)[0] not in named and _is_regular(column)]
+    if dt is not None and not found and not look.dated and len(look.growing) == 1:
+        found = [h for h in look.growing if split_unit(h)[0] not in named and _is_row_counter(look.moving[h])]
     return found[0] if len(found) == 1 else time
+
+
+def _is_row_counter(column: Array) -> bool:
+    """Tell whether a column grows by the same whole number in most rows, and by several of it in others."""
+    steps = np.diff(column)
+    step = np.median(steps)
+    return is_counter(column) and (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
 
 
 def _is_regular(column: Array) -> bool:
@@ -464,16 +451,14 @@ def guess_columns(
     if time is None:
         time = next(iter([*look.dated, *sorted(look.growing, key=lambda heading: is_counter(columns[heading]))]), None)
     aside = {time, *look.clocks(time), *look.counting}
-    still = {split_unit(h)[0]: float((np.diff(column) == 0).mean()) for h, column in columns.items() if h not in aside}
+    still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
     names, held = [*still], True
     counts = dt is None and time in look.growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
-        stem = re.sub(r"[\W_]*\d+$", "", longest)  # of Heater 1 and Heater 2
-        inputs = [name for name in names if name == longest or re.fullmatch(re.escape(stem) + r"[\W_]*\d+", name)]
-        inputs = inputs if len(inputs) < len(names) else [longest]  # columns of one matrix are no pair
-        held = still[longest] > 0.5
-        inputs = inputs if held else names[-1:]
+        pair = [name for name in names if _stem(name) == _stem(longest)]
+        held = still[longest] > HELD
+        inputs = (pair if len(pair) < len(names) else [longest]) if held else names[-1:]  # one matrix is no pair
     return {
         "time": split_unit(time)[0] if time else None,
         "inputs": [*inputs],

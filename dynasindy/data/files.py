@@ -146,22 +146,21 @@ def _read_text(path: Path) -> RawTable:
     except pd.errors.EmptyDataError:
         frame = pd.DataFrame({k: pd.Series(dtype=float) for k in range(layout.columns)})
     except pd.errors.ParserError as error:
-        raise ValueError(_fault(path, encoding, layout, str(error))) from error
+        if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error)):
+            raise ValueError(_too_wide(path, found[2], found[3], layout)) from error
+        why = f"{path}: {' '.join(str(error).split())}; allowed are short values: look for an open quote"
+        raise ValueError(_open_quote(path) or why) from error
     lines_of = layout.first + 1 + np.arange(len(frame))
-    if fault := _open_quote(path, encoding, layout):
+    if fault := _open_quote(path):
         raise ValueError(fault)
     blank = frame[0].isna().to_numpy()
     if blank.any() and (blank := frame.isna().all(axis=1).to_numpy()).any():
         frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
-    findings = [*layout.findings]
-    if (repeated := _repeated(frame, layout.headings)).any():
-        findings.append(note("log.repeated_headings", lines=[int(line) for line in lines_of[repeated]]))
-        frame, lines_of = frame[~repeated].reset_index(drop=True), lines_of[~repeated]
     beyond = frame.iloc[:, len(layout.headings) :].notna().any(axis=1).to_numpy()
     if beyond.any():
         row = int(beyond.argmax())
         raise ValueError(_too_wide(path, lines_of[row], int(frame.loc[row].last_valid_index()) + 1, layout))
-    return RawTable(layout.headings, frame.iloc[:, : len(layout.headings)], lines_of, tuple(findings))
+    return RawTable(layout.headings, frame.iloc[:, : len(layout.headings)], lines_of, layout.findings)
 
 
 def _too_wide(path: Path, line: object, count: object, layout: _Layout) -> str:
@@ -294,49 +293,11 @@ def _separator(lines: Sequence[str]) -> str:
     return near[0]
 
 
-def _repeated(frame: pd.DataFrame, headings: Sequence[str]) -> NDArray[np.bool_]:
-    """Tell which rows repeat the headings."""
-    same = np.zeros(len(frame), dtype=bool)
-    words = [
-        k for k, name in enumerate(headings) if name and not _is_number(name) and frame[k].dtype.kind not in "biuf"
-    ]
-    if words:
-        names = {k: {headings[k], headings[k].split(" [")[0]} for k in words}
-        for row in np.flatnonzero(frame[words[0]].astype(str).str.strip().isin(names[words[0]])).astype(int):
-            same[row] = all(str(frame.iat[row, k]).strip() in names[k] for k in words)
-    return same
-
-
-def _fault(path: Path, encoding: str, layout: _Layout, message: str) -> str:
-    """Return what is wrong with a text that pandas cannot take apart."""
-    if fault := _open_quote(path, encoding, layout):
-        return fault
-    if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", message):
-        return _too_wide(path, found[2], found[3], layout)
-    return f"{path}: {' '.join(message.split())}; allowed are short values: look for an open quote"
-
-
-def _open_quote(path: Path, encoding: str, layout: _Layout) -> str:
+def _open_quote(path: Path) -> str:
     """Return at which line a quote opens that is not closed there, '' if none does."""
     with path.open("rb") as file:
-        if not any(b'"' in part for part in iter(lambda: file.read(1 << 20), b"")):
-            return ""
-    with path.open(encoding=encoding, errors="replace", newline="") as text:
-        reader, before = csv.reader(text, delimiter=" " if layout.separator == BLANKS else layout.separator), 0
-        try:
-            for _ in reader:
-                if reader.line_num > before + 1:
-                    return (
-                        f"{path}, line {before + 1}: a quote opens that is not closed in its line, so the lines up to "
-                        f"{reader.line_num} would be one value; close or remove it"
-                    )
-                before = reader.line_num
-        except csv.Error as error:
-            return (
-                f"{path}, after line {before}: {error}; allowed are lines of short values: look for a quote that is "
-                "not closed"
-            )
-    return ""
+        line = next((number for number, text in enumerate(file, 1) if text.count(b'"') % 2), 0)
+    return f"{path}, line {line}: a quote opens that is not closed in its line; close or remove it" if line else ""
 
 
 def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:

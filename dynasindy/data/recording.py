@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.actuator_scaling import actuator_ranges, with_actuator_ranges
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
-from dynasindy.data.columns import Column, clock_in_units, columns_of, conversions, infer, row_counter, with_units
+from dynasindy.data.columns import Column, columns_of, conversions, find_clock, infer, with_units
 from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample, stretches
@@ -241,11 +241,8 @@ class LogReader:
             columns_of(given if isinstance(given, Mapping) else {name: name for name in given or ()}, states)
             for given, states in ((self.states, True), (self.inputs, False))
         )
-        time, first = self.time, Path(self.paths[0])
-        taken = [split_unit(c.name or n)[0] for n, c in {**states, **inputs}.items()]
-        time = clock_in_units(first, time, taken, self.dt is None)
-        if self.dt is not None:
-            time = row_counter(first, time, taken)
+        first, taken = Path(self.paths[0]), [split_unit(c.name or n)[0] for n, c in {**states, **inputs}.items()]
+        time = find_clock(first, self.time, taken, self.dt)
         if plant is not None:
             headings, rates = read_columns(first).headings, set((self.known or {}).values())
             states = states or {

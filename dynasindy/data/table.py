@@ -21,7 +21,7 @@ from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
 
 Array = NDArray[np.float64]
-DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?:[ T]+(\d{1,2})(:\d{2}.*))?")
+DAY_FIRST = re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}\b.*")
 """A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
 ALLOWED = "2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05"
 """Dates that are read, for messages."""
@@ -220,12 +220,10 @@ def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words 
 
 def _seconds(text: pd.Series) -> Array:
     """Return the seconds of dates, NaN of what is none."""
-    iso = text.str.replace(
-        DAY_FIRST, lambda found: _iso(found) if found[0] == found.string else found[0], regex=True
-    ).str.replace(",", ".", regex=False)
-    dates = pd.to_datetime(iso, format="ISO8601", utc=True, errors="coerce")
+    text = text.str.replace(",", ".", regex=False)
+    dates = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
     since = _since(dates - pd.Timestamp(0, tz="UTC"))
-    return since if np.isfinite(since).any() else _other_dates(text.str.replace(",", ".", regex=False))
+    return since if np.isfinite(since).any() else _other_dates(text)
 
 
 def _since(times: pd.Series) -> Array:
@@ -248,14 +246,9 @@ def _other_dates(text: pd.Series) -> Array:
         read = [pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce") for day in (False, True)]
     months, days = (_since(dates - pd.Timestamp(0, tz="UTC")) for dates in read)
     lost = np.isnan(months).sum() - np.isnan(days).sum()
-    told = lost or np.array_equal(np.diff(months), np.diff(days), equal_nan=True)
+    told = lost or DAY_FIRST.match(first) or np.array_equal(np.diff(months), np.diff(days), equal_nan=True)
     found = np.full(len(days), np.nan) if not told else months if lost < 0 else days
     return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
-
-
-def _iso(found: re.Match[str]) -> str:
-    day, month, year, hour, rest = found.groups()
-    return f"{year}-{month:0>2}-{day:0>2}T{hour or '0':0>2}{rest or ':00'}"
 
 
 def seconds_of_date(text: str) -> float:

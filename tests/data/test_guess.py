@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dynasindy.data.columns import guess_columns, infer, row_counter
+from dynasindy.data.columns import find_clock, guess_columns, infer
 from dynasindy.data.table import summarise_columns
 from dynasindy.findings import LogError, note, weak
 from dynasindy.identification.identify import LoggedData
@@ -126,7 +126,7 @@ def test_an_encoder_of_a_motor_that_turns_one_way_is_no_counter_of_rows(tmp_path
     for name, steps in (("row", 1 + 2 * (rng.random(300) < 0.02)), ("encoder", 3 + (rng.random(300) < 0.3))):
         table = np.stack([u, np.cumsum(steps), np.sin(np.arange(300))], -1)
         path.write_text("\n".join([f"u,{name},speed", *(",".join(map(repr, row)) for row in table.tolist())]))
-        assert row_counter(path, "time", []) == ("row" if name == "row" else "time")
+        assert find_clock(path, "time", [], 0.02) == ("row" if name == "row" else "time")
 
 
 def closed_loop(rows=1500):
