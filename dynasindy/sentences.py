@@ -751,16 +751,11 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
     "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, "
     "high: 1 keeps the numbers as they are: {inputs:data.inputs}",
-    "log.few_rows": "the fit has {rows} rows only, so few that wrong units or missing rates would not be noticed; "
-    "record longer, or mend what was left out: {least} rows are the least, some hundreds are usual",
     "log.resolution": lambda state, step, unit, coarse: (
         f"{state} is read in steps of {step:.3g} {unit}"
         + "; standard errors take it that the sensor rounds: one that cuts off reads half a step too low, which no "
         "log tells and none of them holds" * coarse
     ),
-    "log.saturated": "{input} is at an end of its range, {low:.6g} to {high:.6g}{unit:unit}, in {percent:.0f} % of the "
-    "samples",
-    "log.closed_loop": "a controller made {inputs:and} out of the measured states (closed loop)",
     "log.low_signal": _quiet,
     "log.touched_stop": "{count} samples that touched a stop were left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, and the log contradicts it: {state} does not "
@@ -768,10 +763,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "equation is taken as exact",
     "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round: "
     "{state} is the rate of {rate}; give {known:plant.known}, or correct the columns",
-    "log.degrees": lambda angle, unit, states: (
-        f"{angle} is in {unit}, so sin({angle}) and cos({angle}) are not among the "
-        f"candidate functions; angles in rad and rates in rad/s have them: give {setting('data.states', states)}"
-    ),
     # logs that cannot be read
     "log.no_roles": _no_roles,
     "log.too_few": _too_few,

@@ -47,7 +47,7 @@ def test_an_error_is_a_finding_and_can_be_pickled():
 
 
 def test_the_gravest_comes_first():
-    found = lines([note("log.no_time"), wrong("fit.dropped"), weak("log.closed_loop", inputs=["u"])])
+    found = lines([note("log.no_time"), wrong("fit.dropped"), weak("log.whole_seconds", column="t")])
     assert [line.partition(":")[0] for line in found] == ["wrong", "warning", "note"]
 
 

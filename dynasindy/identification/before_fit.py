@@ -6,18 +6,13 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from dynasindy.data.columns import Column, as_map
-from dynasindy.data.headings import in_radians
 from dynasindy.data.rates import check_rates
 from dynasindy.findings import Finding, note, weak
 from dynasindy.identification.source import Source, rates_of
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import auto, auto_rig
 from dynasindy.sindy.reconstruction import find_missing_rates
-from dynasindy.systems.base import TURNS, Signature
-
-FEW = 50
-"""Rows below which little can be told from a recording."""
+from dynasindy.systems.base import Signature
 
 
 def before_fit(model: SindyModel, source: Source) -> list[Finding]:
@@ -28,31 +23,7 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
         source: The data.
     """
     rates = check_rates(source.training, source.signature, rates_of(model))
-    if not source.logged:
-        return [*rates, *source.findings]
-    rows = len(source.training)
-    return [
-        *rates,
-        *([weak("log.few_rows", rows=rows, least=FEW)] if rows < FEW else []),
-        *source.findings,
-        *_angles(model, source),
-        *missing_rates(model, source),
-    ]
-
-
-def _angles(model: SindyModel, source: Source) -> list[Finding]:
-    """Return which angles have no sine and cosine among the functions, because of their unit or that of their rate."""
-    if _chosen(model, source.signature):
-        return []
-    units = dict(zip(source.signature.state_names, source.signature.state_units, strict=True))
-    measured = source.training.x.isfinite().any(0).tolist()
-    columns = {  # rates that no column has are left out: `plant.known` adds them, in the unit of their angle
-        name: Column(name, *in_radians(unit, turns=False))
-        for (name, unit), logged in zip(units.items(), measured, strict=True)
-        if logged
-    }
-    states = as_map(columns)
-    return [note("log.degrees", angle=n, unit=unit, states=states) for n, unit in units.items() if unit in TURNS]
+    return [*rates, *source.findings, *missing_rates(model, source)]
 
 
 def missing_rates(model: SindyModel, source: Source) -> list[Finding]:

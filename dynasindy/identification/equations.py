@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import accumulate
 
 import numpy as np
 
@@ -24,48 +22,11 @@ TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
-@dataclass(frozen=True)
-class InputNonlinearity:
-    """Hold where an input does nothing.
+def _nonlinearity(model: SindyModel, state: int, name: str) -> tuple[str, float, float] | None:
+    """Return the dead zone or the saturation of an input, or of a state that stands for it, in an equation, with ends.
 
-    Attributes:
-        input: the input.
-        kind: what it is.
-        low: lower end of a dead zone, and of what lies between two ends of a saturation [of the model's input].
-        high: upper end, likewise; a saturation may lack either, which is infinite then.
-    """
-
-    input: str
-    kind: Literal["dead zone", "saturation"]
-    low: float
-    high: float
-
-
-def _classify_nonlinearity(name: str, edges: Sequence[float], slopes: Sequence[float]) -> InputNonlinearity | None:
-    """Return what a piecewise linear function of an input is, None where it is neither.
-
-    It bends at `edges`, which rise; `slopes` are below the first, between them, and above the last one. A slope is none
-    that is below `FLAT` times the largest one.
-    """
-    still = [abs(slope) <= FLAT * max(map(abs, slopes)) for slope in slopes]
-    if not edges or all(still):
-        return None
-    if still[0] or still[-1]:
-        ends = (edges[0] if still[0] else -math.inf), (edges[-1] if still[-1] else math.inf)
-        return InputNonlinearity(name, "saturation", *ends)
-    if True in still:
-        k = still.index(True)
-        return InputNonlinearity(name, "dead zone", edges[k - 1], edges[k])
-    return None
-
-
-def read_nonlinearity(model: SindyModel, state: int, name: str) -> InputNonlinearity | None:
-    """Return the dead zone or the saturation of an input in an equation, None where it has neither.
-
-    Args:
-        model: a fitted model.
-        state: whose equation it is.
-        name: the input, or the state that stands for it.
+    A saturation may lack either end, which is infinite then. The equation is piecewise linear in the input: it bends at
+    `edges`; `slopes` are below the first, between them, and above the last one.
     """
     edges: dict[float, float] = {}
     slope = 0.0
@@ -80,10 +41,14 @@ def read_nonlinearity(model: SindyModel, state: int, name: str) -> InputNonlinea
             slope += size
         else:
             edges[first.frequency] = edges.get(first.frequency, 0.0) + size
-    slopes, rising = [slope], sorted(edges)
-    for edge in rising:
-        slopes.append(slopes[-1] + edges[edge])
-    return _classify_nonlinearity(name, rising, slopes) if any(slopes) else None
+    rising = sorted(edges)
+    slopes = list(accumulate((edges[edge] for edge in rising), initial=slope))
+    still = [abs(slope) <= FLAT * max(map(abs, slopes)) for slope in slopes]
+    if all(still) or True not in still:
+        return None
+    if still[0] or still[-1]:
+        return "saturation", (rising[0] if still[0] else -math.inf), (rising[-1] if still[-1] else math.inf)
+    return "dead zone", rising[still.index(True) - 1], rising[still.index(True)]
 
 
 def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
@@ -107,22 +72,22 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             findings.append(note("model.dry_friction", state=names[i]))
         for name in [*model.signature.input_names, *model.followed]:
-            bend = read_nonlinearity(model, i, name)
-            if bend is not None and (found := note("model.input_nonlinearity", **_bend(bend, model))) not in findings:
+            bend = _nonlinearity(model, i, name)
+            if bend is not None and (found := _bend(name, *bend, model)) not in findings:
                 findings.append(found)
         if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
             findings.append(note("model.spring", state=names[i], of=names[of_rate[i]]))
     return findings
 
 
-def _bend(bend: InputNonlinearity, model: SindyModel) -> dict[str, Any]:
+def _bend(name: str, kind: str, low: float, high: float, model: SindyModel) -> Finding:
     """Return a dead zone or a saturation in the unit of its actuator."""
     signature = model.signature
-    place = signature.input_names.index(model.followed.get(bend.input, bend.input))
-    ends = np.tile(np.array([[bend.low], [bend.high]]), signature.n_u)
+    place = signature.input_names.index(model.followed.get(name, name))
+    ends = np.tile(np.array([[low], [high]]), signature.n_u)
     low, high = signature.in_own_units(ends)[:, place].tolist()
     unit = signature.input_units[place] if signature.input_units else "-"
-    return {"input": bend.input, "kind": bend.kind, "low": low, "high": high, "unit": unit}
+    return note("model.input_nonlinearity", input=name, kind=kind, low=low, high=high, unit=unit)
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:

@@ -1,9 +1,8 @@
-"""What recordings show of their sensors and of how they were made: steps, noise, saturation, a controller."""
+"""What recordings show of their sensors: steps and noise."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -19,26 +18,6 @@ from dynasindy.systems.smoothing import best_length, local_cubic, stretches_of
 from dynasindy.systems.transitions import Transitions
 
 Array = NDArray[np.float64]
-LAGS = 10
-"""Past samples that an input is explained by."""
-EXPLAINED = 0.5
-"""Part of what is new in an input that measured states have to explain if it is a controller's."""
-NEW = 1e-3
-"""Part of an input's changes that its own past leaves over, below which nothing is new in it."""
-OFTEN = 0.01
-"""Part of the samples at an end of an input's range that is called saturation."""
-LEVELS = 20
-"""Values of an input up to which it switches between levels, and does not saturate."""
-AT_END = 1e-3
-"""Part of an input's range by which it may be off an end and still be at it, as rounding makes it."""
-STAYS = 3
-"""Separate stays at an end of an input's range from which on they are saturation."""
-USUAL = 0.95
-"""Part of an input's changes that is looked at for a controller: the largest ones are steps of its reference."""
-DOUBT = 0.03
-"""Part of a state's changes that is not relied on: exact states remember whatever signal moved the plant."""
-
-
 SEVERAL = 10
 """Values of a state that are few enough to be the steps of its sensor."""
 AGAIN = 5
@@ -179,62 +158,3 @@ def _noise(column: Array) -> float:
         return float("nan")
     length = best_length(known)
     return float(np.sqrt(np.mean([np.square(c - local_cubic(c, length, 1.0, 0)).mean() for c in stretches_of(known)])))
-
-
-def saturated(data: Transitions, limits: Sequence[tuple[float, float]] = ()) -> Tensor:
-    """Return the part of the samples with each input at an end of its range, `(n_u,)`; 0 where it is hardly any.
-
-    What a log alone has as its largest value is no such end where the actuator reaches further.
-
-    Args:
-        data: The recording.
-        limits: Least and largest value of each input; -1 and 1 if omitted.
-    """
-    shares = []
-    for u, ends in zip(data.u.double().unbind(-1), limits or ((-1.0, 1.0),) * data.u.shape[1], strict=True):
-        share, near = 0.0, AT_END * (ends[1] - ends[0])
-        for most, end in ((u.min(), ends[0]), (u.max(), ends[1])):
-            held = (u == most) & (abs(float(most) - end) <= near)
-            begins = torch.nn.functional.pad(held.long(), (1, 0)).diff() > 0
-            if int(begins.sum()) >= STAYS and len(u.unique()) > LEVELS:
-                share += float(held.double().mean())
-        shares.append(share if share > OFTEN else 0.0)
-    return torch.tensor(shares)
-
-
-def closed_loop(data: Transitions) -> list[bool]:
-    """Tell which inputs are a controller's: what is new in them is explained by the states measured until then."""
-    changed = torch.zeros(len(data), dtype=torch.bool)
-    changed[1:] = (data.u[1:] != data.u[:-1]).any(-1) & (data.segment[1:] == data.segment[:-1])
-    u, x = data.u[changed].double(), data.x[changed].double()
-    columns = [torch.from_numpy(c) for c in map(interpolate_gaps, x.T.numpy()) if c is not None]
-    x = torch.stack(columns, -1) if columns else x[:, :0]
-    n = len(u) - 1 - LAGS
-    if n < 20 * LAGS or not x.shape[1]:
-        return [False] * data.u.shape[1]
-    du, dx = u.diff(dim=0), x.diff(dim=0)
-    rows = torch.arange(LAGS, LAGS + n)
-    own = torch.cat([*(du[rows - k] for k in range(1, LAGS + 1)), torch.ones(n, 1).double()], -1)
-    both = torch.cat([own, *(dx[rows - k] for k in range(LAGS))], -1)
-    told = []
-    for i in range(u.shape[1]):
-        size = du[rows, i].abs()
-        usual = size <= torch.quantile(size, USUAL)
-        target = du[rows, i : i + 1][usual]
-        alone, with_states = (_left(columns[usual], target, own.shape[1]) for columns in (own, both))
-        new = alone > NEW * float(target.square().sum())
-        told.append(bool(new and with_states < (1 - EXPLAINED) * alone))
-    return told
-
-
-def _left(columns: Tensor, target: Tensor, certain: int) -> float:
-    """Return the squares that least squares leave over, corrected for the number of columns.
-
-    Columns after the first `certain` ones are relied on but for a part, `DOUBT`.
-    """
-    columns = columns / columns.norm(dim=0).clamp_min(1e-300)
-    n, p = columns.shape
-    doubt = torch.cat([torch.zeros(certain), torch.full((p - certain,), DOUBT)]).double()
-    padded = torch.cat([columns, torch.diag(doubt)]), torch.cat([target, torch.zeros(p, 1).double()])
-    solution = torch.linalg.lstsq(*padded, driver="gelsd").solution
-    return float((target - columns @ solution).square().sum()) * n / max(n - p, 1)

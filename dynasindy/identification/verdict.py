@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dynasindy.findings import Finding, FindingError, note, weak, wrong
 from dynasindy.identification.forecast_errors import LOST, ForecastErrors
-from dynasindy.identification.recording_diagnostics import closed_loop, samples_of, saturated, sensor_resolution
+from dynasindy.identification.recording_diagnostics import samples_of, sensor_resolution
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.library import Factor, Feature
 from dynasindy.systems.base import Signature
@@ -275,21 +275,12 @@ def _fine(forecasts: ForecastErrors, seen: Sequence[int], k: int) -> list[int]:
 
 
 def recording_findings(data: Transitions, signature: Signature) -> list[Finding]:
-    """Return what the sensors and the inputs of a log show: steps, saturation, a controller."""
+    """Return in which steps the sensors of a log read."""
     findings = []
     for name, unit, column in zip(signature.state_names, signature.state_units, samples_of(data), strict=True):
         if step := sensor_resolution(column):
             coarse = step > COARSE * float(np.ptp(column[~np.isnan(column)]))
             findings.append(note("log.resolution", state=name, step=step, unit=unit, coarse=coarse))
-    limits = signature.input_limits or ((-1.0, 1.0),) * signature.n_u
-    ends = signature.in_own_units(np.array(limits).T).T.tolist()
-    units = signature.input_units or ("-",) * signature.n_u
-    shares = saturated(data, limits).tolist()
-    for name, share, (low, high), unit in zip(signature.input_names, shares, ends, units, strict=True):
-        if share:
-            findings.append(note("log.saturated", input=name, percent=100 * share, low=low, high=high, unit=unit))
-    if driven := [name for name, closed in zip(signature.input_names, closed_loop(data), strict=True) if closed]:
-        findings.append(weak("log.closed_loop", inputs=driven))
     return findings
 
 

@@ -1,15 +1,13 @@
-"""What recordings show: steps of sensors, noise, saturation and controllers, of signals made to show them."""
+"""What recordings show: steps of sensors and noise, of signals made to show them."""
 
 import numpy as np
 import pytest
 import torch
 
 from dynasindy.identification.recording_diagnostics import (
-    closed_loop,
     resolution,
     resolutions,
     resolutions_by,
-    saturated,
     sensor_resolution,
 )
 from dynasindy.sindy import SindyModel
@@ -52,37 +50,6 @@ def test_noise_of_samples_that_are_close_is_what_no_cubic_follows_and_a_step_sta
     told = resolutions(Transitions.from_trajectory(read, torch.zeros(2999, 1).double(), 0.01)).tolist()
     assert told[0] == pytest.approx(resolution(noisy), rel=1e-6) and told[1] == pytest.approx(0.02, rel=1e-6)
     assert np.isnan(told[2])
-
-
-def plant(control) -> Transitions:
-    generator, x, xs, us, old = np.random.default_rng(1), np.zeros(2), [], [], np.zeros(2)
-    for k in range(3000):
-        y = x + 0.002 * generator.normal(size=2)
-        u = control(k, y, old, generator)
-        xs.append(y)
-        us.append(u)
-        old = y
-        x = x + 0.01 * np.array([x[1], -2 * x[0] - x[1] + 3 * u])
-    x = torch.tensor(np.array(xs))
-    return Transitions.from_trajectory(x, torch.tensor(np.array(us))[:, None], 0.01)
-
-
-def test_a_controller_is_seen_and_random_levels_are_none():
-    reference = np.repeat(np.random.default_rng(2).uniform(-1, 1, 10), 300)
-    loop = plant(lambda k, y, old, g: 2 * (reference[k] - y[0]) - 0.3 * y[1])
-    assert closed_loop(loop) == [True]
-    levels = np.repeat(np.random.default_rng(3).uniform(-1, 1, 3000 // 5), 5)
-    assert closed_loop(plant(lambda k, y, old, g: levels[k])) == [False]
-    assert closed_loop(plant(lambda k, y, old, g: np.sin(2 * T[k]))) == [False]
-
-
-def test_an_input_that_comes_to_an_end_of_its_range_again_and_again_is_saturated_and_one_of_two_levels_is_not():
-    x = torch.zeros(3001, 1)
-    clipped = torch.tensor(np.clip(2 * np.sin(3 * T), -1, 1))[:, None]
-    share = float(saturated(Transitions.from_trajectory(x, clipped, 0.01))[0])
-    assert share == pytest.approx(2 / 3, abs=0.03)  # |sin| > 1/2 in two thirds of the time
-    assert float(saturated(Transitions.from_trajectory(x, torch.sign(clipped), 0.01))[0]) == 0
-    assert float(saturated(Transitions.from_trajectory(x, torch.sin(torch.tensor(T))[:, None], 0.01))[0]) == 0
 
 
 def test_the_noise_of_what_jumps_is_told_by_a_difference_equation():

@@ -185,32 +185,14 @@ def test_flights_beyond_the_inputs_of_a_log_are_told_if_the_equations_bend_in_th
         assert said.values == {"input": "u", **{name: pytest.approx(end, abs=1e-6) for name, end in both.items()}}
 
 
-def test_what_sensors_and_inputs_show_is_said_of_those_that_show_it():
+def test_the_steps_of_a_sensor_are_said_and_whether_they_are_coarse():
     t, walk = 0.01 * np.arange(1001), np.random.default_rng(0).normal(size=1001).cumsum()
-    x = np.stack([0.02 * np.round(np.sin(1.3 * t) / 0.02), walk], -1)
-    clipped = np.clip(2 * np.sin(3 * t), -1, 1)
-    data = Transitions.from_trajectory(torch.tensor(x), torch.tensor(np.stack([clipped, -0.3 * walk], -1)[:-1]), 0.01)
-    share = 100 * np.mean(np.abs(clipped[:-1]) == 1)  # |sin| > 1/2 in two thirds of the time
-    signature = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0))
-    fine = replace(data, x=torch.tensor(np.stack([0.002 * np.round(np.sin(1.3 * t) / 0.002), walk], -1)[:-1]))
-    fine = replace(fine, x_next=torch.cat([fine.x[1:], fine.x[-1:]]))
-    steps = {"state": "q", "unit": "rad"}
-    thousandth = note("log.resolution", **steps, step=pytest.approx(0.002), coarse=False)
-    assert recording_findings(fine, signature)[0] == thousandth  # of its way
-    ends = {"low": -1, "high": 1, "unit": "-"}
-    assert recording_findings(data, signature) == [
-        note("log.resolution", **steps, step=pytest.approx(0.02), coarse=True),
-        note("log.saturated", input="u", percent=pytest.approx(share, abs=0.2), **ends),
-        weak("log.closed_loop", inputs=["v"]),
-    ]
-    volts = {"input_ends": ((-24.0, 24.0), (-1.0, 1.0)), "input_units": ("V", "-")}
-    own = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), **volts)
-    found = recording_findings(data, own)[1].values
-    assert (found["low"], found["high"], found["unit"]) == (-24, 24, "V")
-    wide = Signature(("q", "w"), ("rad", "rpm"), ("u", "v"), (1.0, 1.0), input_limits=((-1.0, 0.9), (-1.0, 1.0)))
-    low = 100 * np.mean(clipped[:-1] == -1)
-    found = recording_findings(data, wide)[1].values
-    assert found["percent"] == pytest.approx(low, abs=0.2)  # the other end is none of the actuator's
+    signature = Signature(("q", "w"), ("rad", "rpm"), ("u",), (1.0, 1.0))
+    for step, coarse in ((0.02, True), (0.002, False)):
+        x = torch.tensor(np.stack([step * np.round(np.sin(1.3 * t) / step), walk], -1))
+        data = Transitions.from_trajectory(x, torch.zeros(1000, 1), 0.01)
+        steps = {"state": "q", "unit": "rad", "step": pytest.approx(step), "coarse": coarse}
+        assert recording_findings(data, signature) == [note("log.resolution", **steps)]
 
 
 def test_targets_far_beyond_the_log_are_a_guess_if_the_equations_read_them():
