@@ -5,26 +5,19 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable
-from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import NamedTuple
 
 COMMAND = re.compile(r"\s*(?:dynasindy \w+|python scripts/\w+\.py)(?: |$)")
 """How a line begins that is meant to be copied into a shell."""
 COMMENT = "  # "
 """What a comment behind a command begins with."""
-SIGN = re.compile(r" (?=[+-] )")
 COLUMN = re.compile(r".*\S {2,}(?=\S)")
 """A row up to its last column, two spaces or more behind the one before."""
 
 
-@dataclass(frozen=True)
-class TimeUnit:
-    """A unit of time.
-
-    Attributes:
-        name: How it is written.
-        seconds: Its length [s].
-    """
+class TimeUnit(NamedTuple):
+    """A unit of time: how it is written, and its length [s]."""
 
     name: str
     seconds: float
@@ -117,29 +110,10 @@ def _wrap_line(whole: str, columns: int) -> list[str]:
 
 
 def _equation(whole: str, columns: int, indent: str) -> list[str]:
-    """Return an equation in lines that end between terms; brackets are broken where they are too long themselves."""
-    lines = [""]
-    for term in _terms(whole):
-        parts = [term] if len(indent) + len(term) <= columns else SIGN.split(term)
-        for part in parts:
-            if lines[-1] and len(lines[-1]) + 1 + len(part) > columns:
-                lines.append(indent + part)
-            else:
-                lines[-1] = f"{lines[-1]} {part}" if lines[-1] else part
-    # A term that is too long itself is broken between its factors.
-    return [part for line in lines for part in _between_words(line, columns, indent)]
+    """Return an equation in lines that end between terms; terms that are too long are broken between factors."""
+    lines = _between_words(re.sub(r" (?![+-] )", "\xa0", whole), columns, indent)  # blanks that are no breaks
+    return [part for line in lines for part in _between_words(line.replace("\xa0", " "), columns, indent)]
 
 
 def _between_words(line: str, columns: int, indent: str) -> list[str]:
     return textwrap.wrap(line, columns, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-
-
-def _terms(whole: str) -> list[str]:
-    """Return the terms of an equation, each with its sign and all that is in its brackets."""
-    terms: list[str] = []
-    for part in SIGN.split(whole):
-        if terms and terms[-1].count("(") > terms[-1].count(")"):
-            terms[-1] = f"{terms[-1]} {part}"
-        else:
-            terms.append(part)
-    return terms

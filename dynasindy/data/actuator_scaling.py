@@ -121,27 +121,22 @@ def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], 
             continue
         unit = inside.get(column.name, "") if column.unit == "-" else column.unit
         if column.low is not None and column.high is not None:
-            _require_same(name, ActuatorScaling.of(column.low, column.high, column.rest), reach)
+            given = ActuatorScaling.of(column.low, column.high, column.rest)
+            pairs = (given.low, reach.low), (given.high, reach.high), (given.rest, reach.rest)
+            if not all(math.isclose(*pair, abs_tol=1e-9 * (reach.high - reach.low)) for pair in pairs):
+                raise ValueError(
+                    f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in data.inputs, "
+                    f"and from {reach.low:g} to {reach.high:g} and at {reach.rest:g} in system.inputs; give them once"
+                )
         elif unit != "-":
             if unit and own not in ("-", unit):
-                given = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
+                mended = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
                 raise ValueError(
                     f"input {name} is in {unit} in the log, and in {own} in system.inputs; give the factor from one to "
-                    f"the other: 'data.inputs={given}'"
+                    f"the other: 'data.inputs={mended}'"
                 )
             columns[name] = replace(column, unit=unit or own, low=reach.low, high=reach.high, rest=reach.rest)
     return columns
-
-
-def _require_same(name: str, given: ActuatorScaling, plant: ActuatorScaling) -> None:
-    """Refuse ends of a column that are not those of the plant."""
-    rounding = 1e-9 * (plant.high - plant.low)
-    pairs = (given.low, plant.low), (given.high, plant.high), (given.rest, plant.rest)
-    if not all(math.isclose(*pair, abs_tol=rounding) for pair in pairs):
-        raise ValueError(
-            f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in data.inputs, and "
-            f"from {plant.low:g} to {plant.high:g} and at {plant.rest:g} in system.inputs; give the ends once"
-        )
 
 
 def _reach_of(plant: Signature, place: int) -> ActuatorScaling:
