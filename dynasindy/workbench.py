@@ -43,8 +43,13 @@ from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, wrong
 from dynasindy.identification.forecast_errors import forecast_errors
-from dynasindy.identification.recording_diagnostics import resolution, resolutions_by, samples_of, sensor_resolution
-from dynasindy.identification.signal_resolution import low_signal_states, resolved_errors
+from dynasindy.identification.recording_diagnostics import (
+    low_signal_states,
+    resolution,
+    resolutions_by,
+    samples_of,
+    sensor_resolution,
+)
 from dynasindy.identification.source import Source, rates_of
 from dynasindy.identification.targets import require_radians
 from dynasindy.identification.verdict import (
@@ -249,7 +254,8 @@ def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
     That no model predicts a plant for long that runs away by itself is no doubt.
     """
     quiet = low_signal_states(log.training, rate_states(model.library, model.constraints))
-    forecasts = resolved_errors(forecast_errors(model, log.training, log.validation), quiet)
+    found = forecast_errors(model, log.training, log.validation)
+    forecasts = found and found.without(quiet)
     if forecasts is None:
         return []
     short = shortcoming(forecasts, model.signature, min(seconds, forecasts.characteristic))

@@ -21,9 +21,13 @@ def main(cfg: Any) -> None:
     from hydra.utils import instantiate
     from next_steps import next_steps
 
-    from dynasindy.identification.before_fit import before_fit, lacking_rates
-    from dynasindy.identification.identify import identify_source
-    from dynasindy.identification.report import to_words, write_identification
+    from dynasindy.identification.identify import (
+        before_fit,
+        identify_source,
+        lacking_rates,
+        to_words,
+        write_identification,
+    )
     from dynasindy.progress import report_progress, say, width
     from dynasindy.sentences import lines
 
@@ -59,8 +63,7 @@ def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
     """
     from hydra.utils import instantiate
 
-    from dynasindy.identification.before_fit import with_missing_rates
-    from dynasindy.identification.identify import LoggedData
+    from dynasindy.identification.identify import LoggedData, with_missing_rates
 
     data, system = (instantiate(cfg[name], _convert_="all") for name in ("data", "system"))
     excitation = None if isinstance(data, LoggedData) else instantiate(cfg.excitation, _convert_="all")
@@ -124,7 +127,7 @@ def draw(found: Identified, source: Source, folder: Path, formats: list[str]) ->
     """Draw the training data and the open-loop prediction against the real states."""
     import torch
 
-    from dynasindy.identification.report import describe_restarts
+    from dynasindy.identification.identify import describe_restarts
     from dynasindy.viz.identification import prediction, training_data
     from dynasindy.viz.style import save_figures
 

@@ -22,7 +22,7 @@ from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import log_report, model_of
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
-from dynasindy.identification.signal_resolution import low_signal_targets
+from dynasindy.identification.recording_diagnostics import low_signal_targets
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import OUTER, in_words, logged_range, require_radians
 from dynasindy.planning import GradientPlanning

@@ -125,8 +125,9 @@ def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], 
             pairs = (given.low, reach.low), (given.high, reach.high), (given.rest, reach.rest)
             if not all(math.isclose(*pair, abs_tol=1e-9 * (reach.high - reach.low)) for pair in pairs):
                 raise ValueError(
-                    f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in data.inputs, "
-                    f"and from {reach.low:g} to {reach.high:g} and at {reach.rest:g} in system.inputs; give them once"
+                    f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in "
+                    f"data.inputs, and from {reach.low:g} to {reach.high:g} and at {reach.rest:g} in "
+                    "system.inputs; give them once"
                 )
         elif unit != "-":
             if unit and own not in ("-", unit):

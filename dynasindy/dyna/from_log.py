@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dynasindy.evaluation.forecast import Forecast
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, summarise, to_text
-from dynasindy.identification.before_fit import before_fit
+from dynasindy.identification.identify import before_fit
 from dynasindy.identification.log_fit import fit_log
 from dynasindy.identification.source import Source
 from dynasindy.progress import say, width

@@ -13,7 +13,7 @@ estimated on the samples before, since what no sensor sees cannot be read off an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,8 +33,6 @@ from dynasindy.text import MANY
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 20)
 """Numbers of past samples to choose from."""
-TRIED = 100
-"""Start times from which each order is tried."""
 ENOUGH_ROWS = 50_000
 """Rows of a long recording that tell some fifty weights as well as all of them."""
 
@@ -67,9 +65,16 @@ class LinearModel:
             steps: sampling times over which orders are compared.
             most: largest order.
         """
-        models = cls.candidates(data, most)
+        starts, _ = start_rows(data, most, steps)
+        later, real = samples_after(data, starts, steps)
+        spread = variance(data.x_next.double()).clamp_min(1e-300)
+
+        def _error(model: LinearModel) -> float:
+            error = (model.predict(data, starts, later) - real).square().nanmean((0, 1)) / spread
+            return float(error[model.seen].sum().nan_to_num(math.inf, math.inf))
+
         none = cls(1, _seen(data), torch.zeros(0), data.linear_inputs)
-        return min(models, key=lambda model: model._error(data, steps), default=none)
+        return min(cls.candidates(data, most), key=_error, default=none)
 
     @classmethod
     def candidates(cls, data: Transitions, most: int) -> list[LinearModel]:
@@ -122,20 +127,6 @@ class LinearModel:
         predicted[:, :, self.seen] = moved.nan_to_num(math.inf, math.inf, -math.inf)
         predicted[lost] = math.nan
         return predicted
-
-    def _error(self, data: Transitions, steps: int) -> float:
-        """Return the mean squared error over some steps, each state relative to its spread."""
-        rows = _rows(data, self.order)
-        last = torch.ones(len(rows), dtype=torch.bool)
-        ahead = rows + steps - 1
-        last &= (ahead < len(data)) & (data.segment[ahead.clamp_max(len(data) - 1)] == data.segment[rows])
-        rows = rows[last] if bool(last.any()) else rows[:1]
-        starts = rows[torch.linspace(0, len(rows) - 1, min(TRIED, len(rows))).long()]
-        later = (starts.unsqueeze(-1) + torch.arange(steps)).clamp_max(len(data) - 1)
-        real = data.x_next[later]
-        error = (self.predict(data, starts, later) - real)[..., self.seen].square().nanmean((0, 1))
-        spread = variance(data.x_next[:, self.seen].double()).clamp_min(1e-300)
-        return float((error / spread).sum().nan_to_num(math.inf, math.inf))
 
 
 def _seen(data: Transitions) -> Tensor:
@@ -209,6 +200,12 @@ class ForecastErrors:
     def nearest(self, seconds: float) -> int:
         """Return the place of the horizon next to a time [s], as a ratio."""
         return min(range(len(self.horizons)), key=lambda k: abs(math.log(self.horizons[k] / seconds)))
+
+    def without(self, states: Collection[int]) -> ForecastErrors | None:
+        """Return the errors without those of some states, as if they had not been measured; None if none stay."""
+        model, held = self.model.clone(), self.held.clone()
+        model[:, list(states)] = held[:, list(states)] = torch.nan
+        return None if bool(held.isnan().all()) else replace(self, model=model, held=held)
 
 
 def forecast_errors(

@@ -1,42 +1,57 @@
-"""Identify a model from a source of data, and judge it on data it has not seen."""
+"""Identify a model from a source of data, judge it on data it has not seen, and write down what was found."""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import torch
 from torch import Tensor
 
 from dynasindy.data.columns import Column
 from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.data.recording import LogReader
-from dynasindy.findings import Finding, weak
+from dynasindy.findings import Finding, note, records, weak
 from dynasindy.identification import verdict
-from dynasindy.identification.before_fit import missing_rates, with_missing_rates
 from dynasindy.identification.forecast_errors import (
+    LOST,
     ForecastErrors,
     forecast_errors,
     relevant_horizons,
     with_start_states,
 )
 from dynasindy.identification.log_fit import LogFit, fit_log
-from dynasindy.identification.signal_resolution import low_signal_findings, low_signal_states, resolved_errors
-from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source
+from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
+from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rate_name, rates_of
 from dynasindy.progress import report_progress
-from dynasindy.sentences import setting
+from dynasindy.safe_io import write_json, write_text
+from dynasindy.sentences import error_of, line, lines, setting, verdict_lines
 from dynasindy.sindy import FitReport, Refinement, Regression, SindyModel
 from dynasindy.sindy.delay import delay_inputs
-from dynasindy.sindy.named_libraries import LibraryBuilder
-from dynasindy.sindy.reconstruction import rate_states
+from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
+from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig
+from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
-from dynasindy.systems.base import System
+from dynasindy.systems.base import Signature, System
+from dynasindy.systems.transitions import Transitions
+from dynasindy.text import format_duration
 
 if TYPE_CHECKING:
     from dynasindy.excitation import Excitation
+
+UNKNOWN = "the refinement, which tells them, found no equations, or ones that run away from the data"
+"""Why coefficients that were fitted may have none."""
+
+
+FINEST = 1e-6
+"""Part of the range of a state below which what a sensor resolves is no noise."""
+CELL = 11
+"""Columns of a number in the table of errors."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +126,7 @@ class Identified:
 
     def resolved(self) -> ForecastErrors | None:
         """Return the errors of the states that the data tell of; None where they tell of none, or are too short."""
-        return resolved_errors(self.forecasts, low_signal_states(self.source.training, self._rates()))
+        return self.forecasts and self.forecasts.without(low_signal_states(self.source.training, self._rates()))
 
     @property
     def predicts(self) -> bool:
@@ -261,3 +276,165 @@ def identify_source(model: SindyModel, source: Source, horizons: Sequence[float]
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     return Identified(fit, predicted, metrics, forecasts)
+
+
+def before_fit(model: SindyModel, source: Source) -> list[Finding]:
+    """Return what was read, what is wrong with it or costs the fit dearly, before the fit.
+
+    Args:
+        model: A model of the data, not fitted yet.
+        source: The data.
+    """
+    rates = check_rates(source.training, source.signature, rates_of(model))
+    return [*rates, *source.findings, *missing_rates(model, source)]
+
+
+def missing_rates(model: SindyModel, source: Source) -> list[Finding]:
+    """Return that a log clearly lacks rates, and the equations that give them, where nobody has added them.
+
+    Args:
+        model: A model of the log, not fitted yet.
+        source: The log.
+    """
+    known = lacking_rates(model, source)
+    new = [name for name in known if name not in rates_of(model)]
+    return [weak("fit.rates_missing", states=new, known=known)] if new else []
+
+
+def with_missing_rates(
+    build: Callable[..., SindyModel], source: Source, known: Mapping[str, str] | None
+) -> tuple[Source, dict[str, str], list[Finding]]:
+    """Add the rates of states that a log shows to be missing, so that they are estimated with the model.
+
+    Nothing is added where equations are known or where somebody chose the functions: these may not have the rates.
+
+    Args:
+        build: Makes a model from a signature.
+        source: The log.
+        known: The rate of each state as it was given; None where the log has to tell, and then it may be empty.
+
+    Returns:
+        The log with the rates that it lacks; the rate of each state, given or found; and what was found, if
+        anything.
+    """
+    if known is not None or not source.logged:
+        return source, dict(known or {}), []
+    model = build(signature=source.signature)
+    found = {} if _chosen(model, source.signature) else lacking_rates(model, source)
+    if not found:
+        return source, {}, []
+    return replace(source.with_rates(found), findings=source.findings), found, [note("fit.rates_added", known=found)]
+
+
+def lacking_rates(model: SindyModel, source: Source) -> dict[str, str]:
+    """Return the rate of each state, by its name: those that are known, and those that the log shows to be missing.
+
+    Args:
+        model: A model of the log, not fitted yet.
+        source: The log; of others nothing is missing. To find it takes a regression of each state.
+    """
+    if not source.logged:
+        return {}
+    missing = find_missing_rates(model.library, source.training)
+    return rates_of(model) | {n: rate_name(n, source.signature) for n in missing if n not in rates_of(model)}
+
+
+def _chosen(model: SindyModel, signature: Signature) -> bool:
+    """Tell whether somebody chose the functions."""
+    return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
+
+
+def to_words(found: Identified, source: Source, columns: int | None = None) -> str:
+    """Write equations, fit, identifiability, what the data show, errors and a verdict for a reader.
+
+    Args:
+        found: What was identified.
+        source: The data.
+        columns: Columns of the terminal that the table of errors has to fit; None lets lines be long.
+    """
+    signature, forecasts = source.signature, found.forecasts
+    text = [
+        *found.model.equations(),
+        *_errors(found.model),
+        "",
+        found.report.to_text(),
+        *(f"found: {each}" if each.severity == "note" else line(each) for each in found.content),
+        "",
+        *(table(forecasts, signature, columns) if forecasts is not None else []),
+        f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, relative to the "
+        "standard deviation of each state",
+    ]
+    text += [f"  {state:<10} {_percent(error)}" for state, error in found.metrics["open_loop_nrmse"].items()]
+    return "\n".join([*text, *verdict_lines(found.verdict)])
+
+
+def table(forecasts: ForecastErrors, signature: Signature, columns: int | None = None) -> list[str]:
+    """Write the errors over all horizons: of the model, of a linear one, and of the last value held, a line each.
+
+    A linear model may run away without ever being infinite: beyond `LOST` ranges of a state its error is no number.
+
+    Args:
+        forecasts: The errors.
+        signature: Names and units of the states.
+        columns: Columns of the terminal; horizons that do not fit beside each other stand in a table below. None
+            lets lines be long.
+    """
+    kinds = {"model": forecasts.model, "linear model": forecasts.linear, "last value held": forecasts.held}
+    wide, heads = max(map(len, kinds)) + 4, [format_duration(horizon) for horizon in forecasts.horizons]
+    beside = len(heads) if columns is None else max(1, (columns - wide - 2) // CELL)
+    fine = (forecasts.resolution < FINEST * torch.tensor(signature.x_scale)).tolist()
+    text = [
+        f"RMS error of predictions that begin at {forecasts.starts} samples which the fit did not see; the linear "
+        f"model predicts from {forecasts.order} past samples; over the first"
+    ]
+    for some in (range(len(heads))[first : first + beside] for first in range(0, len(heads), beside)):
+        text.append(f"  {'':<{wide}}{''.join(f'{heads[k]:>{CELL}}' for k in some)}")
+        for i, (name, unit) in enumerate(zip(signature.state_names, signature.state_units, strict=True)):
+            if bool(forecasts.held[:, i].isnan().all()):
+                continue
+            finest = f"the sensor resolves {error_of(float(forecasts.resolution[i]))}"
+            text.append(f"  {name} [{unit}], {'whose sensor shows no noise' if fine[i] else finest}")
+            most = LOST * signature.x_scale[i]
+            for kind, found in kinds.items():
+                errors = [float(found[k, i]) for k in some]
+                cells = (error_of(math.inf if error > most else error) for error in errors)
+                text.append(f"    {kind:<{wide - 2}}{''.join(f'{cell:>{CELL}}' for cell in cells)}")
+    return text
+
+
+def _errors(model: SindyModel) -> list[str]:
+    """Return a line for each coefficient with its standard error, below a heading, or why there is no such error."""
+    if model.covariance is None:
+        fitted = bool((model.constraints.free & (model.coefficients != 0)).any())
+        return ["", f"coefficients have no standard errors (±): {UNKNOWN if fitted else 'none of them was fitted'}"]
+    errors = model.covariance.table(model.coefficients.shape)
+    return ["", "coefficients and their standard errors", *coefficient_lines(model.library, model.coefficients, errors)]
+
+
+def describe_restarts(data: Transitions) -> str:
+    """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
+    gaps = int(data.begins().sum()) - 1
+    if gaps < 1:
+        return ""
+    return ", begun anew after its gap" if gaps == 1 else f", begun anew after each of its {gaps} gaps"
+
+
+def _percent(error: float) -> str:
+    return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
+
+
+def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[Finding] = ()) -> None:
+    """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
+
+    Args:
+        found: the model and its figures.
+        source: the data.
+        folder: where; made if missing.
+        before: what was found before the fit, with which the report begins.
+    """
+    found.model.save(folder / "model.json")
+    findings = [*before, *(each for each in found.findings if each not in before)]
+    write_json(folder / "metrics.json", {**found.metrics, "findings": records(findings)}, indent=1, finite=False)
+    write_text(folder / "report.txt", "\n".join([*lines(before), to_words(found, source)]) + "\n")
+    for ending, text in coefficient_tables(found.model.library, found.model.coefficients).items():
+        write_text(folder / f"coefficients.{ending}", text)

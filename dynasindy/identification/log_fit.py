@@ -21,7 +21,6 @@ import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.before_fit import rate_name
 from dynasindy.identification.equations import equation_findings, idle_states
 from dynasindy.identification.forecast_errors import (
     LinearModel,
@@ -32,7 +31,7 @@ from dynasindy.identification.forecast_errors import (
     start_rows,
 )
 from dynasindy.identification.recording_diagnostics import resolutions
-from dynasindy.identification.source import Source, rates_of
+from dynasindy.identification.source import Source, rate_name, rates_of
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim

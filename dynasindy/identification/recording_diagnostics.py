@@ -1,19 +1,23 @@
-"""What recordings show of their sensors: steps and noise."""
+"""What recordings show of their sensors: steps, noise, and whether a log is too quiet to tell of a state."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dynasindy.findings import Finding, LogError, weak
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.noise import sensor_noise
 from dynasindy.sindy.reconstruction import interpolate_gaps
 from dynasindy.sindy.regression import least_squares
+from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.smoothing import best_length, local_cubic, stretches_of
 from dynasindy.systems.transitions import Transitions
 
@@ -28,6 +32,14 @@ MOST_COLUMNS = 300
 """Products of past samples up to which these explain the next one, too."""
 ROWS_EACH, MOST_ROWS = 5, 5000
 """Rows per column below which what a regression leaves over tells nothing, and rows, about, that are looked at."""
+FEW = 10.0
+"""Steps of its sensor that a state has to move by, for its log to tell anything."""
+WANTED = 100.0
+"""Steps that a state should move by in a log."""
+FAR = 5.0
+"""Targets this many times as far as a quiet log went are not planned for."""
+TINY = 1e-9
+"""Movement of an input that is none."""
 
 
 def samples_of(data: Transitions) -> list[Array]:
@@ -158,3 +170,74 @@ def _noise(column: Array) -> float:
         return float("nan")
     length = best_length(known)
     return float(np.sqrt(np.mean([np.square(c - local_cubic(c, length, 1.0, 0)).mean() for c in stretches_of(known)])))
+
+
+def low_signal_states(data: Transitions, but: Collection[int] = ()) -> dict[int, float]:
+    """Return the places of states that move by less than `FEW` steps of their sensors, and by how many they move.
+
+    A state that does not move at all is none of them, nor one whose sensor shows no steps.
+
+    Args:
+        data: The log.
+        but: Places of states that are not asked about: rates made of differences move in steps of their own.
+    """
+    moved = {}
+    for place, column in enumerate(all_samples_of(data)):
+        step = 0.0 if place in but else coarse_resolution(column)
+        if step and (steps := float(np.nanmax(column) - np.nanmin(column)) / step) < FEW:
+            moved[place] = steps
+    return moved
+
+
+def low_signal_findings(data: Transitions, signature: Signature, but: Collection[int] = ()) -> list[Finding]:
+    """Return which states a log is too quiet to tell of, which inputs to move, and how far.
+
+    Args:
+        data: The log.
+        signature: Names, units and ends.
+        but: Places of states that are not asked about.
+    """
+    if not (moved := low_signal_states(data, but)):
+        return []
+    steps = {signature.state_names[i]: round(count) for i, count in moved.items()}
+    inputs = _louder(data, signature, max(WANTED / count for count in moved.values()))
+    return [weak("log.low_signal", steps=steps, wanted=round(WANTED), inputs=inputs)]
+
+
+def low_signal_targets(
+    data: Transitions, signature: Signature, targets: Mapping[str, Sequence[float]]
+) -> list[Finding]:
+    """Return which of the states that are to be held a log is too quiet to tell of.
+
+    Args:
+        data: The log.
+        signature: Names, units and ends.
+        targets: Lower and upper end of the targets of each output.
+
+    Raises:
+        LogError: The targets of such a state lie far beyond the log.
+    """
+    places = [signature.state_index(name) for name in targets if name in signature.state_names]
+    findings = low_signal_findings(data, signature, set(range(signature.n_x)) - set(places))
+    for place in low_signal_states(data) if findings else ():
+        name, unit = signature.state_names[place], signature.state_units[place]
+        reach, ends = float(data.x[:, place].abs().nan_to_num(nan=0.0).max()), targets.get(name, (0.0,))
+        if max(map(abs, ends)) > FAR * reach:
+            facts = {"state": name, "unit": unit, "low": ends[0], "high": ends[1], "reach": reach}
+            raise LogError("log.low_signal_targets", **facts, quiet=findings[0])
+    return findings
+
+
+def _louder(data: Transitions, signature: Signature, times: float) -> list[dict[str, Any]]:
+    """Return how far the inputs went, and that they are to go `times` as far, or as far as their actuators reach."""
+    limits = signature.input_limits or (WHOLE,) * signature.n_u
+    low, high = data.u.amin(0).double().numpy(), data.u.amax(0).double().numpy()
+    ends = signature.in_own_units(np.stack([low, high])).T.tolist()
+    units, found = signature.input_units or ("-",) * signature.n_u, []
+    for i, name in enumerate(signature.input_names):
+        moves = high[i] - low[i] > TINY
+        room = (limits[i][1] - limits[i][0]) / (high[i] - low[i]) if moves else math.inf
+        further = min(room, times) if moves else None
+        own = {"input": name, "low": ends[i][0], "high": ends[i][1], "unit": units[i]}
+        found.append({**own, "times": further, "limited": bool(room < times)})
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -204,3 +205,11 @@ def _reached(signature: Signature) -> str:
         f"{low:.6g} to {high:.6g}{f' for {name}' if signature.n_u > 1 else ''}, {0.5 * (a + b):.6g} taken as 0"
         for name, (a, b, low, high) in pairs
     )
+
+
+def rate_name(name: str, signature: Signature) -> str:
+    """Return a name that functions and words of the command line can hold, and that no state or input has."""
+    rate = re.sub(r"\W", "_", name) + "_rate"
+    while rate in (*signature.state_names, *signature.input_names):
+        rate += "_"
+    return rate

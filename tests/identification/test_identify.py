@@ -10,8 +10,7 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import LogError, note
-from dynasindy.identification.identify import LoggedData, identify_source
-from dynasindy.identification.report import to_words
+from dynasindy.identification.identify import LoggedData, identify_source, to_words
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Pendulum, Signature, Tras

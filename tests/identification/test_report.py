@@ -8,8 +8,7 @@ import torch
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.excitation import Chirp
 from dynasindy.findings import Finding, note
-from dynasindy.identification.identify import identify_source
-from dynasindy.identification.report import write_identification
+from dynasindy.identification.identify import identify_source, write_identification
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Pendulum
 

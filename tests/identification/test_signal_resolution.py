@@ -9,12 +9,11 @@ import torch
 
 from dynasindy.findings import LogError
 from dynasindy.identification.forecast_errors import ForecastErrors
-from dynasindy.identification.signal_resolution import (
+from dynasindy.identification.recording_diagnostics import (
     FEW,
     low_signal_findings,
     low_signal_states,
     low_signal_targets,
-    resolved_errors,
 )
 from dynasindy.systems import Pendulum, Signature, rk4
 from dynasindy.systems.transitions import Transitions
@@ -111,8 +110,7 @@ def test_targets_far_beyond_a_quiet_log_are_refused_and_others_are_told():
 def test_errors_of_what_is_quiet_are_not_judged():
     one = torch.ones(3, 2)
     forecasts = ForecastErrors((0.1, 0.2, 0.4), 0.2, 9, one, one, one, torch.ones(2), 1)
-    assert resolved_errors(None, [0]) is None and resolved_errors(forecasts, []) is forecasts
-    assert resolved_errors(forecasts, [0, 1]) is None
-    left = resolved_errors(forecasts, [0])
+    assert forecasts.without([0, 1]) is None
+    left = forecasts.without([0])
     assert left.held[:, 0].isnan().all() and left.model[:, 0].isnan().all()
     assert torch.equal(left.held[:, 1], torch.ones(3)) and torch.equal(forecasts.held, torch.ones(3, 2))

@@ -9,7 +9,7 @@ import torch
 
 from dynasindy.findings import FindingError, note, weak, wrong
 from dynasindy.identification.forecast_errors import ForecastErrors
-from dynasindy.identification.report import table
+from dynasindy.identification.identify import table
 from dynasindy.identification.verdict import (
     errors,
     inputs_beyond_log,

@@ -8,8 +8,7 @@ from dynasindy.dyna.simulated import Simulated
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
 from dynasindy.findings import note, weak
-from dynasindy.identification.before_fit import before_fit, lacking_rates, with_missing_rates
-from dynasindy.identification.identify import LoggedData
+from dynasindy.identification.identify import LoggedData, before_fit, lacking_rates, with_missing_rates
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum
 
