@@ -135,12 +135,11 @@ def _named_unit(column: str, unit: str) -> str:
     return f"'data.time=\"{text}\"'" if _words_of_commands else f"time={text!r}"
 
 
-def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool, refused: bool = False) -> str:
+def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool) -> str:
     where = ", ".join(f"{name}: {count}" for name, count in counts.items())
-    then = f"mend them or set {setting('data.missing')}=skip"
-    if not refused:
-        then = "they were skipped" if skipped else "the fit goes on without them, and with what else these rows hold"
-    what = "values" if skipped else "states"
+    what, then = "states", "the fit goes on without them, and with what else these rows hold"
+    if skipped:
+        what, then = "values", "they were skipped"
     return f"{rows} of {total} rows have {what} missing or not finite ({where}), the first in line {line}; {then}"
 
 

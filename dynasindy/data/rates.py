@@ -68,14 +68,8 @@ CAUSES = {
 """What a factor between the slope of a state and its rate comes from."""
 
 
-def explain_factor(factor: float) -> tuple[str, float]:
-    """Return the likely cause of a factor between the slope of a state and its rate, and the factor that it makes.
-
-    Of a factor without a known cause it is the same to three digits.
-
-    Args:
-        factor: Slope over rate; negative where one of them counts the other way.
-    """
+def _explain_factor(factor: float) -> tuple[str, float]:
+    """Return the likely cause of a factor between slope and rate, and the factor that it makes, else three digits."""
     size, turned = abs(factor), factor < 0
     near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
     if abs(math.log(size / near)) >= NEAR:
@@ -138,7 +132,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
         clear = EXACT if known.get(state) == rate and abs(correlation) > ALIKE else CLEAR
         if state in wrong or abs(correlation) <= (TIED if sure else ALIKE) or 1 / clear < factor < clear:
             continue
-        facts = {"state": state, "rate": rate, "factor": factor, "cause": explain_factor(factor)[0]}
+        facts = {"state": state, "rate": rate, "factor": factor, "cause": _explain_factor(factor)[0]}
         units.append(weak("log.rate_units", **facts, guessed=not sure))
     return [*wrong.values(), *units]
 
@@ -172,7 +166,7 @@ def require_consistent_rates(
         if each.code != "log.rate_units" or known.get(state) != rate or 1 / CLEAR < each.values["factor"] < CLEAR:
             continue
         unit, column = signature.state_units[signature.state_index(state)], columns[rate]
-        scale = explain_factor(each.values["factor"])[1] * column.scale
+        scale = _explain_factor(each.values["factor"])[1] * column.scale
         mended = {**columns, rate: replace(column, unit=unit_of_rate(unit), scale=scale)}
         allowed = f"the unit of {state} per second" if unit == "-" else unit_of_rate(unit)
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended, headings))

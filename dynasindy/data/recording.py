@@ -120,7 +120,6 @@ class LogReader:
             nobody says one.
         dt: sampling time [s]; by default what the times tell, their median unless a coarse clock wrote them. Where the
             time counts rows it is the time between two.
-        missing: `skip` missing values, and rows without a time or an input, or `refuse` the file.
         known: equations that are known, by state. A state that is the rate of another one needs no column: one that
             has none is estimated with the model.
 
@@ -133,7 +132,6 @@ class LogReader:
     inputs: Mapping[str, Any] | Sequence[str] | None = None
     time: str = CLOCK
     dt: float | None = None
-    missing: str = "skip"
     known: Mapping[str, str] | None = None
 
     def __post_init__(self) -> None:
@@ -151,8 +149,6 @@ class LogReader:
                     f"{setting(f'data.{key}')} is {given}; allowed are the names of columns, each once, or null, where "
                     "the headings are to tell: correct it"
                 )
-        if self.missing not in ("skip", "refuse"):
-            raise ValueError(f"{setting('data.missing')} is {self.missing!r}; allowed are skip, refuse: choose one")
         if self.dt is not None and not self.dt > 0:
             raise ValueError(f"{setting('data.dt')} is {self.dt} s; allowed is a time > 0, or none for the file's own")
 
@@ -180,10 +176,9 @@ class LogReader:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: a column is missing, a row has missing values and `missing` is refuse, time does not
-                increase, an input is constant or leaves its ends, a state has ends, one that is differentiated is not
-                logged, there are too few samples, files differ in their units or sampling times, or a known rate is in
-                other units than its state.
+            ValueError: a column is missing, time does not increase, an input is constant or leaves its ends, a state
+                has ends, one that is differentiated is not logged, there are too few samples, files differ in their
+                units or sampling times, or a known rate is in other units than its state.
         """
         left_out, after = list[Finding](), list[Finding]()
         time, states, inputs = self._columns(plant, left_out)
@@ -306,7 +301,9 @@ class LogReader:
         t, of_time = in_seconds(path, table, clock, self.dt)
         self._check_time(path, t, table)
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
-        x = {s: without_spikes(s, values[c.name] * c.scale, table.lines, findings) for s, c in states.items() if c.name}
+        x = {
+            s: _without_spikes(s, values[c.name] * c.scale, table.lines, findings) for s, c in states.items() if c.name
+        }
         x = {s: unwrap_angle(s, samples, states[s].unit, findings) for s, samples in x.items()}
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         return _Part(path, table.headings, states, inputs, t, x, u, [*of_time, *findings])
@@ -324,15 +321,13 @@ class LogReader:
             if not rows.any():
                 continue
             counts = (bad & rows[:, None]).sum(0)
-            facts: dict[str, Any] = {
+            facts = {
                 "rows": int(rows.sum()),
                 "total": len(table.lines),
                 "counts": {n: int(k) for n, k in zip(table.headings, counts, strict=True) if k},
                 "line": int(table.lines[np.flatnonzero(rows)[0]]),
                 "skipped": columns is needed,
             }
-            if self.missing == "refuse":
-                raise LogError("log.missing", file=path, refused=True, **facts)
             findings.append(note("log.missing", **facts))
         values = np.where(bad, np.nan, table.values)
         return replace(table, values=values[~skipped], lines=table.lines[~skipped])
@@ -376,15 +371,8 @@ def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Tabl
     return replace(table, values=values)
 
 
-def without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: list[Finding]) -> Array:
-    """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes.
-
-    Args:
-        name: Name of the state.
-        x: Its samples, NaN where one is lost, `(N,)`.
-        lines: Lines of the file, `(N,)`.
-        findings: What was decided; what is done here is added.
-    """
+def _without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: list[Finding]) -> Array:
+    """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes."""
     measured = np.isfinite(x)
     known = x if measured.all() else x[measured]
     if len(known) < SMOOTH:

@@ -217,43 +217,8 @@ def forecast_errors(
         model: a fitted model.
         training: data that a linear model is fitted to.
         validation: data to judge on, NaN where a state was not measured.
-        horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted, and
-            shorter ones where a model runs away over all of these.
+        horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted.
     """
-    found = _forecast(model, training, validation, horizons)
-    if found is None or horizons or not _lost(found, model):
-        return found
-    sooner = _series(max(found.characteristic / 1000, validation.dt), 0.999 * found.horizons[0])
-    return _forecast(model, training, validation, [*sooner, *found.horizons]) if sooner else found
-
-
-def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
-    """Return times ahead over which a model is judged [s].
-
-    They begin at half of the fastest time constant of the model, where the log mostly was, or at a tenth of the time
-    in which the slowest measured state changes, whichever is shorter, and end at three times the latter.
-
-    Args:
-        model: a fitted model.
-        data: the recording that it was fitted to.
-    """
-    time = characteristic(data)
-    x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
-    measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
-    fastest = LocalModes(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured).time_constant
-    return _series(max(data.dt, min(time / 10, fastest / 2)), 3 * time)
-
-
-def _lost(found: ForecastErrors, model: SindyModel) -> bool:
-    """Tell whether a model runs away over the shortest time that it is judged over."""
-    most = LOST * torch.tensor(model.signature.x_scale, dtype=found.model.dtype)
-    return bool((found.model[0] > most).any())
-
-
-def _forecast(
-    model: SindyModel, training: Transitions, validation: Transitions, horizons: Sequence[float] | None
-) -> ForecastErrors | None:
-    """Judge a model over given horizons, or those that the data ask for."""
     if not len(validation):
         return None
     time = characteristic(training)
@@ -287,6 +252,23 @@ def _forecast(
         resolutions(training) if model.step is None else resolutions_by(model, training),
         linear.order,
     )
+
+
+def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
+    """Return times ahead over which a model is judged [s].
+
+    They begin at half of the fastest time constant of the model, where the log mostly was, or at a tenth of the time
+    in which the slowest measured state changes, whichever is shorter, and end at three times the latter.
+
+    Args:
+        model: a fitted model.
+        data: the recording that it was fitted to.
+    """
+    time = characteristic(data)
+    x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
+    measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
+    fastest = LocalModes(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured).time_constant
+    return _series(max(data.dt, min(time / 10, fastest / 2)), 3 * time)
 
 
 def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[int]) -> int:

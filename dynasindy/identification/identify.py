@@ -234,7 +234,7 @@ def identify(
     before = (
         *added,
         *check_rates(source.training, source.signature, rates),
-        *missing_rates(model, source),
+        *_missing_rates(model, source),
     )
     for each in before:
         warnings.warn(str(each), stacklevel=2)
@@ -286,16 +286,11 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
         source: The data.
     """
     rates = check_rates(source.training, source.signature, rates_of(model))
-    return [*rates, *source.findings, *missing_rates(model, source)]
+    return [*rates, *source.findings, *_missing_rates(model, source)]
 
 
-def missing_rates(model: SindyModel, source: Source) -> list[Finding]:
-    """Return that a log clearly lacks rates, and the equations that give them, where nobody has added them.
-
-    Args:
-        model: A model of the log, not fitted yet.
-        source: The log.
-    """
+def _missing_rates(model: SindyModel, source: Source) -> list[Finding]:
+    """Return that a log clearly lacks rates, and the equations that give them, where nobody has added them."""
     known = lacking_rates(model, source)
     new = [name for name in known if name not in rates_of(model)]
     return [weak("fit.rates_missing", states=new, known=known)] if new else []

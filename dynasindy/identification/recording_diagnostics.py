@@ -151,12 +151,8 @@ def sensor_resolution(column: Array, noise: float | None = None) -> float:
     return step if whole.mean() > 0.99 and step > 1.5 * noise else 0.0
 
 
-def coarse_resolution(column: Array) -> float:
-    """Return the step in which a sensor reads, also where `sensor_resolution` sees it too seldom; 0 if none.
-
-    Args:
-        column: samples, `(n,)`; lost ones are NaN.
-    """
+def _coarse_resolution(column: Array) -> float:
+    """Return the step in which a sensor reads, also where `sensor_resolution` sees it too seldom; 0 if none."""
     known = np.concatenate(stretches_of(column))
     levels, times = np.unique(known[~np.isnan(known)], return_counts=True)
     few = 1 < len(levels) <= SEVERAL and np.median(times) >= AGAIN
@@ -183,7 +179,7 @@ def low_signal_states(data: Transitions, but: Collection[int] = ()) -> dict[int,
     """
     moved = {}
     for place, column in enumerate(all_samples_of(data)):
-        step = 0.0 if place in but else coarse_resolution(column)
+        step = 0.0 if place in but else _coarse_resolution(column)
         if step and (steps := float(np.nanmax(column) - np.nanmin(column)) / step) < FEW:
             moved[place] = steps
     return moved

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from dynasindy.data.rates import with_rates
 from dynasindy.data.recording import Recording
@@ -183,19 +184,16 @@ def same_input_ranges(first: Signature, second: Signature) -> bool:
         first: Names and ends of one.
         second: Those of the other.
     """
-    both = zip(_numbers(first), _numbers(second), strict=False)
-    return all(
-        math.isclose(mine, theirs, abs_tol=ALIKE * (own[1] - own[0]))
-        for own, others in both
-        for mine, theirs in zip(own, others, strict=True)
-    )
+    count = min(first.n_u, second.n_u)
+    mine, theirs = _numbers(first)[:count], _numbers(second)[:count]
+    return bool((np.abs(mine - theirs) <= ALIKE * (mine[:, 1:2] - mine[:, :1])).all())
 
 
-def _numbers(signature: Signature) -> list[tuple[float, ...]]:
-    """Return what -1 and 1, and the limits, are of each input in its own unit."""
+def _numbers(signature: Signature) -> NDArray[np.float64]:
+    """Return what -1 and 1, and the limits, are of each input in its own unit, `(n_u, 4)`."""
     both = np.array(signature.input_ends or (WHOLE,) * signature.n_u)
     limits = np.array(signature.input_limits or (WHOLE,) * signature.n_u)
-    return [tuple(pair) for pair in np.concatenate([both, signature.in_own_units(limits.T).T], -1).tolist()]
+    return np.concatenate([both, signature.in_own_units(limits.T).T], -1)
 
 
 def _reached(signature: Signature) -> str:

@@ -56,7 +56,7 @@ def test_a_file_is_read_to_the_last_digit(tmp_path, separator):
     assert [each.code for each in found.findings] == ["log.time"]
 
 
-def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the_file_is_refused(tmp_path):
+def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay(tmp_path):
     table = log()
     table[20, 1] = table[50, 3] = np.nan
     table[51, 3] = np.inf
@@ -72,7 +72,6 @@ def test_rows_without_an_input_are_skipped_and_those_without_a_state_stay_or_the
     assert data.x.isnan().nonzero().tolist() == [[20, 0]] and data.x_next.isnan().nonzero().tolist() == [[19, 0]]
     inside = data.segment[1:] == data.segment[:-1]
     assert torch.equal(data.x[1:][inside].nan_to_num(), data.x_next[:-1][inside].nan_to_num())
-    assert refused(path, missing="refuse").values == {"file": path, "refused": True, **skipped}
 
 
 def test_a_sensor_that_is_read_every_fifth_row_keeps_all_rows(tmp_path):
