@@ -1,6 +1,6 @@
 """Progress of long work: events, reported where it is done and shown on standard error within `Progress`.
 
-A terminal has bars that move and colours; a file gets plain lines, few of them.
+A terminal has bars that move and colours; a file gets plain lines, few of them, as the work reports its steps.
 """
 
 from __future__ import annotations
@@ -31,12 +31,14 @@ SHORT = 2.0
 """Length of a phase below which it leaves no line [s]."""
 INTERVAL = 10.0
 """Time between two lines of one phase in a file [s]."""
-VERDICT = re.compile(
-    r"\bNOT (?:CONTROLLED|promised|JUDGED)\b|\bCONTROLLED\b|^(?:note|hint|found|next|warning):|^(?:ok|WEAK)(?=  )", re.M
-)
+COLOURS = {
+    r"\bNOT (?:CONTROLLED|promised|JUDGED)\b": "bold red",
+    r"(?<!NOT )\bCONTROLLED\b": "bold green",
+    r"^(?:note|hint|found|next|warning):": "bold cyan",
+    r"^ok(?=  )": "green",
+    r"^WEAK(?=  )": "bold yellow",
+}
 """Words that have a colour on a terminal."""
-COLOURS = {"CONTROLLED": "bold green", "ok": "green", "WEAK": "bold yellow"}
-"""Those of words that are neither a heading, which ends in a colon, nor a NOT."""
 
 
 class TimeIsUp(RuntimeError):
@@ -139,11 +141,10 @@ class Progress:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock, self.lock, self.stack = clock, threading.RLock(), ExitStack()
-        self.outer: dict[str, tuple[Event, float]] = {}  # each with its start [s], in their order
-        self.inner: tuple[Event, float] | None = None
+        self.phases: dict[tuple[bool, str], tuple[Event, float]] = {}  # by outer and name, each with its start [s]
         self.display: Display | None = None  # of a terminal
         self.tasks: dict[tuple[bool, str], TaskID] = {}
-        self.due, self.closed = 0.0, threading.Event()  # time of the next line in a file [s]
+        self.due = 0.0  # time of the next line in a file [s]
 
     def __repr__(self) -> str:
         return f"Progress({'shows' if Progress.active is self else 'does not show'} what is under way)"
@@ -154,14 +155,12 @@ class Progress:
             return self
         self.file = cast("TextIO", _Detachable(sys.stderr))
         if _is_terminal(sys.stderr):
-            self.display = _display(self.file, self.clock)  # first, as it may fail
-            self.display.start()
-        else:
-            threading.Thread(target=self._watch, daemon=True).start()  # a phase may report nothing for long
+            self.display = _display(self.file, self.clock)
+            self.stack.enter_context(self.display)
         Progress.active, os.environ[self.OWNER] = self, str(os.getpid())
         self.stack.callback(os.environ.pop, self.OWNER, None)
         self.stack.callback(setattr, Progress, "active", None)
-        self.stack.callback(self._close)
+        self.stack.callback(self.finish)
         self.stack.enter_context(listening(self._handle))
         return self
 
@@ -173,67 +172,43 @@ class Progress:
         """End the inner phase; leave a line of a long one."""
         with self.lock:
             now = self.clock()
-            if self.inner is not None:
-                event, start = self.inner
+            for key in [key for key in self.phases if not key[0]]:
+                event, start = self.phases.pop(key)
                 if self.display is not None:
-                    self.display.remove_task(self.tasks.pop((False, event.phase)))
+                    self.display.remove_task(self.tasks.pop(key))
                 if event.phase != LOADING and now - start >= SHORT:
-                    self._write(event.line(now - start), [*self.outer.values()])
-            self.inner, self.due = None, now + INTERVAL
-
-    def tick(self) -> None:
-        """Write to a file how far a long phase is, if the last line is long enough ago."""
-        with self.lock:
-            now = self.clock()
-            if (self.outer or self.inner) and now >= self.due:
-                self.due = now + INTERVAL
-                phases = [*self.outer.values(), *([self.inner] if self.inner else [])]
-                phases = [phase for phase in phases if phase[0].phase != LOADING]
-                if phases:
-                    event, start = phases.pop()
-                    self._write(f"{event.line(now - start)}...", phases)
+                    self._write(event.line(now - start))
+            self.due = now + INTERVAL
 
     def _handle(self, event: Event) -> None:
         with self.lock:
-            now, begins = self.clock(), False
-            if event.outer:
-                if not self.outer and self.inner is None:
-                    self.due = now + SHORT
-                before, start = self.outer.get(event.phase, (event, now))
-                begins = event.done < before.done  # the next job of a sweep
-                self.outer[event.phase] = event, now if begins else start
-            elif self.inner is not None and event.phase == self.inner[0].phase:
-                self.inner = event, self.inner[1]
-            else:
+            now, key = self.clock(), (event.outer, event.phase)
+            if (new := key not in self.phases) and not event.outer:
                 self.finish()
-                self.inner, self.due = (event, now), now + SHORT
+            if new and (not event.outer or not self.phases):
+                self.due = now + SHORT
+            before, start = self.phases.get(key, (event, now))
+            begins = event.outer and event.done < before.done  # the next job of a sweep
+            self.phases[key] = event, now if begins else start
             if self.display is not None:
-                key = event.outer, event.phase
-                if key not in self.tasks:
+                if new:
                     self.tasks[key] = self.display.add_task(event.phase)
                 elif begins:
                     self.display.reset(self.tasks[key])
                 self.display.update(self.tasks[key], description=event.line(), completed=event.done, total=event.total)
+            elif not new and now >= self.due and (not event.outer or all(of for of, _ in self.phases)):
+                self.due = now + INTERVAL
+                self._write(f"{event.line(now - start)}...", key)
 
-    def _write(self, line: str, around: list[tuple[Event, float]]) -> None:
+    def _write(self, line: str, key: tuple[bool, str] | None = None) -> None:
         """Write a line of a phase: above the bars, or to a file behind the counts of the phases around it."""
         if self.display is not None:
             console = self.display.console
             console.print(wrap(line, console.width), style="dim", markup=False, soft_wrap=True)
-        elif not self.closed.is_set():  # the thread may come late
-            self.file.write(f"{', '.join(filter(None, [*(event.count() for event, _ in around), line]))}\n")
+        else:
+            around = [event.count() for of, (event, _) in self.phases.items() if of[0] and of != key]
+            self.file.write(f"{', '.join(filter(None, [*around, line]))}\n")
             self.file.flush()
-
-    def _close(self) -> None:
-        with self.lock:
-            self.finish()
-            self.closed.set()
-            if self.display is not None:
-                self.display.stop()
-
-    def _watch(self) -> None:
-        while not self.closed.wait(0.5):
-            self.tick()
 
 
 class _Detachable:
@@ -273,16 +248,11 @@ def _display(file: TextIO, clock: Callable[[], float]) -> Display:
             """Leave the cursor as it is."""
             return False
 
-    class _Bar(BarColumn):
-        def render(self, task: Any) -> Any:
-            """Return a bar where the total is known."""
-            return super().render(task) if task.total else ""
-
     console = _Terminal(file=file)
     return Progress(
         SpinnerColumn("line"),
         TimeElapsedColumn(),
-        _Bar(bar_width=min(20, max(4, console.width - 60))),  # on a narrow terminal words say more than a bar
+        BarColumn(bar_width=min(20, max(4, console.width - 60))),  # on a narrow terminal words say more than a bar
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
         expand=True,
         console=console,
@@ -329,7 +299,6 @@ def say(*texts: str) -> None:
     console = active.display.console if active is not None and active.display is not None else Console()
     for text in texts:
         shown = Text(wrap(text, columns))
-        for word in VERDICT.finditer(shown.plain):
-            other = "bold cyan" if word[0].endswith(":") else "bold red"
-            shown.stylize(COLOURS.get(word[0], other), *word.span())
+        for words, colour in COLOURS.items():
+            shown.highlight_regex(re.compile(words, re.M), colour)
         console.print(shown, soft_wrap=True, highlight=False)

@@ -93,7 +93,6 @@ def test_a_file_hears_of_a_long_phase_after_a_moment_and_then_now_and_then(clock
     for second in range(32):
         clock.now[0] = float(second)
         report_progress("planning", second, 31, "updates", "score 1")
-        shown.tick()
     shown.__exit__(None, None, None)
     assert written.getvalue().splitlines() == [
         "planning: 2 of 31 updates, score 1, 2 s...",
@@ -107,7 +106,6 @@ def test_a_short_phase_and_the_loading_say_nothing_to_a_file(clock, file):
     shown, written = file
     report_progress(LOADING)
     clock.now[0] = 30.0
-    shown.tick()
     report_progress("fit")
     clock.now[0] = 31.0
     report_progress("planning")
@@ -129,8 +127,6 @@ def test_a_terminal_that_is_closed_does_not_end_the_work(monkeypatch, front):
             report_progress("plan")
             if front:
                 shown.display.refresh()
-            else:
-                shown.tick()
             say("text")
     assert dead.tried == 1  # then it is left alone
     assert front or out.getvalue() == "text\n" * 3
