@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
+import pandas as pd
 import torch
 from torch import Tensor
 
@@ -72,16 +72,6 @@ def bootstrap_interval(
 HUGE = 1e30  # stands for infinity in the bootstrap, which interpolates between resamples
 FEWEST = 3
 """Seeds from which on an interval says something; fewer are shown one by one."""
-SWEEP = (
-    "setting",
-    "seeds",
-    "real steps (plant time)",
-    "return, untrained",
-    "return, trained",
-    "steady-state error, per axis{}",
-    "RMSE, per axis{}",
-    "wall time of a run [s]",
-)
 OVER_SEEDS = (
     "Interquartile mean over seeds [95 % bootstrap interval]; where there are fewer than three seeds, the value of "
     "each."
@@ -104,30 +94,51 @@ def sweep_table(folder: Path) -> str:
     """
     if (folder / "metrics.json").is_file():
         raise FileNotFoundError(f"{folder} is one run, not a sweep of runs; give the folder above it")
-    groups: dict[str, list[dict[str, Any]]] = {}
+    runs, axes = [], [0]
     for file in sorted(folder.rglob("metrics.json")):
         if (file.parent / "report.txt").is_file():  # a fit by identify.py, which flew nothing
             continue
-        setting = _setting(file.parent.relative_to(folder))
         with reading(file):
-            _row(setting, [run := read_json(file)])
-        groups.setdefault(setting, []).append(run)
-    if not groups:
+            run = read_json(file)
+            cost, found, units = run["cost"], run["evaluation"], [*run.get("units", {"": "rad"}).values()]
+            errors, rmse = ([found[k] for k in found if k.startswith(f"{m}/")] for m in ("steady_state_error", "rmse"))
+            axes.append(len(rmse))
+            runs.append(
+                {
+                    "setting": f"`{_setting(file.parent.relative_to(folder)) or 'default'}`",
+                    "seed": run.get("seed") or 0,
+                    "unit": f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]",
+                    "real steps (plant time)": f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
+                    "return, untrained": run["untrained"]["return"],
+                    "return, trained": found["return"],
+                    "steady-state error, per axis": errors,
+                    "RMSE, per axis": rmse,
+                    "wall time of a run [s]": cost["wall_seconds"],
+                }
+            )
+    if not runs:
         raise FileNotFoundError(f"{folder} holds no finished run; give the folder of a sweep, which it prints")
     with reading(folder):  # whose runs may not have the same figures
-        units = {_units(run) for runs in groups.values() for run in runs}
-        shared = units.pop() if len(units) == 1 else ""  # plants may differ in them
-        table = markdown(
-            [head.format(shared) for head in SWEEP],
-            [_row(setting, _in_order(runs), not shared) for setting, runs in sorted(groups.items())],
-        )
-        several = any(len(_of_axes(run, "rmse")) > 1 for runs in groups.values() for run in runs)
-        return "\n".join([OVER_SEEDS, f"{ORDER} {AXES}" if several else ORDER, "", table])
+        table = pd.DataFrame(runs)
+        shared = table["unit"].nunique() == 1  # plants may differ in them
+        # By their folders, the tenth job is before the ninth.
+        groups = table.sort_values(["setting", "seed"], kind="stable").groupby("setting", sort=False)
+        columns = [name for name in table if name not in ("setting", "seed", "unit")]
+        of_axes = {name: table["unit"][0] if shared and name.endswith("per axis") else "" for name in columns}
+        rows = [[str(key), str(len(of)), *(_figure(of, name, not shared) for name in columns)] for key, of in groups]
+        text = markdown(["setting", "seeds", *(name + of_axes[name] for name in columns)], rows)
+        return "\n".join([OVER_SEEDS, f"{ORDER} {AXES}" if max(axes) > 1 else ORDER, "", text])
 
 
-def _in_order(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the runs of a setting in the order of their seeds; by their folders, the tenth job is before the ninth."""
-    return sorted(runs, key=lambda run: run.get("seed") or 0)
+def _figure(runs: pd.DataFrame, name: str, with_unit: bool) -> str:
+    """Return the cell of a setting: over seeds, where it has one for each axis with a slash between these."""
+    values = runs[name].tolist()
+    if isinstance(values[0], str):
+        return values[0]
+    if not isinstance(values[0], list):
+        return _finite(values)
+    cells = " / ".join(_finite(axis) for axis in zip(*values, strict=True))
+    return cells + (runs["unit"].iloc[0] if with_unit else "")
 
 
 def _setting(place: Path) -> str:
@@ -174,36 +185,6 @@ def _short(value: float, digits: int, infinite: str) -> str:
         return infinite
     # What rounds up to a power of ten would be written as 1e+03.
     return f"{value:.0f}" if abs(value) >= 10**digits - 0.5 else f"{value:.{digits}g}"
-
-
-def _row(setting: str, runs: Sequence[dict[str, Any]], with_units: bool = False) -> list[str]:
-    cost, unit = runs[0]["cost"], _units(runs[0]) if with_units else ""
-    return [
-        f"`{setting or 'default'}`",
-        str(len(runs)),
-        f"{cost['real_steps']} ({format_duration(cost['plant_seconds'])})",
-        _finite([run["untrained"]["return"] for run in runs]),
-        _finite([run["evaluation"]["return"] for run in runs]),
-        _axes(runs, "steady_state_error") + unit,
-        _axes(runs, "rmse") + unit,
-        _finite([run["cost"]["wall_seconds"] for run in runs]),
-    ]
-
-
-def _units(run: Mapping[str, Any]) -> str:
-    """Return the unit of all axes of a run, or one for each, as it stands behind a name or a figure."""
-    units = [*run.get("units", {"": "rad"}).values()]
-    return f" [{' / '.join(units if len(set(units)) > 1 else units[:1])}]"
-
-
-def _axes(runs: Sequence[dict[str, Any]], metric: str) -> str:
-    names = _of_axes(runs[0], metric)
-    return " / ".join(_finite([run["evaluation"][name] for run in runs]) for name in names)
-
-
-def _of_axes(run: Mapping[str, Any], metric: str) -> list[str]:
-    """Return the names of a metric in an evaluation, one per axis."""
-    return [key for key in run["evaluation"] if key.startswith(f"{metric}/")]
 
 
 def _finite(values: Sequence[float | None]) -> str:

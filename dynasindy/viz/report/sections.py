@@ -1,14 +1,16 @@
-"""Sections of the paper's figures and tables, each beside ours: a row of `SECTIONS` each, and what makes its parts."""
+"""Sections of the paper's figures and tables, each beside ours, and which of the paper's statements hold by `paper`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
 
+from dynasindy.evaluation.statistics import interquartile_mean
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
@@ -18,36 +20,29 @@ from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import BEYOND, prediction, training_data
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.report import paper
-from dynasindy.viz.report.document import Finding, Part, Picture, TextTable
+from dynasindy.viz.report.document import Finding, Part, Picture, TextTable, Verdict
 from dynasindy.viz.report.paper import AXES
 from dynasindy.viz.report.results import (
     ABLATION,
     CASES,
     MANY,
+    NONE,
     PLANTS,
     SETTINGS,
+    SOME,
     Entry,
     MissingResult,
     Results,
     Row,
     Run,
 )
-from dynasindy.viz.report.verdicts import (
-    Coefficients,
-    judge_coefficients,
-    judge_first_model,
-    judge_last_model,
-    judge_learning,
-    judge_rewards,
-    judge_sine,
-    judge_square,
-    judge_steps,
-)
 from dynasindy.viz.response import tracking
 from dynasindy.viz.run import Table as Columns
 from dynasindy.viz.run import periods, stacked
 from dynasindy.viz.style import Array
 
+Coefficients = Mapping[str, Mapping[str, float]]
+Score = Mapping[str, float | None]
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 TRACKED, REFERENCES = tuple(AXES), tuple(f"reference_{name}" for name in AXES)
 OURS = [(plant, "dyna") for plant in PLANTS]
@@ -93,7 +88,7 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
     table = run.table("gate.csv")
     opened = table["episode"][table["open"] == 1]
-    yield from judge_learning(table["episode"], table["reward_error"], opened, float(run.setting("gate.open_below")))
+    yield from _judge_learning(table["episode"], table["reward_error"], opened, float(run.setting("gate.open_below")))
     figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
     caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
     yield Picture(f"model_learning_{plant}_{experiment}", figure, caption, run.source)
@@ -101,13 +96,13 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
 
 def _first_states(results: Results, plant: str, experiment: str) -> Made:
     errors, picture = _states(results, plant, experiment, "first", "before")
-    yield from judge_first_model(errors)
+    yield from _judge_first_model(errors)
     yield picture
 
 
 def _last_states(results: Results, plant: str, experiment: str) -> Made:
     errors, picture = _states(results, plant, experiment, "last", "after")
-    yield judge_last_model(errors)
+    yield _judge_last_model(errors)
     yield picture
     # The excitation applied to the final model, as the paper does.
     run = results.run(plant, experiment)
@@ -117,7 +112,7 @@ def _last_states(results: Results, plant: str, experiment: str) -> Made:
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
-    yield judge_last_model(_state_errors(x[1:].numpy(), predicted.numpy()))
+    yield _judge_last_model(_state_errors(x[1:].numpy(), predicted.numpy()))
 
 
 def _states(results: Results, plant: str, experiment: str, episode: str, when: str) -> tuple[dict[str, float], Picture]:
@@ -141,7 +136,7 @@ def _state_errors(real: Array, model: Array) -> dict[str, float]:
 def _coefficients(results: Results, plant: str, experiment: str, true: Coefficients = paper.XI) -> Made:
     run = results.run(plant, experiment)
     model: Coefficients = run.record("model.json")["coefficients"]
-    yield from judge_coefficients(model, true)
+    yield from _judge_coefficients(model, true)
     yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
     names = dict.fromkeys(name for row in (*true.values(), *model.values()) for name in row)
     rows = [
@@ -183,7 +178,7 @@ def _rewards(results: Results, plant: str, experiment: str) -> Made:
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
         if own or name in seeds:
             to_level[words] = [float(row["episodes_to_level"] or np.inf) for row in own]
-    yield from judge_rewards(curves, to_level)
+    yield from _judge_rewards(curves, to_level)
     caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes."
     title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
     figure = average_rewards(curves, episodes, title)
@@ -195,7 +190,7 @@ def _steps(results: Results, plant: str, experiment: str) -> Made:
     runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
     _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
     scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}
-    yield from judge_steps(scores)
+    yield from _judge_steps(scores)
     caption = f"A step on `{plant}`, after {results.episodes(plant, experiment, SETTINGS)}."
     yield Picture(f"step_{plant}_{experiment}", figure, caption, "\n".join(run.source for run in runs.values()))
 
@@ -205,7 +200,7 @@ def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
     runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
     tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
     output = stacked(tables[MANY], TRACKED)
-    yield from (judge_sine if shape == "sine" else judge_square)(
+    yield from (_judge_sine if shape == "sine" else _judge_square)(
         tables[MANY]["time"], stacked(tables[MANY], REFERENCES), output
     )
     caption = f"The {shape} wave on `{plant}`, after {results.episodes(plant, experiment, settings)}."
@@ -231,6 +226,126 @@ def _gradient_run(results: Results, plant: str, scenario: str) -> Made:
     seconds = run.record("metrics.json")["cost"]["plant_seconds"]
     caption = f"The {scenario} on `{plant}` after {seconds:.0f} s of plant time."
     yield Picture(f"gradient_{scenario}_{plant}", figure, caption, run.source)
+
+
+def _judge_statement(ours: str, holds: bool | None, same: bool = False) -> Finding:
+    """Return the judgement on a statement."""
+    if holds is None:
+        return Finding(ours)
+    return Finding(ours, Verdict.HOLDS if holds else Verdict.SAME if same else Verdict.SHORT)
+
+
+def _judge_learning(episode: Array, error: Array, opened: Array, below: float) -> list[Finding]:
+    """Judge the reward error per period of each episode, `(n,)`, not finite where the replay ran away."""
+    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+    first, last, most = (f"{error[k]:.2g} in episode {episode[k]:.0f}" for k in (0, -1, worst))
+    trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
+    ours = f"per period {first}, {last}, at worst {most}; {trusted}, below {below:g} on held-out windows"
+    fallen = bool(error[-1] < paper.FALL.value * error[0] and error[-1] < below)
+    return [_judge_statement(ours, fallen or bool((error < below).all()))]
+
+
+def _judge_first_model(errors: Mapping[str, float]) -> list[Finding]:
+    """Judge the model of the excitation alone by the RMSE of each rotor speed [% of its range]."""
+    return [_judge_last_model({name: error for name, error in errors.items() if name.startswith("omega_")})]
+
+
+def _judge_last_model(errors: Mapping[str, float]) -> Finding:
+    """Judge a model by the RMSE of each state [% of its range]."""
+    words = ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
+    return _judge_statement(f"RMSE in % of range: {words}", max(errors.values()) < paper.CLOSE.value)
+
+
+def _judge_coefficients(model: Coefficients, truth: Coefficients) -> list[Finding]:
+    """Judge identified coefficients, by equation and function, against published ones."""
+    true, ours = (
+        {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (truth, model)
+    )
+    hit, false = [key for key in true if key in ours], [key for key in ours if key not in true]
+    worst = 100 * max((abs(ours[key] / true[key] - 1) for key in hit), default=np.inf)
+    small = max((abs(model[s][name]) / max(map(abs, model[s].values())) for s, name in false), default=0.0)
+    words = f"{len(hit)} of them found, the worst {worst:.2g} % off; {len(false)} functions besides"
+    words += f", the largest {small:.1g} of the largest in its equation" if false else ""
+    return [_judge_statement(words, len(hit) == len(true) and not false and worst < paper.COEFFICIENT.value)]
+
+
+def _judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> list[Finding]:
+    """Judge returns per setting, `(n_seeds, n_evaluations)`, and real episodes to the level per setting and seed.
+
+    Settings without returns are other agents without a model, all of which planning has to be ahead of.
+    """
+    mean = {name: _middle(returns.T) for name, returns in curves.items()}
+    early = {
+        name: float(values[: max(1, int(paper.EARLY.value * len(values)))].mean()) for name, values in mean.items()
+    }
+    level = {name: float(_middle(values)) for name, values in to_level.items()}
+    planned = [name for name in (SOME, MANY) if name in mean]
+    greater = sooner = converges = None
+    soon = max((level[name] for name in planned), default=np.inf) <= paper.SOON.value
+    if NONE in mean and planned:
+        greater = all(early[name] > early[NONE] for name in planned)
+        sooner = max(level[name] for name in planned) < min(level[name] for name in level if name not in planned)
+    if len(planned) == 2:
+        converges = level[MANY] < level[SOME]
+    both = _levels_listed({name: level[name] for name in planned})
+    return [
+        _judge_statement(f"mean of the first {100 * paper.EARLY.value:g} %: {_levels_listed(early)}", greater),
+        _judge_statement(f"real episodes to the level: {_levels_listed(level)}", sooner),
+        _judge_statement(f"real episodes to the level: {both}", converges, soon),
+    ]
+
+
+def _judge_steps(scores: Mapping[str, Score]) -> list[Finding]:
+    """Judge step tracking of the three settings by their `steady_state_error/<axis>` [rad]."""
+    judgements, level = [], paper.LEVEL.value
+    for name in paper.AXES:
+        finals = {setting: score[f"steady_state_error/{name}"] for setting, score in scores.items()}
+        error = {setting: np.inf if final is None else final for setting, final in finals.items()}
+        planned = max(error[SOME], error[MANY])
+        words = f"steady-state error [rad]: {_levels_listed(error, 'not finite')}"
+        smallest = level >= error[MANY] < min(error[NONE], error[SOME])
+        judgements += [
+            _judge_statement(words, level >= planned < error[NONE]),
+            _judge_statement(words, smallest, planned <= paper.FINE.value),
+        ]
+    return judgements
+
+
+def _judge_sine(time: Array, target: Array, output: Array) -> list[Finding]:
+    """Judge a sine, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
+    late = time >= paper.TRANSIENT.value
+    rmse = np.sqrt(np.mean((output - target)[late] ** 2, axis=0))
+    words = f"RMSE after {paper.TRANSIENT.value:g} s: {{:.3g}} rad of {{:.3g}} rad"
+    pairs = zip(rmse, np.abs(target).max(0), strict=True)
+    return [_judge_statement(words.format(one, size), bool(one < paper.FOLLOWS.value * size)) for one, size in pairs]
+
+
+def _judge_square(time: Array, target: Array, output: Array) -> list[Finding]:
+    """Judge a square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
+    words = f"{{:.3g}} rad over the last {paper.SETTLED.value:g} s of each level of {{:.3g}} rad"
+    judgements = []
+    for k, size in enumerate(np.abs(target).max(0)):
+        error = _at_levels(time, target[:, k], output[:, k])
+        judgements.append(_judge_statement(words.format(error, size), error < paper.FOLLOWS.value * size))
+    return judgements
+
+
+def _at_levels(time: Array, target: Array, y: Array) -> float:
+    """Return the mean error at the end of each level."""
+    errors = []
+    for first, end in pairwise([0, *(np.flatnonzero(np.diff(target)) + 1).tolist(), len(target)]):
+        late = np.arange(first, end)[time[first:end] > time[end - 1] - paper.SETTLED.value]
+        errors.append(np.abs(y[late] - target[first]).mean())
+    return float(np.mean(errors))
+
+
+def _middle(values: Iterable[float] | Array) -> Array:
+    """Return the interquartile mean of the last dimension."""
+    return interquartile_mean(torch.as_tensor(np.asarray(values, dtype=np.float64))).numpy()
+
+
+def _levels_listed(values: Mapping[str, float], infinite: str = "never") -> str:
+    return ", ".join(f"{name} {infinite if np.isinf(value) else f'{value:.4g}'}" for name, value in values.items())
 
 
 OPEN_LOOP = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.viz.report import paper, verdicts
+from dynasindy.viz.report import paper, sections
 from dynasindy.viz.report.document import Finding, Verdict
 from dynasindy.viz.report.results import MANY, NONE, SOME
 
@@ -23,7 +23,7 @@ def errors(rate: float) -> dict[str, float]:
 def rewards(curve=(0.0, 1.0), to_level=None, **changed) -> list[Finding]:
     """Judge settings that all have one curve, but for those that are given another one."""
     curves = {name: np.array([changed.get(key, curve)], dtype=float) for key, name in KEYS.items()}
-    return verdicts.judge_rewards(curves, to_level or levels())
+    return sections._judge_rewards(curves, to_level or levels())
 
 
 def early(share: float) -> Finding:
@@ -34,14 +34,14 @@ def early(share: float) -> Finding:
 
 def steps(final: tuple[float, float, float]) -> list[Finding]:
     pairs = zip(KEYS.values(), final, strict=True)
-    return verdicts.judge_steps({name: {f"steady_state_error/{axis}": e for axis in STATES[:2]} for name, e in pairs})
+    return sections._judge_steps({name: {f"steady_state_error/{axis}": e for axis in STATES[:2]} for name, e in pairs})
 
 
 def sine(part: float, until: float = np.inf) -> Finding:
     """Followed with an offset that is a part of the amplitude, from the start until some time."""
     time = np.arange(0.0, 60.0, 0.1)
     target = 0.4 * np.sin(np.pi * time / 30)[:, None].repeat(2, 1)
-    return verdicts.judge_sine(time, target, target + 0.4 * part * (time < until)[:, None])[0]
+    return sections._judge_sine(time, target, target + 0.4 * part * (time < until)[:, None])[0]
 
 
 def square(model) -> list[Finding]:
@@ -49,26 +49,26 @@ def square(model) -> list[Finding]:
     time = np.arange(0.0, 40.0, 0.1)
     since = (np.arange(400) % 100 / 10)[:, None]
     target = np.where(np.arange(400) % 200 < 100, 0.4, -0.4)[:, None].repeat(2, 1)
-    return verdicts.judge_square(time, target, model(target, since))
+    return sections._judge_square(time, target, model(target, since))
 
 
 def learning(*error: float, below: float = 0.05) -> Verdict:
-    return verdicts.judge_learning(np.arange(len(error)) + 1.0, np.array(error), np.array([]), below)[0].verdict
+    return sections._judge_learning(np.arange(len(error)) + 1.0, np.array(error), np.array([]), below)[0].verdict
 
 
 CASES = [
     (
         "FALL",
-        lambda last: verdicts.judge_learning(np.array([1.0, 2.0]), np.array([1.0, last]), [], 0.5)[0],
+        lambda last: sections._judge_learning(np.array([1.0, 2.0]), np.array([1.0, last]), [], 0.5)[0],
         0.1,
         HOLDS,
         SHORT,
     ),
-    ("CLOSE", lambda rate: verdicts.judge_last_model(errors(rate)), 5.0, HOLDS, SHORT),
-    ("CLOSE", lambda rate: verdicts.judge_first_model(errors(0.0) | {"omega_p": rate})[0], 5.0, HOLDS, SHORT),
+    ("CLOSE", lambda rate: sections._judge_last_model(errors(rate)), 5.0, HOLDS, SHORT),
+    ("CLOSE", lambda rate: sections._judge_first_model(errors(0.0) | {"omega_p": rate})[0], 5.0, HOLDS, SHORT),
     (
         "COEFFICIENT",
-        lambda off: verdicts.judge_coefficients({"y": {"u": 2.0 * (1 + off / 100)}}, {"y": {"u": 2.0}})[0],
+        lambda off: sections._judge_coefficients({"y": {"u": 2.0 * (1 + off / 100)}}, {"y": {"u": 2.0}})[0],
         1.0,
         HOLDS,
         SHORT,
@@ -108,10 +108,10 @@ def test_the_course_of_an_error_falls_or_is_small_in_every_episode():
 
 def test_a_missing_or_a_false_function_falls_short():
     truth = {"y": {"u": 2.0, "x": -1.0}}
-    assert verdicts.judge_coefficients(truth, truth)[0].verdict is HOLDS
-    (missing,) = verdicts.judge_coefficients({"y": {"u": 2.01}}, truth)
+    assert sections._judge_coefficients(truth, truth)[0].verdict is HOLDS
+    (missing,) = sections._judge_coefficients({"y": {"u": 2.01}}, truth)
     assert missing.verdict is SHORT and "0.5 %" in missing.ours
-    assert verdicts.judge_coefficients({"y": truth["y"] | {"1": 0.002}}, truth)[0].verdict is SHORT
+    assert sections._judge_coefficients({"y": truth["y"] | {"1": 0.002}}, truth)[0].verdict is SHORT
 
 
 def test_rewards_as_in_the_paper_and_the_other_way_around():
@@ -120,12 +120,12 @@ def test_rewards_as_in_the_paper_and_the_other_way_around():
         SOME: np.array([[-90.0, -50, -20, -5, -1, 0, 0, 0]] * 2),
         MANY: np.array([[-80.0, -20, -5, -1, 0, 0, 0, 0]] * 2),
     }
-    as_paper = verdicts.judge_rewards(curves, {NONE: [8, 8], SOME: [6, 5], MANY: [3, 4]})
+    as_paper = sections._judge_rewards(curves, {NONE: [8, 8], SOME: [6, 5], MANY: [3, 4]})
     assert [one.verdict for one in as_paper] == [HOLDS] * 3
     assert "no planning 8, 400 rollouts 5.5, 800 rollouts 3.5" in as_paper[1].ours  # interquartile means of two
     assert "no planning -90, 400 rollouts -70, 800 rollouts -50" in as_paper[0].ours  # of the first two evaluations
     curves = {NONE: np.array([[0.0, -50]]), SOME: np.array([[-100.0, -120]]), MANY: np.array([[-200.0, -300]])}
-    falling = verdicts.judge_rewards(curves, {NONE: [1], SOME: [2], MANY: [np.inf]})
+    falling = sections._judge_rewards(curves, {NONE: [1], SOME: [2], MANY: [np.inf]})
     assert [one.verdict for one in falling] == [SHORT] * 3
-    alone = verdicts.judge_rewards({MANY: np.array([[-2.0, -1.0]])}, {MANY: [2]})
+    alone = sections._judge_rewards({MANY: np.array([[-2.0, -1.0]])}, {MANY: [2]})
     assert [one.verdict for one in alone] == [UNKNOWN] * 3
