@@ -198,11 +198,7 @@ def excite(
 
 
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
-    """Return the targets of each run, in the order of the outputs.
-
-    Raises:
-        ValueError: One is missing or of no output.
-    """
+    """Return the targets of each run, in the order of the outputs."""
     if isinstance(targets, Mapping):
         if unknown := [name for name in targets if name not in outputs]:
             raise ValueError(

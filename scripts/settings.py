@@ -136,11 +136,7 @@ def check(cfg: DictConfig, file: str = "") -> None:
 
 
 def _require_global(cfg: DictConfig) -> None:
-    """Refuse the file of a plant whose keys ended up below its own group.
-
-    Raises:
-        ValueError: They did.
-    """
+    """Refuse the file of a plant whose keys ended up below its own group."""
     raw: Any = OmegaConf.to_container(cfg, resolve=False)
     if isinstance(raw.get("system"), dict) and raw["system"].keys() & {"system", "plant"}:
         raise ValueError(
@@ -150,12 +146,7 @@ def _require_global(cfg: DictConfig) -> None:
 
 
 def _require_plant_settings(plant: Any, text: str) -> None:
-    """Refuse settings of a plant that nothing reads.
-
-    Args:
-        plant: The settings.
-        text: The whole config, as it was written, in which a plant of the user's own may read some of its own.
-    """
+    """Refuse settings of a plant that nothing reads."""
     names = {"plant": set(plant_settings())}
     for key in PLANT:
         group, _, name = key.rpartition(".")
@@ -172,12 +163,7 @@ def _require_plant_settings(plant: Any, text: str) -> None:
 
 
 def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
-    """Return what the keys of a config allow that are no arguments; TorchRL is imported for those that need it.
-
-    Args:
-        tree: The config.
-        finished: Whether it is a finished run's.
-    """
+    """Return what the keys of a config allow that are no arguments; TorchRL is imported for those that need it."""
     hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
     if "save" in tree:  # a run may be kept without any scenario
         hints["scenarios"] = list[str]

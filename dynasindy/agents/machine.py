@@ -66,11 +66,6 @@ class _MachineSteps(GradientSteps):
 
     Tensors of weights and of the optimisers are read where they lie now; where one has been replaced, the steps no
     longer stand, and others take their place.
-
-    Args:
-        loss: the loss module, whose networks are `_readable`.
-        critics: the optimiser of the critics.
-        actor: the optimiser of the actor.
     """
 
     def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
@@ -214,12 +209,7 @@ def _pointers(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
 
 
 def _adam_states(optimizer: Adam, weights: Sequence[Tensor]) -> list[dict[str, Tensor]]:
-    """Return what Adam keeps of some weights; what it has not made yet is made as it would.
-
-    Args:
-        optimizer: The optimiser.
-        weights: Tensors that lie where its parameters do.
-    """
+    """Return what Adam keeps of some weights; what it has not made yet is made as it would."""
     owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
     states = []
     for tensor in weights:

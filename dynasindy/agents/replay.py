@@ -45,12 +45,7 @@ INDEX_BYTES = 8
 
 
 class _CheckedWriter(TensorDictRoundRobinWriter):
-    """Writer that refuses rows a storage would accept silently and return as zeros later.
-
-    Args:
-        name: what the storage holds, for messages.
-        keys: the keys of each row, no more and no fewer.
-    """
+    """Writer that refuses rows a storage would accept silently and return as zeros later."""
 
     def __init__(self, name: str, keys: Sequence[NestedKey]) -> None:
         super().__init__()
@@ -58,22 +53,12 @@ class _CheckedWriter(TensorDictRoundRobinWriter):
         self.version = 0
 
     def add(self, data: TensorDictBase) -> int | Tensor:
-        """Write one row.
-
-        Raises:
-            KeyError: a key is missing or not allowed.
-            ValueError: a value is not finite.
-        """
+        """Write one row."""
         self._check(data)
         return super().add(data)
 
     def extend(self, data: TensorDictBase) -> Tensor:
-        """Write rows `(n,)`.
-
-        Raises:
-            ValueError: the batch is not one row of rows, or a row is not finite.
-            KeyError: keys are missing, or not those of the storage.
-        """
+        """Write rows `(n,)`."""
         if data.ndim == 1 and not len(data):
             return torch.zeros(0, dtype=torch.int64)  # a model may diverge at once in every rollout
         self._check(data)

@@ -355,12 +355,7 @@ class Recorder(Callback):
 
 
 def _with_gaps(values: Tensor, counts: Tensor) -> Tensor:
-    """Return rows over time with an empty one before each that begins anew: a gap to the eye and to who reads the log.
-
-    Args:
-        values: `(T, n)`.
-        counts: Control periods since the start, `(T,)`.
-    """
+    """Return rows `(T, n)` with an empty one, a gap, before each whose count of periods since the start is zero."""
     begun = torch.nn.functional.pad((counts[1:] == 0).long(), (1, 0)).cumsum(0)
     found = torch.full((len(values) + int(begun[-1]), values.shape[1]), math.nan, dtype=values.dtype)
     found[torch.arange(len(values)) + begun] = values

@@ -151,13 +151,9 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
 
 
 def _acting(rollout: TensorDictBase, later: float) -> TensorDictBase:
-    """Return a real episode with the inputs that acted, by a model in which they are later than the states were for.
+    """Return a real episode with the inputs that acted, by a model in which they are so many periods later.
 
     Where an input changes within a control period, its mean acts, as in `DelayedEnv`.
-
-    Args:
-        rollout: The episode, `(T,)`; before it inputs were zero, and after it they stay.
-        later: By how much they are later [control periods]; less than zero if they are earlier.
     """
     if not later:
         return rollout
@@ -185,12 +181,6 @@ def _observe(parts: Components, newest: TensorDictBase) -> None:
 
 
 def _held_out_windows(steps: int, length: int, every: int) -> Tensor:
-    """Return the first steps of the windows to hold out of an episode, `(n_windows,)`.
-
-    Args:
-        steps: Length of the episode [control periods].
-        length: Length of a window [control periods].
-        every: Every n-th window is held out; none if 0.
-    """
+    """Return the first steps of the windows to hold out of an episode, `(n_windows,)`."""
     windows = range(every - 1, steps // length, every) if every else ()
     return torch.tensor([*windows], dtype=torch.int64) * length

@@ -104,11 +104,7 @@ def run(
 
 
 def _restore(kept: Mapping[str, _Stateful], state: Mapping[str, Any], folder: Path) -> None:
-    """Bring the parts of a run back to a saved state.
-
-    Raises:
-        ValueError: The state is one of other parts.
-    """
+    """Bring the parts of a run back to a saved state."""
     try:
         for name, part in kept.items():
             part.load_state_dict(state[name])

@@ -120,11 +120,7 @@ class Simulated(DataSource):
         return period / self.samples if self.dt is None else self.dt
 
     def _samples_in(self, period: float) -> int:
-        """Return the samples in a control period [s].
-
-        Raises:
-            ValueError: The time between two samples does not divide it.
-        """
+        """Return the samples in a control period [s]."""
         dt = self._step(period)
         samples = round(period / dt)
         if samples < 1 or abs(samples * dt - period) > 1e-6 * period:

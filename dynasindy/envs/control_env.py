@@ -246,13 +246,7 @@ class ControlEnv(EnvBase):
         return torch.where(over.unsqueeze(-2), torch.where(was, x, there).unsqueeze(-2), samples)
 
     def _moved(self, tensordict: TensorDictBase, samples: Tensor, touched: Tensor) -> TensorDict:
-        """Return what a step shows.
-
-        Args:
-            tensordict: What it began with.
-            samples: States after each sub-step, `(*batch, substeps, n_x)`.
-            touched: Whether a stop was touched, `(*batch,)`.
-        """
+        """Return what a step shows, of samples `(*batch, substeps, n_x)` and touched stops, `(*batch,)`."""
         x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
         steps, x_next = tensordict["step_count"] + 1, samples[..., -1, :]
         out = self._observed(x_next, params, steps)

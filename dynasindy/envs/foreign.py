@@ -126,12 +126,7 @@ class Foreign(System):
 
 @dataclass
 class _Copies:
-    """Copies of an environment, and whose episodes they are in.
-
-    Attributes:
-        pool: The copies.
-        user: What began the episodes.
-    """
+    """Copies of an environment, and whose episodes they are in."""
 
     pool: list[gymnasium.Env[Any, Any]] = field(default_factory=list)
     user: GymnasiumEnv | None = None

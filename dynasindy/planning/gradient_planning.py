@@ -69,11 +69,7 @@ class _Episodes:
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 
     def vary(self, margin: GainMargin | None) -> None:
-        """Let the inputs of every episode be late, and of a strength of their own, from now on.
-
-        Args:
-            margin: Draws the strengths; None leaves them those of the model.
-        """
+        """Let the inputs of every episode be late, and of a strength of their own, from now on."""
         planner, rows = self.planner, self.rows
         rows.late = planner.randomization.delays(planner.rollouts, planner.rng)
         if margin is not None:
@@ -343,20 +339,9 @@ class GradientPlanning(Planner):
         return (lambda observation: task.limit(network(observation))) if task.limited else network
 
     def _descend(self, episodes: _Episodes, best: float, updates: int, lr: float, held: bool) -> tuple[float, int, int]:
-        """Follow the gradient, and leave the policy as the best that was tested.
+        """Follow the gradient, leave the best policy that was tested; return its score, updates, and finite ones.
 
-        Args:
-            episodes: Imagined episodes, which are carried on.
-            best: Score of the policy as it is; -inf if it was not tested.
-            updates: Gradient updates at most.
-            lr: Learning rate at the start.
-            held: Whether the policy holds the plant at the start, and is gone back to where steps lose it.
-
-        Returns:
-            Score of the policy, updates, and those of a finite gradient.
-
-        Raises:
-            Diverged: No policy has a finite return.
+        `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
         """
         optimizer, rate = _optimizer(self.network, lr), lr
         best_weights, failures, done, made = self._weights(), 0, 0, 0

@@ -139,15 +139,7 @@ def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Gener
 def _imitate(
     network: nn.Module, law: _Law, env: ControlEnv, rng: torch.Generator, lessons: tuple[int, int] = REGULATED
 ) -> None:
-    """Train a policy to act as a law does, where the law leads and then where the policy itself leads.
-
-    Args:
-        network: Policy, observations to inputs; trained in place.
-        law: What to imitate.
-        env: Imagined environment.
-        rng: Source of starts, references and batches.
-        lessons: How often episodes are imagined, and the updates after each time.
-    """
+    """Train a policy to act as a law does, where the law leads and then where the policy itself leads."""
     (rounds, steps), seen, told = lessons, [], []
     for k in track("imitation of a regulator", range(rounds), rounds, "rounds"):
         pilot: Network = network if k else _trembling(law, env.task.limit, rng)
@@ -157,15 +149,7 @@ def _imitate(
 
 
 def _lesson(network: nn.Module, observations: Tensor, wanted: Tensor, steps: int, rng: torch.Generator) -> None:
-    """Train a policy to give inputs `(n, n_u)` for observations `(n, n_o)`, by least squares.
-
-    Args:
-        network: Policy; trained in place.
-        observations: What it sees.
-        wanted: What it is to do.
-        steps: Gradient updates.
-        rng: Source of the batches.
-    """
+    """Train a policy to give inputs `(n, n_u)` for observations `(n, n_o)`, by least squares."""
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3, betas=(0.9, 0.99), fused=True)
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = 3e-3 * (1 - step / steps) ** 2 + 1e-5
@@ -317,16 +301,7 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
 def _better(
     network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, floor: _Floor | None = None
 ) -> Window:
-    """Return the best way from each start that was found; it earns no less than that of the policy.
-
-    Args:
-        network: Policy.
-        env: Imagined environment.
-        begun: The starts.
-        rng: Source of the signals.
-        periods: Length of a way [control periods].
-        floor: What has earned least so far, so that a crash is worth the same in every draw.
-    """
+    """Return the best way from each start that was found; it earns no less than that of the policy."""
     n, n_u = begun.held.shape
     floor = floor or _Floor()
     acting = max(1, round(ACTING * periods))
@@ -345,14 +320,7 @@ def _better(
 
 
 class _OnTop:
-    """A policy with a signal on top of it, one for each row, for a single flight.
-
-    Args:
-        network: Policy.
-        knots: Knots of the signals, `(rows, n_knots, n_u)`.
-        acting: Control periods on which the signals act.
-        limit: Keeps inputs within their limits.
-    """
+    """A policy with a signal on top of it for `acting` periods, knots `(rows, n_knots, n_u)`, for a single flight."""
 
     def __init__(self, network: Network, knots: Tensor, acting: int, limit: Callable[[Tensor], Tensor]) -> None:
         lines = torch.nn.functional.interpolate(knots.mT, size=acting, mode="linear", align_corners=True)

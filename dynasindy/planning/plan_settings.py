@@ -214,14 +214,7 @@ def unheld(env: ControlEnv, rests: Equilibria) -> str:
 
 
 def _fate(slopes: list[Tensor], grown: float, seconds: float, step: float | None) -> str:
-    """Say what becomes of a deviation that nothing controls.
-
-    Args:
-        slopes: df/dx at some rests, `(n_x, n_x)` each [1/s].
-        grown: By how much a deviation may have grown in an episode, in ranges.
-        seconds: Length of an episode [s].
-        step: Of the difference equation that the model is [s]; None of a differential equation.
-    """
+    """Say what becomes of a deviation that nothing controls; slopes are df/dx at some rests, `(n_x, n_x)` [1/s]."""
     fastest = max(float(modes(a, step).real.max()) for a in slopes)
     if fastest * seconds > DOUBLED:
         doubling = format_duration(math.log(2) / fastest, digits=2)

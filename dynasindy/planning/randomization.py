@@ -179,11 +179,7 @@ class ModelEnsemble(System):
 
 
 class _EnsembleCode(Machine):
-    """The machine code of several models, each of which moves an equal share of the rows.
-
-    Args:
-        codes: That of each model.
-    """
+    """The machine code of several models, each of which moves an equal share of the rows."""
 
     def __init__(self, codes: Sequence[Machine]) -> None:
         self.codes = codes

@@ -145,14 +145,9 @@ class _Solved:
     closed: Tensor
 
     def settling(self, away: Tensor, extents: Tensor, share: float) -> float:
-        """Return when the outputs stay within a share of their distance from a rest [periods].
+        """Return when outputs stay within a share of their distance `away` `(n, n_x)` from a rest [periods].
 
         Slow modes that outputs do not show, as a wall behind air whose temperature is held, do not count.
-
-        Args:
-            away: States that begin away from the rest, `(n, n_x)`.
-            extents: What an output counts as one, `(n_x,)`; inf of states that are no outputs.
-            share: Share of the largest distance of an output at the beginning.
         """
         end, sizes, times, step, k = -math.log(share) * BEYOND * self.slowest, [], [], 1, 0
         x, power = away, self.closed.mT
@@ -188,13 +183,9 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
 
 
 def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
-    """Sample a linear system exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
+    """Sample a linear system [1/s] exactly: x[k+1] = Ad x[k] + Bd u[k] under an input held for `dt` [s].
 
-    Args:
-        a: `(n_x, n_x)` [1/s].
-        b: `(n_x, n_u)` [1/s].
-        dt: sampling time [s].
-        step: of the difference equation x + step (a x + b u) that it is [s]; None of a differential equation.
+    With a step [s] it is the difference equation x + step (a x + b u).
     """
     if step is not None:
         h, count, _ = steps_of(step, dt, 1)
@@ -208,14 +199,7 @@ def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> t
 
 
 def _riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> _Solved | None:
-    """Return the law of the least quadratic cost, or None where there is none.
-
-    Args:
-        a: Of x[k+1] = a x[k] + b u[k], `(n_x, n_x)`.
-        b: `(n_x, n_u)`.
-        q: Weight of each squared state, `(n_x,)`.
-        r: Weight of each squared input.
-    """
+    """Return the law of the least quadratic cost for x[k+1] = a x[k] + b u[k], q `(n_x,)`, or None without one."""
     for discount in (1.0, DISCOUNT):
         f, g, cost = discount * a.numpy(), discount * b.numpy(), r * np.eye(b.shape[1])
         try:

@@ -108,14 +108,6 @@ def _find_caught_trajectories(
     """Return ways to where the regulator catches the plant, by the number of their start, and what was imagined.
 
     Some starts have no way.
-
-    Args:
-        env: Imagined environment.
-        regulator: Regulator of the rests.
-        x: Starts, `(n, n_x)`.
-        params: Their task parameters, `(n, *params_shape)`.
-        reference: Their references, `(n, n_r)`.
-        rng: Source of the signals.
     """
     nothing = x.new_zeros(0, env.system.signature.n_u)
     found = {i: Trajectory(x[i : i + 1], nothing) for i in _caught(env, regulator, x, reference)}

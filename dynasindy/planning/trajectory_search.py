@@ -126,13 +126,7 @@ def roll(env: ControlEnv, x: Tensor, inputs: Tensor) -> Tensor:
 
 
 def _objective(env: ControlEnv, states: Tensor, params: Tensor) -> Tensor:
-    """Return what ways earn, their ends above all, `(n,)`; outside of the plant's limits they pay.
-
-    Args:
-        env: Imagined environment.
-        states: `(T + 1, n, n_x)`.
-        params: Task parameters, `(n, *params_shape)`.
-    """
+    """Return what ways earn, their ends above all, `(n,)`; outside of the plant's limits they pay."""
     periods, task = len(states) - 1, env.task
     assert isinstance(task, Tracking)
     times = (env.dt * torch.arange(1, periods + 1, dtype=states.dtype)).reshape(-1, 1, 1)
