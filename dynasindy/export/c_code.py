@@ -201,8 +201,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     name, mlp = module_name(name), network(controller)
     task, signature, observer = controller.setup.task, controller.signature, controller.observer
     weights = _weights(mlp)
-    has = {"integral": controller.integral is not None, "observe_rate": task.observe_rate, "rates": bool(task.rates)}
-    has |= {"all_rates": len(task.rates) == task.n_r, "some_rates": 0 < len(task.rates) < task.n_r}
+    has = {"integral": controller.integral is not None, "observe_rate": task.observe_rate}
     words = _words(controller, name) | _policy(weights) | {"widest": max(max(w.shape) for w, _ in weights)}
     if observer is not None:
         if (n := observer.n_x + signature.n_u) > MANY:
@@ -253,9 +252,14 @@ def _words(controller: Controller, name: str) -> dict[str, object]:
 
 def _sizes(words: Mapping[str, object], name: str) -> str:
     """Return the enumerators of sizes."""
-    sizes = {"NX": f"{name}_NX", "NU": f"{name}_NU", "NR": f"{name}_NR"}
+    sizes = {
+        "NX": f"{name}_NX",
+        "NU": f"{name}_NU",
+        "NR": f"{name}_NR",
+        "N": f"{name}_N{'' if 'late' in words else 'X'}",
+    }
     if "late" in words:
-        sizes |= {"N": f"{name}_N", "M": str(words["m"]), "MEMORY": f"{name}_MEMORY", "LATE": str(words["late"])}
+        sizes |= {"M": str(words["m"]), "MEMORY": f"{name}_MEMORY", "LATE": str(words["late"])}
     return enumerators(sizes)
 
 
@@ -274,11 +278,10 @@ def _tables(controller: Controller) -> str:
     ]
     names = zip(("least", "most"), task.input_limits.tolist(), strict=True)
     tables += [f"/* Of the inputs. */\nstatic const double {name}[NU] = {{{_joined(v)}}};" for name, v in names]
-    if controller.integral is not None and task.rates:
+    if controller.integral is not None:
         of_output = dict(zip(task.rated, task.rates, strict=True))
         places = ", ".join(str(of_output.get(k, -1)) for k in range(task.n_r))
-        told = "and their rates" if len(of_output) == task.n_r else "and their rates, -1 where there is none"
-        tables.append(f"static const int output_rate[NR] = {{{places}}}; /* {told} */")
+        tables.append(f"static const int output_rate[NR] = {{{places}}}; /* and their rates, -1 where there is none */")
     return "\n".join(tables) + "\n"
 
 

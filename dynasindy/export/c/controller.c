@@ -8,16 +8,7 @@ static void integrate(@name@_state *s, const double x[NX], const double r[NR], c
     int i;
     for (i = 0; i < NR; i++) {
         const double error = (r[i] - x[output[i]]) / box[i];
-@if some_rates
         const double moving = output_rate[i] < 0 ? 0.0 : (rate[i] - x[output_rate[i]]) / box[i] / @integral_rate@;
-@end
-@if all_rates
-        const double moving = (rate[i] - x[output_rate[i]]) / box[i] / @integral_rate@;
-@end
-@if !rates
-        const double moving = 0.0; /* a plant without rates tells nothing of its motion */
-        (void)rate;
-@end
         if (fabs(error) < @integral_band@)
             s->integral[i] += @integral_gain@ * @dt@ * error / (1.0 + moving * moving);
         if (s->integral[i] > @integral_limit@)
@@ -36,15 +27,10 @@ void @name@_reset(@name@_state *s)
 
 int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const double rate[NR], double u[NU])
 {
-@if observer
-    double x[N], slope[NR], found[NU];
-    int i, j, fine = 1;
-@end
-@if !observer
-    double x[NX], slope[NR], found[NU];
-    int i, fine = 1;
-@end
     const @name@_state before = *s;
+    const double *kept = (const double *)s; /* all of it is of this type */
+    double x[N], slope[NR], found[NU];
+    int i, fine = 1;
     for (i = 0; i < NR; i++) {
         slope[i] = rate ? rate[i] : 0.0;
         fine = fine && isfinite(r[i]) && isfinite(slope[i]);
@@ -64,12 +50,12 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
     if (!fine)
         return @name@_REFUSED;
 @if observer
-    if (s->begun) {
+    if (s->begun > 0.0) {
         advance(s);
         fine = correct(s, y);
     } else
         begin(s, y);
-    s->begun = 1;
+    s->begun = 1.0;
     ahead(s, x);
 @end
 @if pushed
@@ -91,21 +77,8 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
             found[i] = least[i];
         fine = fine && isfinite(found[i]);
     }
-@if observer
-    for (i = 0; i < N; i++) {
-        fine = fine && isfinite(s->x[i]);
-        for (j = 0; j < N; j++)
-            fine = fine && isfinite(s->p[i][j]);
-    }
-@end
-@if pushed
-    for (i = 0; i < NX + NU; i++)
-        fine = fine && isfinite(s->shift[i]);
-@end
-@if integral
-    for (i = 0; i < NR; i++)
-        fine = fine && isfinite(s->integral[i]);
-@end
+    for (i = 0; i < (int)(sizeof *s / sizeof *kept); i++)
+        fine = fine && isfinite(kept[i]);
     if (!fine) {
         *s = before;
         return @name@_REFUSED;
@@ -113,11 +86,8 @@ int @name@_act(@name@_state *s, const double y[NX], const double r[NR], const do
     for (i = 0; i < NU; i++)
         u[i] = s->u[i] = found[i];
 @if observer
-    for (i = 0; i < NU; i++) {
-        for (j = 1; j < MEMORY; j++)
-            s->inputs[j - 1][i] = s->inputs[j][i];
-        s->inputs[MEMORY - 1][i] = u[i];
-    }
+    for (i = 0; i < MEMORY * NU; i++)
+        s->inputs[i / NU][i % NU] = i / NU == MEMORY - 1 ? u[i % NU] : s->inputs[i / NU + 1][i % NU];
 @end
     return @name@_OK;
 }

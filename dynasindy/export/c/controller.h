@@ -30,7 +30,7 @@ enum {
 
 typedef struct {
 @if observer
-    int begun;                                  /* whether anything was measured */
+    double begun;                               /* 1 where anything was measured */
     double x[@name@_N];                     /* estimate at the time of the last measurement that has arrived */
     double p[@name@_N][@name@_N];       /* covariance of its errors */
     double inputs[@name@_MEMORY][@name@_NU]; /* the inputs so far, the last one at the end */
