@@ -33,7 +33,7 @@ from dynasindy.checking.simulation import (
     recovery_plane,
     simulate_loop,
 )
-from dynasindy.checking.uncertainty import Spread, Variants, spread, variants
+from dynasindy.checking.uncertainty import Spread, spread, variants
 from dynasindy.progress import track
 from dynasindy.systems import ranges
 from dynasindy.systems.ranges import Ends
@@ -213,7 +213,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         ([], None) if row is None else (loop_margins(row), noise_gain(row))
         for row in track("margins", rows, len(rows), "targets")
     ]
-    others = variants(loop.plant.model, settings.draws, settings.seed)
+    others, how = variants(loop.plant.model, settings.draws, settings.seed)
     return Check(
         loop,
         settings,
@@ -226,7 +226,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         _resolved(loop),
         simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
         _drawn(loop, others, targets[_farthest(loop, targets, begin)], begin, seconds),
-        spread(loop, targets[good], rest.select(good), others, seconds),
+        spread(loop, targets[good], rest.select(good), others, how, seconds),
         _recovery(loop, settings, targets, rest, seconds),
         find_limit_cycles(loop, targets, good, seconds, begin),
         _large_movements(loop, targets[good], rest.select(good), begin, seconds),
@@ -278,9 +278,9 @@ def _resolved(loop: ClosedLoop) -> Array:
     return loop.observer.sensors.resolution(loop.signature).numpy()
 
 
-def _drawn(loop: ClosedLoop, others: Variants, target: Tensor, begin: Tensor, seconds: float) -> LoopSimulation | None:
-    if not (n := len(others.coefficients)):
+def _drawn(loop: ClosedLoop, others: Tensor, target: Tensor, begin: Tensor, seconds: float) -> LoopSimulation | None:
+    if not (n := len(others)):
         return None
     phase = "steps of plants that differ from the model"
-    plants = loop.varied(others.coefficients)
+    plants = loop.varied(others)
     return simulate_loop(plants, begin.expand(n, -1), target.expand(n, -1), seconds, phase)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,40 +20,11 @@ PHASE = "plants that differ from the model"
 """What is under way, in words."""
 
 
-class _Drawing(NamedTuple):
-    """Say how coefficients were drawn.
-
-    Attributes:
-        by: by how much, in a few words, as for the legend of a figure.
-        more: what is to be said of it beside.
-    """
-
-    by: str
-    more: str
-
-    def summary(self) -> str:
-        """All of it."""
-        return f"{self.by}, {self.more}"
-
-
-WITHIN = _Drawing(f"each within {100 * DRAWN:g} % of itself", "as the model tells no standard errors")
+WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
 """How they were drawn by that share."""
 
 
-@dataclass(frozen=True)
-class Variants:
-    """Coefficients of plants beside the model.
-
-    Attributes:
-        coefficients: Xi of each, `(n, n_features, n_x)`.
-        how: By how much they are drawn.
-    """
-
-    coefficients: Tensor
-    how: _Drawing = WITHIN
-
-
-def variants(model: SindyModel, draws: int, seed: int) -> Variants:
+def variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:
     """Draw coefficients that were found in data, all at a time.
 
     They are drawn from the covariance of the fit, as far as the model tells it; else uniformly, within a share `DRAWN`
@@ -64,15 +34,17 @@ def variants(model: SindyModel, draws: int, seed: int) -> Variants:
         model: The model.
         draws: Number of draws.
         seed: Their seed.
+
+    Returns:
+        Xi of each plant, `(draws, n_features, n_x)`, and by how much they are drawn, in words.
     """
     generator, xi = torch.Generator().manual_seed(seed), model.coefficients
     if model.covariance is None:
         uniform = 2 * torch.rand((draws, *xi.shape), generator=generator, dtype=xi.dtype) - 1
-        return Variants(xi * (1 + DRAWN * uniform * model.constraints.free))
+        return xi * (1 + DRAWN * uniform * model.constraints.free), WITHIN
     shares = 100 * model.covariance.shares(xi)
-    errors = f"with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
-    drawn = model.covariance.draw(xi, draws, generator)
-    return Variants(drawn, _Drawing("from the covariance of the fit", errors))
+    how = f"from the covariance of the fit, with standard errors of {shares.min():.2g} to {shares.max():.2g} %"
+    return model.covariance.draw(xi, draws, generator), how
 
 
 @dataclass(frozen=True)
@@ -82,14 +54,14 @@ class Spread:
     Attributes:
         radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
         error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
-        how: By how much they are drawn.
+        how: By how much they are drawn, in words.
         settling: Time in which the end of a step from the opposite target is closed, `(n_targets, n + 1)` [s], that of
             the model itself last; infinite where it is very long, 0 where the loop is not stable. None of one target.
     """
 
     radius: Tensor
     error: Tensor
-    how: _Drawing = WITHIN
+    how: str = WITHIN
     settling: Tensor | None = None
 
     @property
@@ -103,17 +75,20 @@ class Spread:
         return self.error.amax(0) if len(self.error) else self.error.new_zeros(self.error.shape[1:])
 
 
-def spread(loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Variants, seconds: float = 20.0) -> Spread:
+def spread(
+    loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Tensor, how: str = WITHIN, seconds: float = 20.0
+) -> Spread:
     """Let loops with other plants, and the same controller, rest at each target.
 
     Args:
         loop: The loop of the model.
         r: Targets, `(n_targets, n_r)`.
         nominal: Where that loop rests at them.
-        changed: The other plants.
+        changed: Xi of the other plants, `(n, n_features, n_x)`.
+        how: By how much they are drawn, in words.
         seconds: How long a loop may run to come to rest [s].
     """
-    count = len(changed.coefficients)
+    count = len(changed)
     radii, errors = (
         torch.zeros(len(r), count, dtype=torch.float64),
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
@@ -121,13 +96,13 @@ def spread(loop: ClosedLoop, r: Tensor, nominal: RestingLoop, changed: Variants,
     rests, slopes = [], []
     for k, target in enumerate(r.double() if count else []):
         start, phase = nominal.select(torch.full((count,), k)), f"{PHASE}, target {k + 1} of {len(r)}"
-        found = find_rest(loop.varied(changed.coefficients), target.expand(count, -1), start, seconds, phase)
+        found = find_rest(loop.varied(changed), target.expand(count, -1), start, seconds, phase)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
         rests.append(np.concatenate([found.z.numpy(), nominal.z[k : k + 1].numpy()]))
         slopes.append(np.concatenate([found.linear.a, nominal.linear.a[k : k + 1]]))
     closing = _closing(loop, r, np.stack(rests), np.stack(slopes), radii, seconds) if len(rests) > 1 else None
-    return Spread(radii, errors, changed.how, closing)
+    return Spread(radii, errors, how, closing)
 
 
 def _closing(loop: ClosedLoop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, seconds: float) -> Tensor:

@@ -277,7 +277,7 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
     rests, away = others.worst < 1, found.ran_away
     unstable, some = int((~rests).sum()), others.farthest[rests]
     error = largest_error(found, some if len(some) else 0 * found.targets[:1], limits)
-    facts = {"plants": len(rests), "held": held, "how": others.how.summary(), "unstable": unstable}
+    facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": unstable}
     facts |= {"radius": float(others.worst.max()), "ran_away": away}
     keeps = not (unstable or away) and error["share"] <= limits.error
     return [_judged("coefficients", keeps, **facts, **error)]

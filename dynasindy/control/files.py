@@ -212,16 +212,16 @@ def _targets(given: Mapping[str, Any]) -> tuple[list[float], list[float]] | tupl
     return low, high
 
 
-def _number(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{str(value)[:40]!r} stands where the end of a target range belongs, a finite number")
+def _number(value: object, low: float = -math.inf) -> float:
+    """Return a finite number above another one; a file may hold anything."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < math.inf:
+        what = "a positive" if low == 0 else "a finite"
+        raise ValueError(f"{str(value)[:40]!r} stands where {what} number belongs")
     return float(value)
 
 
 def _positive(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise ValueError(f"{str(value)[:40]!r} stands where a positive number belongs")
-    return float(value)
+    return _number(value, 0.0)
 
 
 def _ends(stops: Stops | None) -> dict[str, Any] | None:
@@ -238,18 +238,13 @@ def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:
     """Return the stops of a record."""
     if record is None:
         return None
-    ends = {key: [_end(end, none) for end in record[key]] for key, none in (("low", -math.inf), ("high", math.inf))}
+    ends = {
+        key: [none if end is None else _number(end) for end in record[key]]
+        for key, none in (("low", -math.inf), ("high", math.inf))
+    }
     stops = Stops(tuple(record["positions"]), tuple(record["rates"]), tuple(ends["low"]), tuple(ends["high"]))
     require_states(stops, n_x)
     return stops
-
-
-def _end(value: object, none: float) -> float:
-    if value is None:
-        return none
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"a stop is at {str(value)[:40]!r}; give a number, or null for none")
-    return float(value)
 
 
 def require_states(stops: Stops, n_x: int) -> None:

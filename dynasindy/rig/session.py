@@ -381,33 +381,19 @@ def _grown(signal: Excitation, dt: float) -> Array:
 def _forecast_flight(
     controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float
 ) -> str:
-    """Say how near a model comes to each target; where it cannot be simulated, say why, as the flight goes on.
-
-    Args:
-        controller: What will act on the rig.
-        model: The model that it was planned on.
-        targets: One number per output each, held one after the other.
-        seconds: How long each is held [s].
-    """
+    """Say how near a model comes to each target; where it cannot be simulated, say why, as the flight goes on."""
     try:
-        return _forecast(controller, model, targets, seconds)
+        scenario = Scenario("flight", Step(targets), len(targets), seconds)
+        flight = workbench.forecast(controller, model, None, scenario).evaluation
     except (ValueError, RuntimeError, Diverged) as error:
         why = " ".join(str(error).split())
         return (
             "prediction: there is none of this flight, as the model could not be simulated "
             f"({type(error).__name__}{why and f': {why}'}); the flight goes on without it"
         )
-
-
-def _forecast(controller: Controller, model: SindyModel, targets: Sequence[Sequence[float]], seconds: float) -> str:
-    """Simulate a model to each target, from where episodes begin, and say how near it comes, as of a flight."""
-    scenario = Scenario("flight", Step(targets), len(targets), seconds)
-    flight = workbench.forecast(controller, model, None, scenario).evaluation
     if flight is None:
         return "prediction: on the model this flight runs away"
-    signature, wanted = model.signature, torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)
-    apart = (flight.outputs.double() - wanted).abs()
+    apart = (flight.outputs.double() - torch.tensor(np.array(targets, dtype=float)).unsqueeze(1)).abs()
     errors = apart[:, round((1 - LAST) * apart.shape[1]) :].mean((0, 1)).tolist()
-    units = (signature.state_units[signature.state_index(name)] for name in controller.outputs)
-    told = [f"{n} to {error:.3g} {unit}" for n, error, unit in zip(controller.outputs, errors, units, strict=True)]
+    told = [f"{n} to {e:.3g} {unit}" for (n, unit), e in zip(flight.units.items(), errors, strict=True)]
     return f"prediction of the model, mean error over the last half of each target: {', '.join(told)}"

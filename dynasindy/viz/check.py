@@ -135,7 +135,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
     seconds = array(dt * np.arange(y.shape[1]))
     near = np.isfinite(y) & (np.abs(y - targets) <= reach)
     stays = ~diverged_rows(torch.from_numpy(y), torch.from_numpy(targets), torch.from_numpy(reach), dt).numpy()
-    looks = _looks(stays.tolist(), f"coefficients {found.spread.how.by}")
+    looks = _looks(stays.tolist(), f"coefficients {found.spread.how.partition(', ')[0]}")
     for i, (axis, state) in enumerate(zip(axes, outputs, strict=False)):
         axis.axhline(targets[i], color=BLACK, linestyle="--", linewidth=1.2, label="target")
         for row, look in zip(y, looks, strict=True):
