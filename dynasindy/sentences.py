@@ -616,14 +616,10 @@ def _recovery(shares: Mapping[str, float], reach: float, tried: int, limit: floa
 _GENTLE = (
     "Where <plant.rates> names rates, try <task.reward.rate_weight=10>, by which quick movements cost more than by 0.1"
 )
-_CAREFUL = (
-    f"{_GENTLE}. On any plant, try <planning.gain_range=0.5> with <planning.randomization.parameters=0.2>, by which "
-    "training varies the plant more"
-)
+_CAREFUL = f"{_GENTLE}. On any plant, try <planning.gain_range=0.5>, by which training varies its inputs more"
 _VARIED = (
-    "Where a plant is not stable, try <planning.randomization.parameters=0.2>, by which training varies the plant by "
-    "up to that share; where only the steady error is too large, give the controller integral action, as the page on "
-    "checks shows"
+    "Where a plant is not stable, try <planning.gain_range=0.5>, by which training varies its inputs more; where only "
+    "the steady error is too large, give the controller integral action, as the page on checks shows"
 )
 REMEDIES = {
     "check.stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
@@ -638,8 +634,8 @@ REMEDIES = {
     "check.slew": _GENTLE,
     "check.saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
     "check.coefficients": _VARIED,
-    "check.settling": "For a plant that is not as the model says, try <planning.randomization.parameters=0.2>, or give "
-    "the controller integral action, as the page on checks shows",
+    "check.settling": "For a plant that is not as the model says, try <planning.gain_range=0.5>, or give the "
+    "controller integral action, as the page on checks shows",
     "check.recovery": "Switch the controller on near the middle of the targets, or give <plant.start> the range from "
     "which it is to come back, and train anew",
 }
