@@ -1,146 +1,101 @@
-"""A simulated rig: a plant in a thread of its own that streams samples over UDP and keeps a watch of its own.
-
-It applies the inputs that arrived since its last sample. A period without any is bridged with the inputs as they were,
-a second one ends in the safe input.
-"""
+"""A simulated rig: a plant that moves by a clock, behind its sensors."""
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from dynasindy.rig.base import Array
-from dynasindy.rig.udp import REST, UdpRig, connect, pack, unpack
+from dynasindy.rig.base import Array, RigClock
 from dynasindy.sensing import Sensors
 from dynasindy.systems import System, integrate
 from dynasindy.systems.checks import require_plant
 from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 
-BRIDGED = 1
-"""Periods without inputs that are bridged with the last ones."""
-FOREVER = 10**9
-"""Periods of a rig that is ended from outside."""
-
-
-@dataclass
-class _Record:
-    """What a simulated rig saw and did.
-
-    Attributes:
-        applied: Inputs of each period, `(n_u,)` each.
-        answered: Whether new inputs had arrived for it.
-        asked: Whether the safe input was asked for in it.
-        states: True states at the beginning of each period.
-    """
-
-    applied: list[Array] = field(default_factory=list)
-    answered: list[bool] = field(default_factory=list)
-    asked: list[bool] = field(default_factory=list)
-    states: list[Array] = field(default_factory=list)
+ROUNDING = 1e-9
+"""Times that differ by less are the same [s]."""
+REST = 60.0
+"""Longest time between two inputs that is simulated [s]: a plant that is left alone for longer is where it is then."""
 
 
 class SimulatedRig:
-    """Serve a plant over UDP.
+    """A plant that is asked once per period and moves by a clock; it stays where a flight has left it.
+
+    Attributes:
+        x: True state at the last time that the rig was spoken to, `(n_x,)`.
+        u: Inputs that are applied, `(n_u,)`.
 
     Args:
         system: The plant.
-        dt: Control period [s].
-        sensors: What is measured, and how many periods late an input acts; all states as they are if omitted.
+        sensors: What is measured; all states as they are if omitted.
+        clock: Clock of the plant, and of the flights.
         safe: Safe input, `(n_u,)`; zeros if omitted.
         seed: Seed of the sensors' noise.
+        step: Longest step of the simulation [s].
+        delay: Time from an input to its effect, which is not told to anybody [s].
         start: State in which the plant begins, `(n_x,)`; zeros if omitted.
-
-    Attributes:
-        port: Free port on which it listens.
-        record: What it saw and did.
-        stopped: To be set to end what it serves.
     """
+
+    streams, number = False, None
 
     def __init__(
         self,
         system: System,
-        dt: float = 0.05,
         sensors: Sensors | None = None,
+        clock: RigClock = time,
         safe: Array | None = None,
         seed: int = 0,
-        start: Array | None = None,
+        step: float = 0.01,
+        delay: float = 0.0,
+        start: Tensor | None = None,
     ) -> None:
-        self.system, self.dt, self.sensors = system, dt, sensors
+        self.system, self.sensors, self.clock, self.step, self.delay = system, sensors, clock, step, delay
         self.safe = np.zeros(system.signature.n_u) if safe is None else np.asarray(safe, dtype=np.float64)
-        begin = np.zeros(system.signature.n_x) if start is None else np.asarray(start, dtype=np.float64)
-        self.start = torch.from_numpy(begin)
-        self.rng = torch.Generator().manual_seed(seed)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
-        self.port: int = self._socket.getsockname()[1]
-        self.record, self.stopped = _Record(), threading.Event()
-        # The first period makes machine code of the plant, which would take longer than a control period.
-        self._moved(self.start, self.safe)
+        self.x = torch.zeros(system.signature.n_x).double() if start is None else start.double()
+        self.u, self._time = self.safe, clock.monotonic()
+        self._coming: deque[tuple[float, Array]] = deque()
+        self._rng, self._lock = torch.Generator().manual_seed(seed), threading.Lock()
 
-    def serve(self, periods: int, lockstep: float = 0.0) -> _Record:
-        """Wait for a caller, then run so many periods.
+    def begin(self) -> None:
+        """Do nothing: no sample is kept."""
 
-        Args:
-            periods: How many.
-            lockstep: Wait so long for the answer to each sample instead of keeping a clock [s]: for tests, in which a
-                busy computer is no fault of the flight; 0 keeps the clock.
+    def read(self, seconds: float) -> Array | None:
+        """Return what is measured now, `(n_x,)`."""
+        with self._lock:
+            self._move()
+            y = self.x if self.sensors is None else self.sensors.read(self.x, self.system.signature, self._rng)
+            return y.numpy().copy()
 
-        Returns:
-            What it saw and did.
-        """
-        self._socket.settimeout(300.0)
-        caller = self._socket.recvfrom(65536)[1]
-        x, begun = self.start, time.monotonic()
-        u, missed = self.safe, 0
-        coming = deque([self.safe] * (self.sensors.actuator_delay if self.sensors else 0))
-        for k in range(periods):
-            if self.stopped.is_set():
-                break
-            y = x if self.sensors is None else self.sensors.read(x, self.system.signature, self.rng)
-            self._socket.sendto(pack(k, y.numpy()), caller)
-            found = self._inputs(begun + (k + 1) * self.dt, lockstep)
-            missed = 0 if found is not None else missed + 1
-            u = found if found is not None else u if missed <= BRIDGED else self.safe
-            if periods < FOREVER:
-                self.record.states.append(x.numpy().copy())
-                self.record.applied.append(u)
-                self.record.answered.append(found is not None)
-                self.record.asked.append(found is self.safe)
-            coming.append(u)
-            x = self._moved(x, coming.popleft())
-        self._socket.close()
-        return self.record
+    def write(self, u: Array) -> None:
+        """Apply inputs from now on, `(n_u,)`."""
+        with self._lock:
+            self._coming.append((self.clock.monotonic() + self.delay, np.array(u)))
+            self._move()
 
-    def _moved(self, x: torch.Tensor, u: Array) -> torch.Tensor:
-        """Return the state after a control period."""
-        return integrate(self.system, x, torch.from_numpy(u), self.dt, 5, self.system.stops)[0][-1]
+    def rest(self) -> None:
+        """Apply the safe input from now on."""
+        self.write(self.safe)
 
-    def _inputs(self, end: float, lockstep: float) -> Array | None:
-        """Return the newest inputs that arrive before a period is over; the safe ones if those are asked for."""
-        found: Array | None = None
-        while True:
-            left = lockstep or end - time.monotonic()
-            if left <= 0:
-                return found
-            self._socket.settimeout(left)
-            try:
-                answer = unpack(self._socket.recv(65536), len(self.safe))
-            except (TimeoutError, BlockingIOError):
-                return found
-            except ConnectionError:  # the caller is gone: its own silence tells
-                return found
-            if answer is not None:
-                found = self.safe if answer[0] == REST else answer[1]
-                if lockstep:
-                    return found
+    @torch.no_grad()
+    def _move(self) -> None:
+        now = self.clock.monotonic()
+        while self._coming and self._coming[0][0] <= now + ROUNDING:
+            self._move_until(self._coming[0][0])
+            self.u = self._coming.popleft()[1]
+        self._move_until(now)
+
+    def _move_until(self, then: float) -> None:
+        past = min(round(then - self._time, 9), REST)  # differences of times carry errors of rounding
+        if past > 0:
+            self._time = then
+            steps = max(1, round(past / self.step))
+            self.x = integrate(self.system, self.x, torch.from_numpy(self.u), past, steps, self.system.stops)[0][-1]
 
 
 @contextmanager
@@ -151,8 +106,8 @@ def rehearsal(
     seed: int = 0,
     bounds: Mapping[str, Ends] | None = None,
     start: Mapping[str, Ends] | None = None,
-) -> Iterator[UdpRig]:
-    """Talk to a simulated rig in another thread, which ends with the conversation.
+) -> Iterator[SimulatedRig]:
+    """Simulate a rig whose sensors and actuators are late as those of the plant, and leave it at its safe input.
 
     Args:
         system: The plant.
@@ -181,12 +136,10 @@ def rehearsal(
     limits = state_limits(system.signature, bounds or {})
     require_start_within(system.signature, ends, limits)
     require_plant(system, _begins, limits)
-    rig = SimulatedRig(system, dt, sensors, seed=seed, start=_begins(torch.Size()).numpy())
-    thread = threading.Thread(target=rig.serve, args=(FOREVER,), daemon=True)
-    thread.start()
-    with connect(system, dt, port=rig.port) as caller:
-        try:
-            yield caller
-        finally:
-            rig.stopped.set()  # the safe input that is asked for next also wakes what was never called
-    thread.join()
+    late = dt * sensors.actuator_delay if sensors else 0.0
+    rig = SimulatedRig(system, sensors, seed=seed, step=dt / 5, delay=late, start=_begins(torch.Size()))
+    integrate(system, rig.x, torch.from_numpy(rig.safe), dt, 5, system.stops)  # makes machine code before anybody asks
+    try:
+        yield rig
+    finally:
+        rig.rest()

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inprocess_rig import FastClock, InProcessRig
+from far_end import FarEnd
+from fast_clock import FastClock
 
 from dynasindy.data.recording import LogReader
 from dynasindy.rig import Guard, UdpRig, Wiring, run_flight
@@ -38,7 +39,7 @@ def swing(y, t):
 
 def flown(tmp_path, act=swing, periods=12, guard=PATIENT, served=None, **settings):
     """Fly, and return what came of it and what the rig saw."""
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE, **settings)
+    server = FarEnd(Pendulum(), 0.05, safe=SAFE, **settings)
     thread = threading.Thread(target=server.serve, args=(served or periods + 1, 10.0))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
@@ -81,7 +82,7 @@ class Noticing(Still):
 
 def test_inputs_beyond_what_an_actuator_reaches_never_leave(tmp_path):
     """A pump that takes 0 to 12 V gets no -0.1 of it."""
-    rig = InProcessRig(Pendulum(), clock=FastClock())
+    rig = SimulatedRig(Pendulum(), clock=FastClock())
     pump = replace(WIRING, signature=replace(WIRING.signature, input_limits=((0.0, 1.0),)))
     result = run_flight(rig, lambda y, t: [0.3 - t], pump, 20, tmp_path / "log.csv", clock=rig.clock)
     assert result.periods == 7 and result.fault.kind == "controller"  # 0.3 s are six periods and their first sample
@@ -160,7 +161,7 @@ def test_ctrl_c_brings_the_rig_to_rest_and_goes_on(tmp_path):
             raise KeyboardInterrupt
         return swing(y, t)
 
-    server = SimulatedRig(Pendulum(), 0.05, safe=SAFE)
+    server = FarEnd(Pendulum(), 0.05, safe=SAFE)
     thread = threading.Thread(target=server.serve, args=(6, 10.0))
     thread.start()
     rig = UdpRig(2, 1, port=server.port)

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from inprocess_rig import FastClock, InProcessRig
+from far_end import FarEnd
+from fast_clock import FastClock
 from tensordict.nn import TensorDictModule
 
 from dynasindy import Controller, load
@@ -36,7 +37,7 @@ KNOWLEDGE = Knowledge(
 
 @pytest.fixture
 def session(tmp_path):
-    server = SimulatedRig(Pendulum(), 0.05, Sensors({"theta": {"resolution": COUNT}}))
+    server = FarEnd(Pendulum(), 0.05, Sensors({"theta": {"resolution": COUNT}}))
     thread = threading.Thread(target=partial(server.serve, 10_000, lockstep=10.0), daemon=True)
     thread.start()
     rig = UdpRig(2, 1, port=server.port)
@@ -136,7 +137,7 @@ def test_what_no_model_can_be_made_of_is_refused_before_anything_moves(change, m
         replace(KNOWLEDGE, **change).require_of(Pendulum().signature)
 
 
-class AngleOnly(InProcessRig):
+class AngleOnly(SimulatedRig):
     """A pendulum of which the angle alone is sent, as the sample of a rig with one sensor."""
 
     def read(self, seconds):
@@ -196,7 +197,7 @@ def test_a_session_goes_on_in_its_folder_and_what_was_cut_short_is_repeated(tmp_
     assert len(third._source(False).training) == 199  # the first one is too short to learn from
     assert "excitation.csv" in told[-1] and "left out" in told[-1]
     whole = Session(
-        rig := InProcessRig(Pendulum(), clock=third.clock), wiring, Guard(), tmp_path / "more", clock=third.clock
+        rig := SimulatedRig(Pendulum(), clock=third.clock), wiring, Guard(), tmp_path / "more", clock=third.clock
     )
     whole.tell = told.append
     for _ in range(2):
@@ -274,7 +275,7 @@ def failing_forecast(tmp_path, monkeypatch, error):
     signature, told = Signature(("y",), ("m",), ("u",), (1.0,)), []
     model = SindyModel(signature, ["y", "u"])
     model.set_coefficients(torch.tensor([[-2.0], [2.0]]))
-    rig = InProcessRig(model, clock=FastClock())
+    rig = SimulatedRig(model, clock=FastClock())
     session = Session(rig, Wiring(signature, (True,), 0.05), Guard(), tmp_path, told.append, rig.clock, model=model)
     task = Tracking(signature, RandomStep([0.0], [1.0]), ("y",), (), TrackingReward((1.0,)))
     session.learnt = Controller(actor(task.n_o, 1, (4,)), ControlSetup(task, 0.05))
