@@ -106,7 +106,7 @@ OPTIONS = (
     ("system=pendulum", "excitation=multisine", "scenario=square", "agent=td3_paper"),
     ("experiment=paper", "excitation=aprbs", "world_model=pysindy_default", "scenario=noise"),
     ("excitation=multisine", "world_model=oracle", "scenario=delay", "task=square", "planning=none"),
-    ("excitation=chirp_printed", "world_model=sindy_paper", "scenario=wind", "experiment=dyna"),
+    ("excitation=chirp", "world_model=sindy_paper", "scenario=wind", "experiment=dyna"),
     ("scenario=detuned",),
 )
 """Configs that have every option of every group between them."""

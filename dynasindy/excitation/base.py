@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TypedDict, Unpack
+from typing import TypedDict
 
 import torch
 from tensordict import TensorDictBase
@@ -21,19 +21,14 @@ DOUBLES = 10
 """Control periods in which an excitation that begins small doubles."""
 
 
-class _Careful(TypedDict, total=False):
-    """Settings for a plant that does not stay by itself; see `Excitation`."""
-
-    first: float
-    gain: Sequence[Sequence[float]] | None
-
-
-class Common(_Careful, total=False):
+class Common(TypedDict, total=False):
     """Settings that subclasses pass on, by name; see `Excitation`."""
 
     amplitude: Levels
     offset: Levels
     seed: int
+    first: float
+    gain: Sequence[Sequence[float]] | None
 
 
 class Excitation(TensorDictModuleBase, ABC):
@@ -48,11 +43,11 @@ class Excitation(TensorDictModuleBase, ABC):
         amplitude: half range of each input, or one for all [normalised].
         offset: mean of each input, or one for all: the input that holds the plant where it is to be excited.
         seed: seed of what is random in the signal, if anything is.
-        **careful: `first`, the share of the amplitude with which the plant is moved at first, in (0, 1]; it doubles
-            every ten control periods until it is whole. Less than 1 also says that nobody knows whether the plant stays
-            by itself. `gain`, K of a feedback `-K (x - x_0)` that holds the plant about its start x_0, under the
-            signal: a row per input and a column per state [input in [-1, 1] per unit of the state]; None if there is
-            none, or it is to be found.
+        first: share of the amplitude with which the plant is moved at first, in (0, 1]; it doubles every ten control
+            periods until it is whole. Less than 1 also says that nobody knows whether the plant stays by itself.
+        gain: K of a feedback `-K (x - x_0)` that holds the plant about its start x_0, under the signal: a row per input
+            and a column per state [input in [-1, 1] per unit of the state]; None if there is none, or it is to be
+            found.
 
     Raises:
         ValueError: a time or the number of inputs is not positive.
@@ -71,7 +66,8 @@ class Excitation(TensorDictModuleBase, ABC):
         amplitude: Levels = 0.3,
         offset: Levels = 0.0,
         seed: int = 0,
-        **careful: Unpack[_Careful],
+        first: float = 1.0,
+        gain: Sequence[Sequence[float]] | None = None,
     ) -> None:
         super().__init__()
         self.seed, duration = seed, PERIODS * dt if duration is None else duration
@@ -98,13 +94,13 @@ class Excitation(TensorDictModuleBase, ABC):
                 f"excitation.amplitude is {self.amplitude.tolist()} about excitation.offset {self.offset.tolist()}; "
                 "allowed is what stays within [-1, 1]: lower the amplitude, or move the offset towards 0"
             )
-        self.first = float(careful.get("first", 1.0))
+        self.first = float(first)
         if not 0 < self.first <= 1:
             raise ValueError(
                 f"excitation.first is {self.first:g}; allowed is a share of the amplitude above 0 and up to 1: give 1 "
                 "for the whole of it from the start"
             )
-        self.register_buffer("gain", _matrix(careful.get("gain"), n_u))
+        self.register_buffer("gain", _matrix(gain, n_u))
 
     amplitude: Tensor
     offset: Tensor

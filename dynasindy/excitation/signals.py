@@ -22,8 +22,7 @@ class Chirp(Excitation):
     `cos(pi t^2 / T)`. The same sweep on all inputs would leave them indistinguishable, so the inputs
     differ in phase by a quarter turn, and every second one sweeps to 0.7 of the last frequency.
 
-    Departure: the paper prints `cos(pi t/T (1 - t/T))`, which stays within [0.707, 1] and does not sweep; see
-    `PrintedChirp`.
+    Departure: the paper prints `cos(pi t/T (1 - t/T))`, which stays within [0.707, 1] and does not sweep.
 
     Args:
         n_u: number of inputs.
@@ -63,19 +62,6 @@ class Chirp(Excitation):
         t = t.unsqueeze(-1)
         turns = self.start * t + (self.stop - self.start) * t**2 / (2 * self.duration)
         return torch.cos(2 * math.pi * turns + self.phase)
-
-
-class PrintedChirp(Excitation):
-    """Give the signal as the paper prints it, eq. (chirp): `cos(pi t/T (1 - t/T))`, the same on all inputs.
-
-    It falls from 1 to 0.707 and returns: no sweep, and inputs that cannot be told apart. It is kept to show what
-    the printed formula would identify.
-    """
-
-    def wave(self, t: Tensor) -> Tensor:
-        """Give the printed signal at times `(*batch,)` [s], `(*batch, n_u)`."""
-        share = (t / self.duration).unsqueeze(-1)
-        return torch.cos(math.pi * share * (1 - share)).expand(*t.shape, self.n_u)
 
 
 class Multisine(Excitation):

@@ -45,8 +45,9 @@ ABSENT = {
     ),
     3: (
         *(f"{way}{kind}" for way in ("Get", "Set") for kind in (*_TYPES, "Binary", "Clock")),
-        *("GetNumberOfVariableDependencies", "GetVariableDependencies", "SerializedFMUStateSize", "SerializeFMUState"),
-        *("DeserializeFMUState", "GetDirectionalDerivative", "GetAdjointDerivative", "EnterConfigurationMode"),
+        *("GetNumberOfVariableDependencies", "GetVariableDependencies", "GetFMUState", "SetFMUState", "FreeFMUState"),
+        *("SerializedFMUStateSize", "SerializeFMUState", "DeserializeFMUState"),
+        *("GetDirectionalDerivative", "GetAdjointDerivative", "EnterConfigurationMode"),
         *("ExitConfigurationMode", "GetIntervalDecimal", "GetIntervalFraction", "GetShiftDecimal", "GetShiftFraction"),
         *("SetIntervalDecimal", "SetIntervalFraction", "SetShiftDecimal", "SetShiftFraction", "EnterEventMode"),
         *("EvaluateDiscreteStates", "UpdateDiscreteStates", "EnterContinuousTimeMode", "CompletedIntegratorStep"),
@@ -201,11 +202,10 @@ def _described(unit: _Unit, token: str, version: int) -> bytes:
     root.set("instantiationToken" if version == 3 else "guid", token)
     root.set("generationTool", f"dynasindy {__version__}")
     root.set("variableNamingConvention", "flat")
-    able = "canGetAndSetFMUState" if version == 3 else "canNotUseMemoryManagementFunctions"
     simulation = ElementTree.SubElement(root, "CoSimulation", modelIdentifier=unit.name)
     simulation.set("canHandleVariableCommunicationStepSize", "true")
-    simulation.set(able, "true")
     if version == 2:
+        simulation.set("canNotUseMemoryManagementFunctions", "true")
         listed = ElementTree.SubElement(simulation, "SourceFiles")
         for name in (n for n in unit.sources if n.endswith(".c")):
             ElementTree.SubElement(listed, "File", name=name)

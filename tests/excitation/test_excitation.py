@@ -7,12 +7,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from dynasindy.excitation import Aprbs, Chirp, Multisine, PrintedChirp
+from dynasindy.excitation import Aprbs, Chirp, Multisine
 
 MOVING = [Chirp, Aprbs, Multisine]
 
 
-@pytest.mark.parametrize("kind", [*MOVING, PrintedChirp])
+@pytest.mark.parametrize("kind", MOVING)
 def test_signals_stay_within_offset_and_amplitude(kind):
     u = kind(2, amplitude=(0.3, 0.2), offset=(-0.1, 0.3)).samples(0.01)
     assert u.shape == (1000, 2)
@@ -92,13 +92,6 @@ def test_a_sweep_is_its_formula_in_plain_numbers():
         for i, (stop, phase) in enumerate(((1.5, -math.pi / 2), (1.05, 0.0), (1.5, math.pi / 2))):
             turns = 0.2 * t + (stop - 0.2) * t * t / 16
             assert math.isclose(given[i], math.cos(2 * math.pi * turns + phase), abs_tol=1e-12)
-
-
-def test_the_printed_form_is_its_formula():
-    t = torch.tensor([0.0, 2.0, 9.0], dtype=torch.float64)
-    printed = PrintedChirp(2, duration=10.0, amplitude=1.0).signal(t)
-    expected = [math.cos(math.pi * share * (1 - share)) for share in (0.0, 0.2, 0.9)]
-    assert torch.allclose(printed, torch.tensor(expected, dtype=torch.float64).unsqueeze(-1).expand(3, 2), atol=1e-12)
 
 
 def test_a_multisine_is_its_formula_in_plain_numbers():

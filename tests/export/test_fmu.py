@@ -170,26 +170,6 @@ def test_what_the_standard_forbids_is_an_error(tmp_path, version):
 
 
 @needs_compiler
-def test_a_state_that_was_kept_goes_on_as_it_would_have(tmp_path):
-    plant_fmu(linear([-1.0, 1.0], delay=0.05), tmp_path / "p.fmu", 0.02)
-    plant, kept = Library(tmp_path / "p.fmu", 3), ctypes.c_void_p()
-    plant.set(u_u=1.0, x_x1=0.5)
-    plant.step(0.0, 0.04)
-    assert plant.call("GetFMUState", ctypes.byref(kept)) == OK
-
-    def later():
-        plant.step(0.04, 0.04)
-        return plant.get("u_u", "x_x1")
-
-    expected = later()
-    assert plant.call("Reset") == OK and plant.get("u_u", "x_x1") == [0.0, 0.0]
-    assert later() != expected
-    assert plant.call("SetFMUState", kept) == OK and later() == expected
-    assert plant.call("GetFMUState", ctypes.byref(kept)) == OK  # an old one is written anew
-    assert plant.call("FreeFMUState", ctypes.byref(kept)) == OK and kept.value is None
-
-
-@needs_compiler
 def test_a_controller_acts_at_the_multiples_of_its_period_whatever_the_steps_of_the_simulator(rotors, tmp_path):
     controller = rotors({"gain": 2.0, "rate": 0.3, "band": 0.9})  # it reads two angles and two speeds of six states
     controller_fmu(controller, tmp_path / "c.fmu")

@@ -44,30 +44,6 @@ EXPORT int fmi3DoStep(void *instance, double now, double h, bool no_return, bool
     return OK;
 }
 
-EXPORT int fmi3GetFMUState(void *instance, void **kept)
-{
-    if (!*kept)
-        *kept = malloc(sizeof(component));
-    if (!*kept)
-        return ERROR;
-    memcpy(*kept, instance, sizeof(component));
-    return OK;
-}
-
-EXPORT int fmi3SetFMUState(void *instance, void *kept)
-{
-    memcpy(instance, kept, sizeof(component));
-    return OK;
-}
-
-EXPORT int fmi3FreeFMUState(void *instance, void **kept)
-{
-    (void)instance;
-    free(*kept);
-    *kept = NULL;
-    return OK;
-}
-
 #define NOTHING(name) \
     EXPORT void *name(void *instance) \
     { \
