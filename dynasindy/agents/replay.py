@@ -14,7 +14,6 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
 from dynasindy.agents.finite_checks import is_finite, require_finite_rollout
-from dynasindy.limits import memory
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
     "observation",
@@ -39,9 +38,6 @@ REAL_KEYS: tuple[NestedKey, ...] = (
 
 MEASURED_KEYS: tuple[NestedKey, ...] = (*REAL_KEYS, "measurement", "task_params")
 """The same of a plant behind sensors, whose `measurement` and `samples` are NaN where nothing was measured."""
-
-INDEX_BYTES = 8
-"""What TorchRL keeps of each row beside its keys: its place in the storage."""
 
 
 class _CheckedWriter(TensorDictRoundRobinWriter):
@@ -144,14 +140,11 @@ class DynaReplay:
 
         Raises:
             Diverged: a number is not finite.
-            ValueError: the storages, which take their memory now, would not fit into it.
         """
         writer = self.real.writer
         assert isinstance(writer, _CheckedWriter)
         rows = rollout.select(*writer.keys, strict=False).reshape(-1)
         require_finite_rollout(rows)
-        if not self.real.storage.initialized:
-            self._require_memory(rows)
         self.real.extend(rows)
 
     def real_in_order(self) -> TensorDict:
@@ -278,18 +271,6 @@ class DynaReplay:
             generator=self.generator,
         )
 
-    def _require_memory(self, rows: TensorDictBase) -> None:
-        """Refuse capacities that need more than the memory of the device, given what real rows hold."""
-        widths = (_bytes(rows), _bytes(rows.select(*LEARN_KEYS, strict=False)))
-        needed = sum(capacity * width for capacity, width in zip(self.capacities, widths))
-        if needed > (there := _memory(self.device)):
-            real, model = self.capacities
-            raise ValueError(
-                f"Replay has capacity={real} and model_capacity={model}, rows of {widths[0]} and {widths[1]} bytes, "
-                f"{needed / 2**30:.4g} GiB in all; {self.device} has {there / 2**30:.4g} GiB: lower replay.capacity "
-                "and replay.model_capacity."
-            )
-
 
 def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
     """Return a copy of the rows of a ring, the oldest first."""
@@ -304,19 +285,6 @@ def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
 def _round(buffer: TensorDictReplayBuffer) -> bool:
     """Return whether the newest rows of a ring stand before the oldest ones."""
     return len(buffer) == buffer.storage.max_size and bool(buffer.writer._cursor)
-
-
-def _bytes(rows: TensorDictBase) -> int:
-    """Return the bytes of a stored row, its `index` included."""
-    columns = rows.values(include_nested=True, leaves_only=True)
-    return INDEX_BYTES + sum(column[0].numel() * column.element_size() for column in columns)
-
-
-def _memory(device: torch.device) -> float:
-    """Return the physical memory of a device [bytes]."""
-    if device.type == "cuda":
-        return torch.cuda.get_device_properties(device).total_memory
-    return memory()
 
 
 def _words(keys: Collection[NestedKey]) -> str:

@@ -96,26 +96,6 @@ def gate(
 
 
 @styled
-def model_error(episode: ArrayLike, error: ArrayLike) -> Figure:
-    """Draw the one-step reward error of the model over real episodes on a log axis.
-
-    Args:
-        episode: `(n,)` real episodes.
-        error: `(n,)` error of the model; one that is not finite is marked at the upper edge.
-    """
-    x, y = array(episode), array(error)
-    figure, (axis,) = panels(1, 1, (7.0, 3.2), "SINDy model learning progress")
-    _draw_positive(axis, x, y, marker="o", markersize=2.5)
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axis.set_xlim(x.min(initial=1.0) - 0.5, x.max(initial=1.0) + 0.5)
-    _mark_divergence(axis, x[~np.isfinite(y)], RED)
-    legend_beside(axis)
-    axis.set_xlabel("real episode")
-    axis.set_ylabel("one-step reward error, |real - model| [-]")
-    return figure
-
-
-@styled
 def growing_error(time: ArrayLike, error: ArrayLike) -> Figure:
     """Draw the error of a prediction that sees nothing after its start, on a log axis.
 

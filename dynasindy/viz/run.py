@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dynasindy.safe_io import read_cells, read_json, reading
 from dynasindy.systems import Signature
-from dynasindy.viz.gate import gate, growing_error, model_error
+from dynasindy.viz.gate import gate, growing_error
 from dynasindy.viz.identification import prediction, training_data
 from dynasindy.viz.learning import learning_curve
 from dynasindy.viz.response import tracking
@@ -74,6 +74,9 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
             predicted = stacked(table, [f"predicted_{name}" for name in names])
             title = f"Open-loop prediction of the {when} real episode, model of {data}"
             figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, signature, title)
+            if when == "first":
+                errors = (predicted - stacked(table, names)) / np.array(signature.x_scale)
+                figures["model_error"] = growing_error(table["time"], np.sqrt(np.square(errors).mean(-1)))
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         at = np.isfinite(progress["evaluated_return"])
@@ -83,12 +86,6 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         if len(progress["episode"]) > 1:  # the returns of a single one stand in the table, and make no curve
             figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
-        error = progress["one_step_reward_error"]
-        first = folder / "data" / "prediction_first_episode.csv"
-        if len(error) == 1 and first.is_file():  # one dot would show no course
-            figures["model_error"] = _windows(read_table(first), signature)
-        else:
-            figures["model_error"] = model_error(progress["episode"], error)
     if (folder / "gate.csv").is_file():
         decisions = read_table(folder / "gate.csv")
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
@@ -101,14 +98,6 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
         read_table(folder / "data" / "step_response.csv"), signature, which, controller
     )
     return figures
-
-
-def _windows(table: Table, signature: Signature) -> Figure:
-    """Draw how the error of the open-loop prediction grows along the only episode."""
-    names = signature.state_names
-    errors = stacked(table, [f"predicted_{name}" for name in names]) - stacked(table, names)
-    size = np.sqrt(np.square(errors / np.array(signature.x_scale)).mean(-1))
-    return growing_error(table["time"], size)
 
 
 def _response(table: Table, signature: Signature, which: str, controller: str) -> Figure:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynasindy.viz.gate import gate, growing_error, model_error
+from dynasindy.viz.gate import gate, growing_error
 
 DECISIONS = {
     "episode": [1, 2, 3],
@@ -59,7 +59,7 @@ def test_a_single_episode_has_numbers_and_its_windows_beside_what_sums_them_up(p
 
 
 def test_an_error_that_is_tiny_is_drawn_as_it_is_and_one_that_is_zero_is_marked_below():
-    (axis,) = model_error([1, 2, 3], [1e-14, 0.0, 3e-13]).axes
+    (axis,) = growing_error([1, 2, 3], [1e-14, 0.0, 3e-13]).axes
     np.testing.assert_array_equal(axis.lines[0].get_ydata(), [1e-14, np.nan, 3e-13])
     assert axis.lines[1].get_xydata().tolist() == [[2.0, 5e-15]]
     (axis,) = growing_error([0.0, 0.5, 1.0], [0.0, 0.1, 0.4]).axes
