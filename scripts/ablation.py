@@ -12,12 +12,12 @@ def main(cfg: Any) -> None:
     from job import run_job
 
     folder = Path(cfg.folder)
-    done = run_job(cfg, progress=False)
-    if done.before:
+    _, _, metrics, before = run_job(cfg, progress=False)
+    if before:
         print(f"finished before: {folder}")
         return
-    found, seconds = done.metrics["evaluation"], done.metrics["cost"]["wall_seconds"]
-    errors = ((name, found.get(f"steady_state_error/{name}"), unit) for name, unit in done.metrics["units"].items())
+    found, seconds = metrics["evaluation"], metrics["cost"]["wall_seconds"]
+    errors = ((name, found.get(f"steady_state_error/{name}"), unit) for name, unit in metrics["units"].items())
     words = ", ".join(f"{name} {'not finite' if e is None else f'{e:.3g} {unit}'}" for name, e, unit in errors)
     print(f"finished: {folder}, steady-state error {words or 'of no output'}, {seconds:.0f} s")
 

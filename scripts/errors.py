@@ -118,8 +118,6 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         return f"{lacking[1]} is not given; give {lacking[1]}=VALUE, of which --help says more"
     if part and not isinstance(error, ValueError):
         return f"{part} got a setting of the wrong type or name ({text}); compare it with conf/"
-    if text.startswith("Error merging override "):
-        return f"'{text[23:]}' gives one value where a group of keys stands, or a group for one value; compare conf/"
     if text.startswith("Config group override must be"):
         for group, _, option in (word.partition("=") for word in sys.argv[1:]):
             choices = group_options(group) if option else ()
@@ -149,7 +147,10 @@ def _missing_package(error: BaseException) -> str:
 def _misspelt(key: str, config_name: str) -> str:
     """Return which keys stand where a misspelt one was given; '' if it exists."""
     chosen = [word for word in _words() if (CONF / word.partition("=")[0]).is_dir()]
-    whole = OmegaConf.to_container(_compose_groups(config_name, chosen))
+    try:
+        whole = OmegaConf.to_container(compose(config_name, chosen))
+    except HydraException:  # a group that this command does not have is chosen
+        whole = OmegaConf.to_container(compose(config_name, []))
     if source := _taken_from(key, whole):
         return f"'{key}' follows another key; give {source} instead"
     names = [f"{group}.{name}".lstrip(".") for group, node in nodes(whole) for name in node if str(name)[0] != "_"]
@@ -159,18 +160,6 @@ def _misspelt(key: str, config_name: str) -> str:
         group = group.rpartition(".")[0]
     names = [each.rpartition(".")[2] for each in keys if each.rpartition(".")[0] == group]
     return "" if group == key else unknown_name(key.removeprefix(f"{group}."), names, group, keys)
-
-
-def _compose_groups(config_name: str, words: list[str]) -> DictConfig:
-    """Return what choices of groups give; those that other commands have are left out."""
-    try:
-        return compose(config_name, words)
-    except HydraException as error:
-        other = MISSPELT.search(str(error))
-        left = [word for word in words if other and word.partition("=")[0] != other[1]]
-        if other is None or len(left) == len(words):
-            raise
-    return _compose_groups(config_name, left)
 
 
 def _words() -> list[str]:

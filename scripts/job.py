@@ -2,7 +2,7 @@
 
 import shlex
 import subprocess
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +19,12 @@ from dynasindy.dyna.recorder import Evaluating
 from dynasindy.dyna.run import run
 
 
-@dataclass(frozen=True)
-class Done:
-    """What came of a job.
-
-    Attributes:
-        cfg: Its settings, the run's own where it went on with one.
-        recipe: The experiment.
-        metrics: What its `metrics.json` holds.
-        before: Whether it had ended before.
-        plugins: Word of the command line that names the packages of the user's own parts; none where there are none.
-    """
-
-    cfg: DictConfig
-    recipe: Recipe
-    metrics: dict[str, Any]
-    before: bool
-    plugins: tuple[str, ...]
-
-
-def run_job(cfg: DictConfig, progress: bool = True) -> Done:
+def run_job(cfg: DictConfig, progress: bool = True) -> tuple[DictConfig, Recipe, dict[str, Any], bool]:
     """Build the experiment of a config and run it, unless it has ended before.
+
+    Returns:
+        Its settings, the run's own where it went on with one; the experiment; what its `metrics.json` holds; and
+        whether it had ended before.
 
     Raises:
         ValueError: The config names no plant, only a log of one, or settings that the run to resume does not have.
@@ -55,6 +40,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     folder = Path(cfg.folder)
     begun = cfg.copy()  # a run that is resumed before its first checkpoint writes them anew
     begun.resume, begun.finish = None, False
+    config = OmegaConf.to_yaml(begun, resolve=True)  # before anything is built, which names what is not given less well
     names = [field.name for field in fields(Recipe) if field.name not in ("seed", "device")]
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     recipe = Recipe(**parts, seed=cfg.seed, device=cfg.get("device", "cpu"))
@@ -67,12 +53,16 @@ def run_job(cfg: DictConfig, progress: bool = True) -> Done:
     if progress:
         print(f"Run folder: {folder}", flush=True)
     before = result(folder, recipe.train.episodes) is not None
-    own = packages(OmegaConf.to_container(cfg, resolve=True))
-    plugins = (f"plugins=[{','.join(own)}]",) if own else ()
-    again, config = shlex.join([*program("train").split(), *plugins]), OmegaConf.to_yaml(begun, resolve=True)
+    again = shlex.join([*program("train").split(), *plugins_of(cfg)])
     kept = cfg.checkpoint.every, again
     metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, progress, cfg.finish)
-    return Done(cfg, recipe, metrics, before, plugins)
+    return cfg, recipe, metrics, before
+
+
+def plugins_of(cfg: DictConfig) -> tuple[str, ...]:
+    """Return the word of a command line that names the packages of the user's own parts; none where there are none."""
+    own = packages(OmegaConf.to_container(cfg, resolve=True))
+    return (f"plugins=[{','.join(own)}]",) if own else ()
 
 
 def _resumed(cfg: DictConfig, job: DictConfig) -> DictConfig:

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,27 +34,11 @@ from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
 from dynasindy.workbench import damped, forecast, plan, refit_shortage
 
-
-@dataclass(frozen=True)
-class Preparation:
-    """What a plan begins with, before anything is fitted.
-
-    Attributes:
-        planning: Settings of the planning.
-        source: The log; None where a model is given without one.
-        parts: What a plan is made of, by the group of its settings.
-        targets: What is to be held, in words.
-        findings: What was found of the data before the fit.
-    """
-
-    planning: Mapping[str, object]
-    source: Source | None
-    parts: Mapping[str, Any]
-    targets: str
-    findings: Sequence[Finding]
+Prepared = tuple[Mapping[str, object], Source | None, dict[str, Any], str, Sequence[Finding]]
+"""Settings of the planning, the log, what a plan is made of by group, the targets in words, and what was found."""
 
 
-def prepare(cfg: DictConfig) -> Preparation:
+def prepare(cfg: DictConfig) -> Prepared:
     """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
 
     Args:
@@ -71,20 +55,19 @@ def prepare(cfg: DictConfig) -> Preparation:
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     if source is None:
-        return Preparation(planning, None, parts, "", findings)
+        return planning, None, parts, "", findings
     targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
     parts["task"](signature=given.signature if given else source.signature)
     if given is None:  # one that is given has its own library
         parts["world_model"](signature=source.signature)
     findings = [*findings, *low_signal_targets(source.training, source.signature, targets)]
     require_radians(source, targets)
-    return Preparation(planning, source, parts, in_words(source.signature, targets), findings)
+    return planning, source, parts, in_words(source.signature, targets), findings
 
 
 def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     """Identify, plan and forecast, write the folder, print what came of it, and return what is forecast."""
-    begun = prepare(cfg)
-    source, parts = begun.source, begun.parts
+    planning, source, parts, targets, findings = prepare(cfg)
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     figures = output_folder(folder, "figures")
     swept, words = HydraConfig.get().mode == RunMode.MULTIRUN, HydraConfig.get().overrides.task
@@ -97,7 +80,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
         dt = closest_period(source, cfg.env.dt)
         if source is not None and dt != cfg.env.dt:
             why = [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
-    say(f"Run folder: {folder}", *filter(None, [begun.targets]), *lines([*begun.findings, *why]))
+    say(f"Run folder: {folder}", *filter(None, [targets]), *lines([*findings, *why]))
     model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
@@ -112,7 +95,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     within = cfg.evaluation.get("within", WITHIN)
     saved = False
     try:
-        controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **begun.planning)
+        controller = plan(model, task, source, parts["sensors"], dt, cfg.seed, **planning)
         save(controller, folder / NAME)  # before the forecast, which may fail
         saved = True
         scenario = replace(parts["scenario"], seconds=None, lengths=1.0)  # as long as the task's episodes

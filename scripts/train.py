@@ -22,7 +22,7 @@ def main(cfg: Any) -> float:
         if not (found["controlled"] or swept) and cfg.evaluation.get("must_control"):
             sys.exit(1)
         return _score(found["score"])
-    from job import run_job
+    from job import plugins_of, run_job
     from next_steps import improvements, next_steps, run_steps
 
     from dynasindy.control.files import NAME
@@ -31,33 +31,31 @@ def main(cfg: Any) -> float:
     from dynasindy.viz.controllers import name_by_planning
 
     folder = Path(cfg.folder)
-    done = run_job(cfg)
-    score = max((_score(share) for share in done.metrics.get("held", {}).get("share", {}).values()), default=math.inf)
-    if done.before and swept:
+    cfg, recipe, metrics, before = run_job(cfg)
+    score = max((_score(share) for share in metrics.get("held", {}).get("share", {}).values()), default=math.inf)
+    if before and swept:
         print(f"finished before: {folder}")
         return score
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
     draw_run(
         folder,
-        done.recipe.system.signature,
-        tuple(done.cfg.get("formats", ("png",))),
-        name_by_planning(done.cfg.planning),
+        recipe.system.signature,
+        tuple(cfg.get("formats", ("png",))),
+        name_by_planning(cfg.planning),
     )
-    say(run_report(done.metrics, folder))
+    say(run_report(metrics, folder))
     if swept:
         return score
-    controlled = done.metrics["verdict"].get("controlled") is not False
+    controlled = metrics["verdict"].get("controlled") is not False
     written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
     if controlled:
-        flown = run_steps(folder, "evaluate", plugins=done.plugins)
+        flown = run_steps(folder, "evaluate", plugins=plugins_of(cfg))
         say(next_steps(*flown, *(run_steps(folder, "check", "export") if written else ())))
     else:
-        say(improvements(folder, words, done.recipe.train.episodes, written, done.metrics["imagined_error"]))
-    wanted = done.cfg.evaluation
-    if (wanted.must_improve and not done.metrics["verdict"]["usable"]) or (
-        wanted.get("must_control") and not controlled
-    ):
+        say(improvements(folder, words, recipe.train.episodes, written, metrics["imagined_error"]))
+    wanted = cfg.evaluation
+    if (wanted.must_improve and not metrics["verdict"]["usable"]) or (wanted.get("must_control") and not controlled):
         sys.exit(1)
     return score
 
