@@ -222,8 +222,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         rest,
         [margins for margins, _ in both],
         [noise for _, noise in both],
-        _stated(loop),
-        _resolved(loop),
+        *_sensors(loop),
         simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
         _drawn(loop, others, targets[_farthest(loop, targets, begin)], begin, seconds),
         spread(loop, targets[good], rest.select(good), others, how, seconds),
@@ -264,18 +263,13 @@ def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
     return guess_rest(loop, settings.middle.unsqueeze(0))[0, loop.parts["x"]]
 
 
-def _stated(loop: ClosedLoop) -> Array:
-    """Return the standard deviation of the noise that the file states; 0 where a state is seen as it is, or not."""
+def _sensors(loop: ClosedLoop) -> tuple[Array, Array]:
+    """Return noise and resolution of sensors as the file states them, `(n_x,)`; 0 of a state that is seen as it is."""
     if loop.observer is None:
-        return np.zeros(loop.signature.n_x)
-    variance = loop.observer.sensors.variance(loop.signature)
-    return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
-
-
-def _resolved(loop: ClosedLoop) -> Array:
-    if loop.observer is None:
-        return np.zeros(loop.signature.n_x)
-    return loop.observer.sensors.resolution(loop.signature).numpy()
+        return np.zeros(loop.signature.n_x), np.zeros(loop.signature.n_x)
+    sensors = loop.observer.sensors
+    variance = sensors.variance(loop.signature)
+    return variance.where(variance.isfinite(), 0.0).sqrt().numpy(), sensors.resolution(loop.signature).numpy()
 
 
 def _drawn(loop: ClosedLoop, others: Tensor, target: Tensor, begin: Tensor, seconds: float) -> LoopSimulation | None:

@@ -167,24 +167,16 @@ class ClosedLoop:
         """Control period [s]."""
         return self.controller.dt
 
-    def varied(self, coefficients: Tensor | None) -> ClosedLoop:
-        """Return the same controller around plants with other coefficients `(rows, n_features, n_x)`.
-
-        The observer goes on believing in the model.
-        """
-        other = copy.copy(self)
-        other.plant = replace(self.plant, coefficients=coefficients)
-        return other
-
-    def worse(self, gain: float | Tensor, later: float) -> ClosedLoop:
-        """Return the same controller around a plant whose inputs act more strongly, and later; nobody tells it.
+    def varied(self, coefficients: Tensor | None = None, gain: float | Tensor = 1.0, later: float = 0.0) -> ClosedLoop:
+        """Return the same controller around other plants; nobody tells it, and its observer believes in the model.
 
         Args:
-            gain: Factor on their effect, or one for each row, `(rows, 1)`.
-            later: How much later they act [s].
+            coefficients: Xi of each plant, `(rows, n_features, n_x)`; None for those of the model.
+            gain: Factor on the effect of the inputs, or one for each row, `(rows, 1)`.
+            later: How much later they act than the model says [s].
         """
         other = copy.copy(self)
-        other.plant = replace(self.plant, gain=gain, later=later)
+        other.plant = replace(self.plant, coefficients=coefficients, gain=gain, later=later)
         other.parts = other._layout()
         other.size = max(part.stop for part in other.parts.values())
         other.scale = other._scale()

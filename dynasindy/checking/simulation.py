@@ -221,14 +221,14 @@ def large_signal_margins(loop: ClosedLoop, x: Tensor, r: Tensor, seconds: float)
         seconds: Length of each flight [s].
     """
     gains = GAINS.repeat_interleave(len(x)).unsqueeze(-1)
-    worse, many = loop.worse(gains, 0.0), len(GAINS)
+    worse, many = loop.varied(gain=gains), len(GAINS)
     lost = _lost(worse, x.repeat(many, 1), r.repeat(many, 1), seconds).unflatten(0, (many, len(x))).any(-1)
     if bool(lost[0]):
         return LargeSignalMargins(0.0, 0.0)
     first = int(lost.long().argmax()) if bool(lost.any()) else many
 
     def _held(periods: float) -> bool:
-        return not bool(_lost(loop.worse(1.0, periods * loop.dt), x, r, seconds).any())
+        return not bool(_lost(loop.varied(later=periods * loop.dt), x, r, seconds).any())
 
     # A difference equation cannot get its inputs a part of a step late.
     halvings = HALVINGS if loop.plant.model.step is None else WHOLE

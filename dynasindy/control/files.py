@@ -38,10 +38,6 @@ from dynasindy.tasks import Step, Tracking, TrackingReward
 FORMAT = "dynasindy controller 1"
 NAME = "controller.json"
 """Its name in a run folder."""
-WIDEST, DEEPEST = 4096, 20
-"""Largest layer and number of layers that are read."""
-HEAVIEST = 5_000_000
-"""Weights and biases that are read, all layers together."""
 FINEST = 1000
 """Runge-Kutta steps per control period that are read."""
 
@@ -142,18 +138,13 @@ def _layers(network: MLP) -> list[dict[str, Any]]:
 
 def _network(layers: list[dict[str, Any]], task: Tracking) -> MLP:
     widths = [int(layers[0]["in"]), *(int(layer["out"]) for layer in layers)]
-    if len(layers) > DEEPEST or not all(0 < width <= WIDEST for width in widths):
-        raise ValueError(f"its policy has layers of {widths}; at most {DEEPEST} of 1 to {WIDEST} are read")
     if (widths[0], widths[-1]) != (task.n_o, task.signature.n_u):
         raise ValueError(
             f"its policy maps {widths[0]} numbers to {widths[-1]}, its task {task.n_o} to {task.signature.n_u}"
         )
-    pairs = list(pairwise(widths))
-    if (weights := sum((n_in + 1) * n_out for n_in, n_out in pairs)) > HEAVIEST:
-        raise ValueError(f"its policy has {weights} weights; at most {HEAVIEST} are read")
     values = [
         (_unpacked(layer["weight"], n_out, n_in), _unpacked(layer["bias"], n_out))
-        for layer, (n_in, n_out) in zip(layers, pairs, strict=True)
+        for layer, (n_in, n_out) in zip(layers, pairwise(widths), strict=True)
     ]
     found = MLP(widths[0], widths[-1], widths[1:-1], squash=True).requires_grad_(False)
     for own, (weight, bias) in zip(found.layers(), values, strict=True):
