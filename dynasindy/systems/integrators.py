@@ -98,8 +98,8 @@ def integrate(
         ValueError: The period is not made of whole steps of a difference equation.
     """
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u)) is not None:
-        samples, touched = code.integrate(x, u, dt, substeps, stops)
-        return _sampled(samples, f.step, substeps), touched
+        samples, touched = code.flight(x, u.unsqueeze(0), dt, substeps, stops)
+        return _sampled(samples.squeeze(0), f.step, substeps), touched.squeeze(0)
     touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
     ends = []
     h, count, difference = steps_of(time_step_of(f), dt, substeps)

@@ -109,33 +109,10 @@ class Machine:
         # The code reads as many numbers as it was written for, whatever is there.
         return x.shape[:-1] == u.shape[:-1] and (x.shape[-1:], u.shape[-1:]) == ((self.n_x,), (self.n_u,))
 
-    def integrate(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Advance states over one control period under held inputs, see `systems.integrate`.
-
-        Args:
-            x: states, `(*batch, n_x)`.
-            u: inputs, `(*batch, n_u)`.
-            dt: control period [s].
-            substeps: Runge-Kutta steps per period.
-            stops: mechanical stops, if any.
-
-        Returns:
-            The state after each step, `(*batch, substeps, n_x)`, and whether a stop was touched, bool `(*batch,)`. Of a
-            difference equation the steps are its own.
-
-        Raises:
-            IndexError: a stop is of a state that does not exist.
-            ValueError: the period is not made of whole steps of a difference equation.
-        """
-        samples, touched = self.flight(x, u.unsqueeze(0), dt, substeps, stops)
-        return samples.squeeze(0), touched.squeeze(0)
-
     def flight(
         self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Advance states over control periods that follow each other, as `integrate` does again and again.
+        """Advance states over control periods that follow each other, see `systems.simulate`.
 
         Args:
             x: states at the start of the first period, `(*batch, n_x)`.

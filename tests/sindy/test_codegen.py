@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from one_period import one_period
 
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import generate, write_program
@@ -111,7 +112,7 @@ def test_states_and_derivatives_equal_double_precision(names):
     library, xi = made([A, *(feature for name in names for feature in FEATURES[name])])
     x, u = drawn(67)  # not a multiple of the rows that are handled at once
     code = Machine(write_program(library, xi))
-    samples, _ = code.integrate(x, u, 0.1, 3)
+    samples, _ = one_period(code, x, u, 0.1, 3)
     torch.testing.assert_close(samples, reference(library, xi, x, u, 0.1, 3)[0].float(), rtol=2e-5, atol=2e-6)
     a, b = code.sensitivities(x, u, 0.1, 2)
     whole = torch.cat([x, u], -1).double()
@@ -127,11 +128,11 @@ def test_stops_hold_positions_and_say_where_they_were_touched():
     xi[:, 1] = torch.tensor([0.0, 0.0, 5.0])
     stops = Stops((0,), (1,), (-0.3,), (0.4,))
     x, u = drawn(97, reach=0.5)
-    samples, touched = Machine(write_program(library, xi)).integrate(x, u, 0.4, 4, stops)
+    samples, touched = one_period(Machine(write_program(library, xi)), x, u, 0.4, 4, stops)
     wanted, where = reference(library, xi, x, u, 0.4, 4, stops)
     torch.testing.assert_close(samples, wanted.float(), rtol=1e-5, atol=1e-6)
     assert torch.equal(touched, where) and 10 < int(touched.sum()) < 90
-    assert not Machine(write_program(library, xi)).integrate(x, u, 0.4, 4)[1].any()
+    assert not one_period(Machine(write_program(library, xi)), x, u, 0.4, 4)[1].any()
 
 
 def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
@@ -142,7 +143,7 @@ def test_a_model_is_as_its_coefficients_are_whichever_of_them_are_zero_or_one():
         drawn_kinds = torch.randint(4, xi.shape, generator=rng)
         changed = torch.where(drawn_kinds == 0, 0.0, torch.where(drawn_kinds == 1, 1.0, xi))
         changed = torch.where(drawn_kinds == 2, torch.full_like(xi, 3.0), changed)  # as the number in the sine
-        found = Machine(write_program(library, changed), torch.float64).integrate(x, u, 0.1, 2)[0]
+        found = one_period(Machine(write_program(library, changed), torch.float64), x, u, 0.1, 2)[0]
         torch.testing.assert_close(found, reference(library, changed, x, u, 0.1, 2)[0], rtol=1e-13, atol=1e-14)
 
 
@@ -151,7 +152,7 @@ def test_a_name_that_is_registered_anew_is_the_new_function():
     for formula, compute in (("2.0 * {0}", lambda z: 2.0 * z), ("{0} * {0}", lambda z: z * z)):
         register_function("twice_test", compute, formula=formula)
         library, xi = made([A, of("twice_test", "b")])
-        found = Machine(write_program(library, xi), torch.float64).integrate(x, u, 0.1, 1)[0]
+        found = one_period(Machine(write_program(library, xi), torch.float64), x, u, 0.1, 1)[0]
         torch.testing.assert_close(found, reference(library, xi, x, u, 0.1, 1)[0], rtol=1e-13, atol=1e-14)
     unregister_function("twice_test")
 
@@ -206,7 +207,7 @@ def test_a_fraction_of_whole_numbers_in_a_users_formula_is_one():
     library = Library(SIGNATURE, [of("third_test", "a"), of("half_test", "a")])
     xi = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
     code, (x, u) = Machine(write_program(library, xi)), drawn(5)
-    torch.testing.assert_close(code.integrate(x, u, 0.3, 1)[0], reference(library, xi, x, u, 0.3, 1)[0].float())
+    torch.testing.assert_close(one_period(code, x, u, 0.3, 1)[0], reference(library, xi, x, u, 0.3, 1)[0].float())
     slopes = code.sensitivities(x, u, 0.3, 1)[0][:, :, 0]
     wanted = torch.tensor([math.exp(0.1), 1.5 * (math.exp(0.1) - 1)])  # of a' = a / 3, b' = a / 2 over 0.3 s
     torch.testing.assert_close(slopes, wanted.expand(5, 2), rtol=1e-5, atol=1e-6)

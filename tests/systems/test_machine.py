@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from one_period import one_period
 
 from dynasindy.systems import compiler as compiling
 from dynasindy.systems.compiler import compile_library, compiler, load_library
@@ -26,7 +27,7 @@ SPRING = Program(2, 1, (), ("x[1]", "k[0] * u[0] - 4.0 * x[0]"), (3.0,))
 def test_known_solutions(dtype, close):
     x, u = torch.tensor([[1.0], [0.0], [-3.0]], dtype=dtype), torch.tensor([[0.0], [1.0], [0.5]], dtype=dtype)
     decay = Machine(DECAY, dtype)
-    samples, touched = decay.integrate(x, u, 0.5, 100)
+    samples, touched = one_period(decay, x, u, 0.5, 100)
     wanted = 0.5 * u + (x - 0.5 * u) * torch.exp(torch.tensor(-1.0, dtype=dtype))
     torch.testing.assert_close(samples[:, -1], wanted, rtol=close, atol=close)
     assert samples.shape == (3, 100, 1) and not touched.any()
@@ -45,8 +46,8 @@ def test_known_solutions(dtype, close):
 def test_a_stop_holds_what_moves_outwards_and_lets_go_what_moves_inwards():
     wall = Stops((0,), (1,), (-1.0,), (1.0,))
     x = torch.tensor([[0.99, 5.0], [-0.99, -5.0], [1.0, -2.0]], dtype=torch.float64)
-    samples, touched = Machine(SPRING, torch.float64).integrate(
-        x, torch.zeros(3, 1, dtype=torch.float64), 0.01, 1, wall
+    samples, touched = one_period(
+        Machine(SPRING, torch.float64), x, torch.zeros(3, 1, dtype=torch.float64), 0.01, 1, wall
     )
     assert samples[0, 0].tolist() == [1.0, 0.0] and samples[1, 0].tolist() == [-1.0, 0.0]
     assert samples[2, 0, 0] < 1.0 and samples[2, 0, 1] < -2.0
@@ -64,7 +65,7 @@ def test_a_flight_is_its_periods_one_by_one(dtype, rows, step):
     samples, touched = code.flight(x, u, 0.1, 2, wall)
     assert samples.shape == (60, *rows, 2, 2) and touched.shape == (60, *rows)
     for k in range(60):
-        wanted, hit = code.integrate(x, u[k], 0.1, 2, wall)
+        wanted, hit = one_period(code, x, u[k], 0.1, 2, wall)
         assert torch.equal(samples[k], wanted) and torch.equal(touched[k], hit)
         x = wanted[..., -1, :]
     assert touched.any() and not touched.all()
@@ -75,7 +76,7 @@ def test_a_program_is_compiled_once_whatever_its_constants(monkeypatch):
     monkeypatch.setattr(compiling, "compile_library", lambda *_: pytest.fail("compiled again"))
     other = Machine(Program(1, 1, DECAY.lines, DECAY.results, (0.0,)), torch.float64)
     one = torch.ones(1, 1, dtype=torch.float64)
-    assert other.integrate(one, one, 0.5, 1)[0].item() == 1.5
+    assert one_period(other, one, one, 0.5, 1)[0].item() == 1.5
 
 
 def test_a_formula_that_is_none_is_not_compiled():
@@ -100,13 +101,13 @@ def test_a_difference_equation_has_the_derivatives_of_its_steps(dtype):
     first, a1 = once(x)
     second, a2 = once(first)
     by_u = torch.tensor([[0.5], [0.0]], dtype=dtype)
-    samples, _ = code.integrate(x, u, 1.0, 9)
+    samples, _ = one_period(code, x, u, 1.0, 9)
     torch.testing.assert_close(samples, torch.stack([first, second], -2))
     a, b = code.sensitivities(x, u, 1.0, 9)
     torch.testing.assert_close(a, a2 @ a1)
     torch.testing.assert_close(b, a2 @ by_u + by_u)
     with pytest.raises(ValueError, match=r"0.7"):
-        code.integrate(x, u, 0.7, 1)
+        one_period(code, x, u, 0.7, 1)
     with pytest.raises(ValueError, match=r"0.7"):
         code.sensitivities(x, u, 0.7, 1)
 
@@ -117,11 +118,11 @@ X, U = torch.tensor([[0.9, 1.0]]), torch.ones(1, 1)
 
 def test_stops_may_be_counted_from_the_last_state():
     code = Machine(PUSHED)
-    samples, touched = code.integrate(X, U, 0.4, 4, Stops((-2,), (-1,), (-1.0,), (1.0,)))
+    samples, touched = one_period(code, X, U, 0.4, 4, Stops((-2,), (-1,), (-1.0,), (1.0,)))
     assert samples.tolist() == [[[1.0, 0.0]] * 4] and touched.tolist() == [True]
     for place in ((2, 1), (0, -3)):
         with pytest.raises(IndexError):
-            code.integrate(X, U, 0.4, 4, Stops(place[:1], place[1:], (-1.0,), (1.0,)))
+            one_period(code, X, U, 0.4, 4, Stops(place[:1], place[1:], (-1.0,), (1.0,)))
 
 
 def test_threads_that_need_the_same_code_at_once_all_get_it_and_no_file_stays(tmp_path, monkeypatch):
@@ -131,7 +132,7 @@ def test_threads_that_need_the_same_code_at_once_all_get_it_and_no_file_stays(tm
 
     def make():
         together.wait()
-        made.append(Machine(PUSHED).integrate(X, U, 0.1, 1)[0])
+        made.append(one_period(Machine(PUSHED), X, U, 0.1, 1)[0])
 
     threads = [threading.Thread(target=make) for _ in range(3)]
     for thread in threads:
@@ -150,7 +151,7 @@ def test_many_states_need_no_more_stack_than_a_thread_has(n, dtype):
     x, u = torch.ones(2, n, dtype=dtype), torch.zeros(2, 1, dtype=dtype)
 
     def work():
-        found.extend((code.integrate(x, u, 0.2, 2)[0], code.sensitivities(x, u, 0.2, 2)[0]))
+        found.extend((one_period(code, x, u, 0.2, 2)[0], code.sensitivities(x, u, 0.2, 2)[0]))
 
     before = threading.stack_size(512 * 1024)
     try:
@@ -173,7 +174,7 @@ for dtype in (torch.float32, torch.float64):
     code = Machine(Program(2, 1, (), ("0.0", " + ".join(f"{name}(x[0] * u[0])" for name in names))), dtype)
     x, u = torch.tensor(values, dtype=dtype).unsqueeze(-1).repeat(1, 2), torch.ones(len(values), 1, dtype=dtype)
     code.sensitivities(x, u, 0.1, 2)
-    gains = (code.integrate(x, u, 0.1, 1)[0][:, 0, 1] - x[:, 1]) / 0.1
+    gains = (code.flight(x, u.unsqueeze(0), 0.1, 1)[0][0, :, 0, 1] - x[:, 1]) / 0.1
     expected = sum(getattr(torch, "abs" if name == "fabs" else name)(x[0, 0]) for name in names)
     assert math.isclose(gains[0].item(), expected.item(), rel_tol=1e-4), (gains, expected)
     assert not gains[-1].isfinite()
