@@ -334,15 +334,12 @@ class Session:
 def _require_reached(signal: Excitation, levels: Array, signature: Signature) -> None:
     """Make sure that an excitation, `(N, n_u)`, stays within what the actuators reach."""
     low, high = np.array(signature.input_limits or (WHOLE,) * signature.n_u).T
-    offset, amplitude = signal.offset.numpy(), signal.amplitude.abs().numpy()
-    asked, given = np.stack([offset - amplitude, offset + amplitude]), np.stack([levels.min(0), levels.max(0)])
-    # What is asked for beyond -1 and 1 is cut off in the signal itself.
-    least, most = np.where(np.abs(asked).max(0) > 1 + ROUNDING, asked, given)
+    least, most = levels.min(0), levels.max(0)
     beyond = np.maximum(most - high, low - least)
     if not (beyond > ROUNDING).any():
         return
-    amplitude = np.minimum(amplitude, 0.5 * (high - low))
-    offset = np.clip(offset, low + amplitude, high - amplitude)
+    amplitude = np.minimum(signal.amplitude.abs().numpy(), 0.5 * (high - low))
+    offset = np.clip(signal.offset.numpy(), low + amplitude, high - amplitude)
     place, words = int(beyond.argmax()), [f"[{','.join(f'{v:.4g}' for v in values)}]" for values in (amplitude, offset)]
     raise ValueError(
         f"the excitation takes {signature.input_names[place]} from {least[place]:.3g} to {most[place]:.3g}, and its "
