@@ -100,6 +100,8 @@ class _Formatter(string.Formatter):
             return format_duration(value)
         if format_spec == "unit":
             return "" if value in ("", "-") else f" {value}"
+        if format_spec == "error":
+            return error_of(value)
         if format_spec.startswith("?"):
             return f" {format_spec[1:]}" if value else ""
         named = "." in format_spec[1:-1] and format_spec[0].isalpha()
@@ -141,15 +143,6 @@ def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skippe
     if skipped:
         what, then = "values", "they were skipped"
     return f"{rows} of {total} rows have {what} missing or not finite ({where}), the first in line {line}; {then}"
-
-
-def _unwrapped(state: str, turn: float, times: int, counts: bool) -> str:
-    scaled = {state: {"name": state, "unit": "rad", "scale": float(f"{2 * math.pi / turn:.6g}")}}
-    more = f"; if these are a turn, {setting('data.states', scaled)} gives rad" if counts or turn == 360 else ""
-    return (
-        f"{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do{more}; a unit that is "
-        "none of an angle keeps it as it is"
-    )
 
 
 LEFT_OUT = {
@@ -278,14 +271,6 @@ def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str
     return f"this model does not predict: over {over} it misses {said}; the last value held misses {than}"
 
 
-def _linear_better(state: str, seconds: float, error: float, linear: float, unit: str, far: bool) -> str:
-    why = "a function is missing, or a state that no sensor sees, as of a motor that follows its command slowly"
-    return (
-        f"a linear model on past samples predicts {state} {format_duration(seconds)} ahead to {error_of(linear)} "
-        f"{unit}, this one to {error_of(error)}: {why if far else 'something may be missing here'}"
-    )
-
-
 def verdict_lines(findings: Sequence[Finding]) -> list[str]:
     """Return a verdict: what is wrong comes first, then what limits a promise, then what is promised.
 
@@ -305,14 +290,6 @@ def _restarts(times: int, beyond: Sequence[Mapping[str, Any]]) -> str:
     return f"the excitation ended early and began anew at the start {times} times: {reasons}"
 
 
-def _stops(count: int, total: int, much: bool) -> str:
-    more = "; a smaller <excitation.amplitude>, or another <excitation.offset>, would leave more data" * much
-    return (
-        f"the excitation reached a mechanical stop in {count} of {total} control periods; the model is fitted to the "
-        f"others{more}"
-    )
-
-
 def _coarse_steps(apart: float | None, needed: int | None) -> str:
     mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
     if needed is not None:
@@ -322,28 +299,6 @@ def _coarse_steps(apart: float | None, needed: int | None) -> str:
         "the simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
         f"{elsewhere}, {mend}"
     )
-
-
-def _left(during: str, state: str, seconds: float, low: float, high: float, unit: str, bounded: bool) -> str:
-    where = "in the excitation" if during == "excitation" else "in the validation, under random inputs,"
-    went = f"left its bounds of {low:g} to {high:g} {unit}" if bounded else f"ran away, beyond {high:g} {unit},"
-    return f"{where} {state} {went} after {seconds:.3g} s; what came later was left out"
-
-
-def _returns(trained: float, untrained: float, scenario: str) -> str:
-    return f"its return in scenario '{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}"
-
-
-def _better(trained: float, untrained: float, scenario: str, percent: float, hardly: bool) -> str:
-    word = f"hardly better, by {percent:.2g} %," if hardly else "better"
-    return f"the trained policy is {word} than the untrained one: {_returns(trained, untrained, scenario)}"
-
-
-def _no_better(trained: float, untrained: float, scenario: str, episodes: bool) -> str:
-    found = f"there is no usable result: the trained policy is not better: {_returns(trained, untrained, scenario)}"
-    if not (math.isfinite(trained) and math.isfinite(untrained)):
-        return f"{found}; check the plant and the task's reward"
-    return f"{found}; train for more episodes" + ", or look in gate.csv whether the model was trusted" * episodes
 
 
 def _controlled(
@@ -708,7 +663,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.missing": _missing,
     "log.spikes": "{state} leaves its course for single samples, {count} in all, first in line {line} to {value:g}; "
     "they count as missing",
-    "log.unwrapped": _unwrapped,
+    "log.unwrapped": "{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do; a unit "
+    "that is none of an angle keeps it as it is",
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": "{count} gaps longer than 1.5 sampling times split the recording",
     "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines between the "
@@ -871,7 +827,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too: the plant seems to run "
     "away by itself, as a pole that falls, and no model predicts that for long without the controller; up to "
     "{seconds:time} ahead this model has at most half of the error of the last value held",
-    "model.linear_better": _linear_better,
+    "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "
+    "{unit}, this one to {error:error}: something may be missing here, a function or a state that no sensor sees, as "
+    "of a motor that follows its command slowly",
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be "
     "planned: the log hardly shows what the inputs do; record longer, and let every input change often and by much",
@@ -901,10 +859,15 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     # a run
     "plant.coarse_steps": _coarse_steps,
     "excitation.restarts": _restarts,
-    "excitation.stops": _stops,
-    "excitation.left": _left,
-    "run.better": _better,
-    "run.no_better": _no_better,
+    "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model "
+    "is fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
+    "excitation.left": "in the {during}, {state} left {low:g} to {high:g} {unit} after {seconds:.3g} s; what came "
+    "later was left out",
+    "run.better": "the trained policy is better than the untrained one{hardly:?(hardly)}: its return in scenario "
+    "'{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}",
+    "run.no_better": "there is no usable result: the trained policy's return in scenario '{scenario}' is "
+    "{trained:.6g}, the untrained policy's {untrained:.6g}; check the plant and the task's reward, or train for more "
+    "episodes{episodes:?and look in gate.csv whether the model was trusted}",
     "run.controlled": _controlled,
     "run.gate_closed": _distrusted,
     # what a controller will do
