@@ -56,8 +56,6 @@ FEWEST, MOST = 40, 200
 """Samples before a start on which its states may be estimated, at least where there are so many, and at most."""
 SOONEST, SLOWEST = 0.02, 3
 """First and last time ahead over which candidates are judged [times in which the slowest state changes]."""
-RUNAWAY = 3.0
-"""Standard deviations of a state beyond which an error is of a model that runs away."""
 LOST = 1e3
 """Times the error of the best simple model that counts at most, as of a candidate that runs away."""
 ROWS, FINAL_ROWS = 10_000, 100_000
@@ -83,11 +81,9 @@ PRICES = (1.0, 2.0)
 HOPELESS = 1.0
 """Score behind the best one beyond which nothing dearer is tried of a candidate."""
 LEADERS = 3
-"""Models with other functions each that longer simulations are fitted by, those first that predict best."""
+"""Models that longer simulations are fitted by, those first that predict best."""
 MANY = 80
 """Functions up to which regressions choose among all of them, and beyond which those of one factor come first."""
-STRUCTURES = 2
-"""Linear models of other states each to which functions are added, those first that predict best."""
 SHARE, LARGEST_SHARE, LAST_SHARE = 0.25, 0.5, 0.15
 """Part of the time that states that follow a signal may take, any one candidate, and the last fit."""
 CUBIC = 6
@@ -100,8 +96,6 @@ EXACT = 1e-5
 """Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
-SIGNIFICANT, NEGLIGIBLE = 2.0, 1e-6
-"""Standard errors, and part of the largest term of an equation, below which a coefficient may be left out."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
 """What a fit raises where numbers run away, or where there are too few samples."""
 
@@ -384,14 +378,13 @@ class _Search:
         return all(map(HoldOut.exact, self.folds, self.best.errors))
 
     def _try_all(self) -> None:
-        """Try linear equations of several structures, then functions, longer windows and fewer coefficients."""
+        """Try linear equations of several structures, then functions and longer windows."""
         structures = list(self._structures())
         self._single_steps(structures)
         if self.builder is None:
             self._regressed(*structures[-1])
         for structure in structures:
             self._linear(*structure)
-        self._shorten()
         linear = sorted((each for each in self.tried if each.structure is not None), key=lambda each: each.score)
         if linear:
             linear[0] = self._with_linear_inputs(linear[0])
@@ -407,39 +400,8 @@ class _Search:
             self._with_larger_library()
             if self._with_lag_states(before := self.best) is not before:
                 self._with_larger_library()
-        for each in self._leaders() if self.tried else ():
+        for each in self._near(sorted(self.tried, key=lambda each: each.score))[:LEADERS] if self.tried else ():
             self._windows(each)
-        for each in self._near(linear)[1:STRUCTURES]:
-            before = self.best
-            self._select(each)
-            if self.best is not before:
-                self._windows(self.best)
-        if self.tried:
-            self._prune()
-
-    def _shorten(self) -> None:
-        """Judge over shorter horizons where every candidate runs away, as on a plant that is not stable."""
-        judged = [[each.errors[k] for each in self.tried if k < len(each.errors)] for k in range(len(self.folds))]
-        folds = [
-            fold.within(torch.stack(errors) / RUNAWAY) if errors else fold
-            for fold, errors in zip(self.folds, judged, strict=True)
-        ]
-        if all(len(new.steps) == len(old.steps) for new, old in zip(folds, self.folds, strict=True)):
-            return
-        self.folds = folds
-        for k, old in enumerate(self.tried):
-            parts = zip(folds[: len(old.errors)], old.models, strict=False)
-            errors = [fold.errors(model, old.source) for fold, model in parts]
-            self.tried[k] = replace(old, errors=errors, score=self._score(old.model, old.source, errors))
-
-    def _leaders(self) -> list[Candidate]:
-        """Return the best candidates whose equations have different functions."""
-        found: dict[object, Candidate] = {}
-        for each in sorted(self.tried, key=lambda each: each.score):
-            used = (each.model.coefficients != 0).any(-1).nonzero().flatten().tolist()
-            functions = frozenset(_kind(each.model.library.features[k]) for k in used)
-            found.setdefault((each.model.signature.state_names, functions), each)
-        return self._near(list(found.values()))[:LEADERS]
 
     def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return those that are not hopelessly behind the best one."""
@@ -452,10 +414,9 @@ class _Search:
         source: Source,
         settings: Refinement,
         structure: SindyModel | None = None,
-        pruned: bool = False,
     ) -> Candidate | None:
         """Fit copies of a model to what is not kept, and judge them."""
-        if self.tried and (self.expired or (self._exact() and not pruned)):
+        if self.tried and (self.expired or self._exact()):
             return None
         fitted, errors, candidate = list[SindyModel](), list[Tensor](), None
         with _attempt(), reporting_as(what):
@@ -673,21 +634,6 @@ class _Search:
         if best is not of:
             self._select(best)
 
-    def _prune(self) -> None:
-        """Leave out coefficients that the data do not tell, one after the other, where kept data do not miss them."""
-        while not self.expired:
-            best, place = self.best, _least_significant(self.best.model)
-            if place is None:
-                return
-            models = [_warm_started(model) for model in best.models]
-            for model in models:
-                assert model.initial is not None
-                model.initial[place] = 0.0
-            settings = replace(best.settings, rounds=0, select=False)
-            found = self._fit(f"{best.what}, without one", models, best.source, settings, pruned=True)
-            if found is None or self.best is best:
-                return
-
     def _final(self, best: Candidate, stopped: bool = False) -> LogFit:
         """Fit the best candidate to all training data, or to the part that it was fitted to where there is no time.
 
@@ -754,11 +700,6 @@ def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> Sin
     return _with_library(model, model.library.subset(places), model.constraints.free[places])
 
 
-def _kind(feature: Feature) -> object:
-    """Return what two functions have in common that differ in the numbers inside."""
-    return frozenset((factor.function, factor.variables, factor.power) for factor in feature.factors)
-
-
 def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:
     """Return a model that begins at the linear equations that a regression finds, its inputs late [s]."""
     late, rates, library = delay_and_trim(data, delay), rate_states(model.library, model.constraints), model.library
@@ -810,19 +751,3 @@ def _unfitted(factor: Factor) -> Factor:
 
 def _better(first: Candidate, second: Candidate | None) -> Candidate:
     return first if second is None or first.score <= second.score else second
-
-
-def _least_significant(model: SindyModel) -> tuple[int, int] | None:
-    """Return the free coefficient that the data tell least, if its sign or that it matters is not told; else None."""
-    known = model.covariance
-    if known is None:
-        return None
-    errors, x = known.factor.norm(dim=-1), torch.tensor([model.signature.x_scale], dtype=torch.float64)
-    values = model.coefficients[known.features, known.states].abs()
-    effects = model.coefficients.abs() * model.library(x, torch.ones(1, model.signature.n_u)).abs().mT
-    shares = (effects / effects.amax(0).clamp_min(1e-300))[known.features, known.states]
-    ratio = torch.minimum(values / errors.clamp_min(1e-300), SIGNIFICANT * shares / NEGLIGIBLE).nan_to_num(0.0)
-    if not len(ratio) or float(ratio.min()) >= SIGNIFICANT:
-        return None
-    k = int(ratio.argmin())
-    return int(known.features[k]), int(known.states[k])
