@@ -21,25 +21,20 @@ import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note
-from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.reconstruction import BRIEF, RegressionData, half_bump, has_gaps, rate_states, reconstruct
-from dynasindy.sindy.regression import Rows, RunningSums, least_squares
+from dynasindy.sindy.regression import Rows, RunningSums
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.systems.transitions import Transitions
 
-TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
-"""Times that regressions try of a state that follows an input [samples]."""
-LONGER = (*TIMES, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
-"""The same of one that follows a measured state, which may be far slower than that: as far as `SLOWEST` allows."""
+TIMES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
+"""Times that regressions try [samples], as far as `SLOWEST` allows: a store may be far slower than what fills it."""
 SLOWEST = 0.25
 """Longest time that is tried [lengths of the longest stretch]."""
-PARTS = (0.0, 0.25, 0.5, 0.75)
-"""Parts of a model's delay that are tried beside all of it."""
-FORGOTTEN = math.log(1000.0)
-"""Times after which it no longer matters where a state that follows an input began: a part in 1000 is left."""
+PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Parts of a model's delay that are tried."""
 
 
 @dataclass(frozen=True)
@@ -81,17 +76,31 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return []
     data = data.to(torch.float64).select(choose_stretches(len(data), BRIEF))
-    keep = rows_after_delay(data, model.delay)
-    longest, dt = model.delay, data.dt  # shorter delays in whole samples
-    delays = sorted({*(round(part * longest / dt) * dt for part in PARTS if part * longest < longest), longest})
-    late = {delay: delay_inputs(data, delay).select(keep) for delay in delays}
+    keep, stretches = rows_after_delay(data, model.delay), len(data.segment.unique())
+    enough = max(len(data) // 2, 2 * len(model.library)) + stretches
+    longest = SLOWEST * int(torch.bincount(data.segment - data.segment.min()).max()) if len(data) >= enough else 0
+    times = [n * data.dt for n in TIMES if n <= longest]
+    # Shorter delays in whole samples.
+    delays = dict.fromkeys(
+        model.delay if part == 1 else round(part * model.delay / data.dt) * data.dt for part in PARTS
+    )
+    late = {delay: _Recording.of(model, delay_inputs(data, delay).select(keep)) for delay in delays}
     # What may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought.
-    measured, found = ~data.x.isnan().all(0), []
+    measured, found, alone = ~data.x.isnan().all(0), [], late[model.delay]
+    plain = alone.unexplained(model, alone.seen.rows(model.library, model.library))
     names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
     for signal in (*model.signature.input_names, *names):
-        plain = _Search(model, late[model.delay], signal)
-        tried = [_Search(model, other, signal, delay).best(plain) for delay, other in late.items()]
-        found += sorted((trial for trial in tried if trial), key=lambda trial: -trial.gain)[:1]
+        wide = with_lag_state(model, signal)
+        rows = {(delay, time): each.led(wide, signal, time) for delay, each in late.items() for time in times}
+        costs = {key: late[key[0]].unexplained(wide, each) for key, each in rows.items()}
+        if not costs:
+            continue
+        delay, time = best = min(costs, key=costs.__getitem__)
+        gain, count = plain - costs[best], len(rows[best][0])
+        # Of two numbers more each is worth half of that; what hardly lags stands for a rate, which explains itself.
+        if gain > math.log(count) and (signal in model.signature.input_names or time > times[0]):
+            wide.initial, wide.initial_delay = _solved(wide, rows[best], time), delay
+            found.append(LagStateCandidate(wide, signal, gain / count))
     return sorted(found, key=lambda trial: -trial.gain)
 
 
@@ -101,128 +110,68 @@ def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
     return rate, bool(model.constraints.free[:, rate].any())
 
 
-class _Search:
-    """Regressions of the rates of change on functions of a signal that was led through lags of many times."""
+@dataclass(frozen=True)
+class _Recording:
+    """A recording under inputs that act late, as regressions of the rates of change read it."""
 
-    def __init__(self, model: SindyModel, data: Transitions, signal: str, delay: float = 0.0) -> None:
-        self.model, self.data, self.signal, self.delay = model, data.to(torch.float64), signal, delay
-        self.rates, self.noisy = rate_states(model.library, model.constraints), not bool(has_gaps(data))
-        self.guess = reconstruct(data, self.rates, self.noisy)
-        self.input = signal in model.signature.input_names
-        place = (model.signature.input_names if self.input else model.signature.state_names).index(signal)
-        held = self.guess.mean_inputs if self.input else 0.5 * (self.guess.x + self.guess.x_next)
-        self.follows, self.moved = held[:, place], place if self.input else _moved(model, place)[0]
+    seen: RegressionData
 
-    def best(self, plain: _Search) -> LagStateCandidate | None:
-        """Return the model of the time with which all functions together explain most; None where none does.
+    @classmethod
+    def of(cls, model: SindyModel, data: Transitions) -> _Recording:
+        rates, noisy = rate_states(model.library, model.constraints), not bool(has_gaps(data))
+        return cls(RegressionData(reconstruct(data, rates, noisy), data, rates, half_bump(data)))
 
-        Args:
-            plain: The same under the inputs of the model as it is: what its functions explain is to be outdone.
+    def led(self, wide: SindyModel, signal: str, time: float) -> Rows:
+        """Return averaged functions and rates of change under a state that follows a signal with so much time [s].
+
+        Where that began is not known: behind the functions stands what decays from there, a column for each stretch.
         """
-        times, keep = self._times()
-        if not times:
-            return None
-        left, half = plain.left(keep), half_bump(self.data.select(keep))
-        costs = {time: self._cost(time, keep, half) for time in times}
-        time = min(costs, key=costs.__getitem__)
-        if not self.input and time == times[0]:  # what hardly lags stands for a rate of change, which explains itself
-            return None
-        gain = left - costs[time]
-        wide = with_lag_state(self.model, self.signal)
-        rows = self._rows(wide, time, keep, half)
-        if not gain > math.log(len(rows[0])):  # of two numbers more, each worth half of that
-            return None
-        wide.initial, wide.initial_delay = self._solved(wide, rows, time), self.delay
-        return LagStateCandidate(wide, self.signal, gain / len(rows[0]))
-
-    def left(self, keep: Tensor) -> float:
-        """Return N/2 log of what is left over without the state, of rows bool `(N,)`."""
-        seen = RegressionData.of(self.guess.select(keep), self.data.select(keep), self.rates, self.noisy)
-        free = self.model.constraints.free
-        fixed = torch.where(free, 0.0, self.model.coefficients)
-        theta, dx = seen.rows(self.model.library, generate(self.model.library, self.model.coefficients))
-        return unexplained(free, theta, dx - theta @ fixed)
-
-    def _times(self) -> tuple[list[float], Tensor]:
-        """Return the times that are tried [s], and rows in which the states that follow are known, bool `(N,)`.
-
-        Where a state that follows an input began is not known, and times that leave less than half of the samples known
-        are not tried. Where one began that follows a measured state is told by the regression.
-        """
-        data, enough = self.data, max(len(self.data) // 2, 2 * len(self.model.library))
-        longest = SLOWEST * int(torch.bincount(data.segment - data.segment.min()).max())
-        if not self.input:
-            every, stretches = torch.ones(len(data), dtype=torch.bool), len(data.segment.unique())
-            return [n * data.dt for n in LONGER if n <= longest and len(data) >= enough + stretches], every
-        for n in reversed(TIMES):
-            keep = rows_after_delay(data, FORGOTTEN * n * data.dt)
-            if int(keep.sum()) >= enough:
-                return [m * data.dt for m in TIMES if m <= n], keep
-        return [], keep
-
-    def _cost(self, time: float, keep: Tensor, half: int) -> float:
-        """Return N/2 log of what is left over; infinite of a store that would drive what fills it."""
-        wide = with_lag_state(self.model, self.signal)
-        theta, dx = self._rows(wide, time, keep, half)
-        free = self._free(wide, theta)
-        if not self.input:
-            mine = free[:, self.moved]
-            own = int(mine[: len(wide.library)].sum()) - 1
-            if not float(least_squares(theta[:, mine], dx[:, self.moved])[own]) < 0:
-                return math.inf
-        fixed = torch.zeros_like(free, dtype=theta.dtype)
-        fixed[: len(wide.library)] = wide.coefficients
-        return unexplained(free, theta, dx - theta @ torch.where(free, 0.0, fixed))
-
-    def _free(self, wide: SindyModel, theta: Tensor) -> Tensor:
-        """Return which columns the regression of each state may have, bool `(n_columns, n_x)`; none of the follower."""
-        free = torch.zeros(theta.shape[1], wide.signature.n_x, dtype=torch.bool)
-        free[: len(wide.library)] = wide.constraints.free
-        free[len(wide.library) :, self.moved] = True
-        free[:, -1] = False
-        return free
-
-    def _rows(self, wide: SindyModel, time: float, keep: Tensor, half: int) -> Rows:
-        """Return averaged functions and rates of change under a state that follows with so much time [s].
-
-        Where a state that follows a measured one began is not known: behind the functions stands what decays from
-        there, a column for each stretch.
-        """
-        starts, ends = _lag_dynamics(self.follows, self.data, time)
-        own, n_x = [starts.unsqueeze(-1)], wide.signature.n_x
-        own_next = [ends.unsqueeze(-1)]
-        if not self.input:
-            own.append(self._decays(time))
-            own_next.append(own[-1] * math.exp(-self.data.dt / time))
-        guess = replace(
-            self.guess, x=torch.cat([self.guess.x, *own], -1), x_next=torch.cat([self.guess.x_next, *own_next], -1)
+        guess, names, n_x = self.seen.guess, wide.signature, wide.signature.n_x
+        if signal in names.input_names:
+            level = guess.mean_inputs[:, names.input_names.index(signal)]
+        else:
+            level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
+        _, stretch = guess.segment.unique_consecutive(return_inverse=True)
+        since = (torch.arange(len(guess)) - guess.segment_starts()).double().unsqueeze(-1) * guess.dt
+        began = torch.exp(-since / time) * torch.nn.functional.one_hot(stretch)
+        ends = began * math.exp(-guess.dt / time)
+        own = (
+            torch.cat([each.unsqueeze(-1), left], -1)
+            for each, left in zip(_lag_dynamics(level, guess, time), (began, ends), strict=True)
         )
-        measured = widened(self.data, guess.x.shape[1] - n_x + 1)
+        x, x_next = (torch.cat([states, each], -1) for states, each in zip((guess.x, guess.x_next), own, strict=True))
+        measured = widened(self.seen.measured, x.shape[1] - n_x + 1)
 
         def _theta(x: Tensor, u: Tensor) -> Tensor:
             return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
 
-        seen = RegressionData(guess.select(keep), measured.select(keep), self.rates, half)
-        theta, dx = seen.rows(_theta, _theta)  # where a state was not measured no field is asked for
+        seen = replace(self.seen, guess=replace(guess, x=x, x_next=x_next), measured=measured)
+        theta, dx = seen.rows(_theta, _theta)
         return theta, dx[:, :n_x]
 
-    def _decays(self, time: float) -> Tensor:
-        """Return what is left of 1 at the begin of each interval since its stretch began, a column for each stretch."""
-        _, stretch = self.data.segment.unique_consecutive(return_inverse=True)
-        since = torch.arange(len(stretch)) - self.data.segment_starts()
-        left = torch.exp(-self.data.dt / time * since.double())
-        return left.unsqueeze(-1) * torch.nn.functional.one_hot(stretch)
+    def unexplained(self, model: SindyModel, rows: Rows) -> float:
+        """Return N/2 log of what is left over."""
+        free, fixed = _columns(model, rows, torch.where(model.constraints.free, 0.0, model.coefficients))
+        return unexplained(free, rows[0], rows[1] - rows[0] @ fixed)
 
-    def _solved(self, wide: SindyModel, rows: Rows, time: float) -> Tensor:
-        """Return the coefficients that the regression of a model finds."""
-        theta = rows[0]
-        sums = RunningSums(theta.shape[1], wide.signature.n_x)
-        sums.add(rows)
-        fixed = torch.zeros(theta.shape[1], wide.signature.n_x, dtype=theta.dtype)
-        fixed[: len(wide.library)] = wide.constraints.offset
-        found = wide.regression.solve(sums, self._free(wide, theta), fixed)[: len(wide.library)]
-        found[-1, -1] = 1 / time
-        return found
+
+def _columns(model: SindyModel, rows: Rows, given: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where coefficients of rows are sought, and those that are given, both `(n_columns, n_x)`."""
+    more, free = rows[0].shape[1] - len(model.library), model.constraints.free
+    # What decays may act wherever a coefficient is sought, but for the equation of the state that follows.
+    free = torch.cat([free, free.any(0).expand(more, -1)])
+    if more:
+        free[:, -1] = False
+    return free, torch.nn.functional.pad(given, (0, 0, 0, more))
+
+
+def _solved(wide: SindyModel, rows: Rows, time: float) -> Tensor:
+    """Return the coefficients that the regression of a model finds."""
+    sums = RunningSums(rows[0].shape[1], wide.signature.n_x)
+    sums.add(rows)
+    found = wide.regression.solve(sums, *_columns(wide, rows, wide.constraints.offset))[: len(wide.library)]
+    found[-1, -1] = 1 / time
+    return found
 
 
 def with_lag_state(model: SindyModel, signal: str) -> SindyModel:
