@@ -24,7 +24,6 @@ from dynasindy.sindy.delay import (
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step
 from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates, has_gaps, rate_states
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
@@ -214,17 +213,13 @@ class _Fit:
         if not late and not bool(found[1].any()):  # no function is left to follow, step by step or further
             return Refined(*found, delay)
         method, noisy, findings = self._chosen(*found, delay)
-        left = known = None
-        guess, free = fit.recording.guessed(delay), fit.constraints.free
         if method == "one_step":
-            found = refine_one_step(*found, free, guess, self.settings.tolerance)
-            left = one_step_errors(*found, guess)
-        if method != "trajectory" and bool(found[1].any()):
-            if method == "one_step":
-                known = one_step_covariance(*found, free, guess, self.settings.tolerance)
-            else:
+            refined = fit._by_single_steps(found, delay)
+        else:
+            free, known = fit.constraints.free, None
+            if method == "integral" and bool(found[1].any()):
                 known = of_rates(found[1], free, *fit._brief.seen(delay).rows(found[0], generate(*found)))
-        refined = Refined(*found, delay, covariance=known, missed=left)
+            refined = Refined(*found, delay, covariance=known)
         if method == "trajectory":
             if noisy and not hidden:
                 fit, found = fit._smoothed(found, delay)
@@ -268,6 +263,18 @@ class _Fit:
         worth, whole = math.log(max(len(brief.data), 2)), found[0].step is not None
         fine = refine_delay(rough, brief.data.dt, self.longest, worth, _cost, whole)
         return rough if abs(fine - rough) < ALIKE * brief.data.dt else fine
+
+    def _by_single_steps(self, first: Model, delay: float) -> Refined:
+        """Return the model of least one-step error, that of trajectories of one interval without noise."""
+        data, (library, xi) = self.recording.guessed(delay), first
+        change = data.x_next - data.x
+        floor = self.settings.tolerance * change.square().mean(0).sqrt()
+        descent = Descent(1, joined=False, floor=floor, select=self.settings.select, penalty=self.settings.penalty)
+        flow = refine_trajectory(library, xi, self.constraints.free, data, descent)
+        parts = (data.x_next - flow.predicted[:, 0]).norm(dim=0) / change.norm(dim=0).clamp_min(1e-300)
+        missed = dict(zip(library.signature.state_names, parts.tolist(), strict=True))
+        model = flow.estimate.library, flow.estimate.xi
+        return Refined(*model, delay, covariance=shooting_covariance(flow), missed=missed)
 
     def _by_trajectories(self, first: Model, rough: float) -> Refined:
         """Return the model that trajectories tell, and the delay."""

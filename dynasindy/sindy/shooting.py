@@ -52,6 +52,7 @@ class Windows:
             them the delay after which they act is fitted, without `inputs` stay as they are.
         gain_mask: where the gain of an observer is fitted, bool `(n_x, n_x)`: which state each measured one corrects;
             without, windows are simulated from their start.
+        floor: errors that are as good as none, `(n_x,)`; with them each window begins where it was measured.
     """
 
     rows: Tensor
@@ -66,6 +67,7 @@ class Windows:
     last_inputs: Tensor | None = None
     history: Tensor | None = None
     gain_mask: Tensor | None = None
+    floor: Tensor | None = None
 
     @classmethod
     def of(
@@ -163,6 +165,7 @@ class Descent:
         select: whether functions come in and go; if not, those of the first estimate stay.
         penalty: factor on that price.
         gain_mask: where the gain of an observer is fitted, see `Windows`; None of simulations.
+        floor: errors that are as good as none, where samples have no noise, see `Windows`; else None.
     """
 
     window: int
@@ -172,6 +175,7 @@ class Descent:
     select: bool = True
     penalty: float = 1.0
     gain_mask: Tensor | None = None
+    floor: Tensor | None = None
 
 
 STEP = 1e-3
@@ -180,9 +184,9 @@ EXACT = 1e-100
 """Error taken for that of a state that is met exactly, as one that never moves; its inverse has a finite square."""
 ROUNDING = 1e-12
 """Part of a state below which errors are those of arithmetic, which differ from processor to processor."""
-FINE, COARSE, STABLE, MOST_STEPS = 0.1, 0.3, 1.5, 10
-"""Runge-Kutta step times the fastest rate of the model: for an error of 1e-7, for one of 2e-5, by which functions
-are compared, and the most that is stable; and how many steps of an interval the first two may ask for."""
+FINEST, FINE, COARSE, STABLE, MOST_STEPS = 0.02, 0.1, 0.3, 1.5, 10
+"""Runge-Kutta step times the fastest rate of the model: for errors of 1e-9, 1e-7, and 2e-5, by which functions are
+compared, and the most that is stable; and how many steps of an interval the first three may ask for."""
 
 
 @dataclass
@@ -323,7 +327,8 @@ class Flow:
         error = (windows.measured - self.predicted) * windows.mask
         size = (windows.measured * windows.mask).square().sum((0, 1))
         squares = (error.square().sum((0, 1)), ROUNDING**2 * size)
-        return (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
+        found = (torch.maximum(*squares) / windows.mask.sum((0, 1)).clamp_min(1)).sqrt().clamp_min(EXACT)
+        return found if windows.floor is None else found.maximum(windows.floor)
 
 
 def _states_of(estimate: Estimate, windows: Windows) -> Tensor:
@@ -526,7 +531,7 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         places = parameters.features, parameters.states
         norms = torch.cat([norms.unsqueeze(0), *rest]).norm(dim=0)
         rest.append(_scale_constraints(exponents, estimate.xi, norms, places))
-    return triangles, torch.cat([triangles[0][:0], *rest]), torch.cat(moves)
+    return triangles, torch.cat([triangles[0][:0], *rest]), torch.cat(moves) if windows.floor is None else moves[0]
 
 
 def _observed(windows: Windows) -> Tensor:
@@ -602,9 +607,14 @@ def _small(flow: Flow, width: int) -> Tensor:
 def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
     """Return weighted rows of windows on their own, `(W (L + 1) n_seen, F + P + 1)`, and how their nodes move.
 
-    Each node moves as fits its window best, which leaves no unknown of its own (variable projection).
+    Each node moves as fits its window best, which leaves no unknown of its own (variable projection). None moves where
+    windows begin as they were measured, which one row tells.
     """
     n_x = flow.predicted.shape[-1]
+    if flow.windows.floor is not None:
+        error = flow.windows.measured - flow.predicted
+        rows = torch.cat([flow.s[..., n_x:], error.unsqueeze(-1)], -1) / sigma.unsqueeze(-1)
+        return rows[:, :, observed].flatten(0, 2), rows.new_zeros(1, n_x, rows.shape[-1])
     rows = _every(flow, observed).div_(sigma[observed].unsqueeze(-1)).flatten(1, 2)
     # A trial step may run away: its cost is infinite whatever these are, but the solver takes finite numbers alone.
     finite = rows.nan_to_num(0.0, 0.0, 0.0)

@@ -20,6 +20,7 @@ from dynasindy.sindy.shooting import (
     COARSE,
     ENOUGH,
     FINE,
+    FINEST,
     Descent,
     Estimate,
     Flow,
@@ -322,7 +323,8 @@ def refine_trajectory(
     part, descent = data.select(some), _priced(int(some.sum()))
     some_before = None if before is None else before[some]
     first = Estimate(library, xi, guess[some], delay, gain)
-    flow = _grown(first, (xi != 0) & free, part, descent, COARSE, some_before)
+    turned = COARSE if descent.floor is None else FINEST
+    flow = _grown(first, (xi != 0) & free, part, descent, turned, some_before)
     found, windows = flow.estimate, flow.windows
     # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
     seen = not bool(data.x_next.isnan().any())
@@ -339,7 +341,8 @@ def refine_trajectory(
         found = _search_functions(found, free, windows, descent)
     if not bool(some.all()):
         support = (found.xi != 0) & free
-        flow = _grown(replace(found, nodes=guess), support, data, replace(descent, joined=joined), before=before)
+        turned, again = min(turned, FINE), replace(descent, joined=joined)
+        flow = _grown(replace(found, nodes=guess), support, data, again, turned, before)
         whole, windows = flow.estimate, flow.windows
         if joined is None:
             windows = replace(windows, joined=_grows(flow)[1])
@@ -371,7 +374,8 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -
     support = (found.xi != 0) & free
     if not bool(support.any()):
         return found, windows
-    wanted = substeps_for(relative_step(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt))
+    turn = relative_step(found.library, found.xi, found.nodes, windows.inputs[:, 0], windows.dt)
+    wanted = substeps_for(turn, FINE if windows.floor is None else FINEST)
     if wanted <= windows.substeps:
         return found, windows
     windows = replace(windows, substeps=wanted)
@@ -406,7 +410,7 @@ def _grown(
     support: Tensor,
     data: Transitions,
     descent: Descent,
-    turned: float = FINE,
+    turned: float,
     before: Tensor | None = None,
 ) -> Flow:
     """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away.
@@ -416,11 +420,12 @@ def _grown(
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
     guess, length = estimate.nodes, descent.window
-    prior = likely(estimate.library, estimate.xi, guess, data, length)
+    # Samples without noise tell every coefficient.
+    prior = likely(estimate.library, estimate.xi, guess, data, length) if descent.floor is None else None
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = Windows.of(data, length, descent.joined is not False, substeps, before)
-        windows = replace(windows, likely=prior, gain_mask=descent.gain_mask)
+        windows = replace(windows, likely=prior, gain_mask=descent.gain_mask, floor=descent.floor)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 

@@ -7,9 +7,8 @@ import pytest
 import torch
 from scipy.optimize import least_squares
 
-from dynasindy.sindy import one_step_fit
-from dynasindy.sindy.library import CONSTANT, Library, variable
-from dynasindy.sindy.one_step_fit import one_step_covariance, one_step_errors, refine_one_step
+from dynasindy.sindy import Refinement, shooting
+from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -18,9 +17,10 @@ LIBRARY = Library(SIGNATURE, [variable("y"), variable("u"), CONSTANT, variable("
 A, B, DT = -2.0, 3.0, 0.05
 
 
-def coefficients_of(refine, *args):
-    """Coefficients that a refinement finds; the library comes back as it was."""
-    return refine(*args)[1]
+def refined(xi, free, data, tolerance):
+    """What single steps tell, from a first model on."""
+    constraints = Constraints(free, torch.where(free, 0.0, xi))
+    return Refinement("one_step", rounds=0, tolerance=tolerance).run(LIBRARY, xi, constraints, data)
 
 
 def recording(noise: float = 0.0, n: int = 400, seed: int = 0) -> Transitions:
@@ -41,16 +41,18 @@ FREE = torch.ones(4, 1, dtype=torch.bool)
 
 
 def test_the_part_of_the_changes_that_steps_miss_is_that_of_the_closed_form():
-    """y' = A y changes y by (exp(A dt) - 1) y over a step."""
+    """y' = a y changes y by (exp(a dt) - 1) y over a step; the best a is that of the regression of all steps."""
     x = torch.tensor([[0.3], [-1.0], [2.0]], dtype=torch.float64)
-    moved = Transitions(x, 0 * x, math.exp(A * DT) * x, DT, torch.zeros(3, dtype=torch.long))
-    wanted = (math.exp(1.1 * A * DT) - math.exp(A * DT)) / (math.exp(A * DT) - 1)
-    assert one_step_errors(LIBRARY, column(1.1 * A, 0.0, 0.0, 0.0), moved) == {"y": pytest.approx(wanted, rel=1e-6)}
-    assert one_step_errors(LIBRARY, column(A, 0.0, 0.0, 0.0), moved)["y"] < 1e-8
+    after = math.exp(A * DT) * x + torch.tensor([[0.01], [0.0], [0.0]])
+    moved = Transitions(x, 0 * x, after, DT, torch.zeros(3, dtype=torch.long))
+    phi = float((x * after).sum() / x.square().sum())
+    wanted = float((after - phi * x).norm() / (after - x).norm())
+    found = refined(column(A, 0.0, 0.0, 0.0), torch.tensor([[True], [False], [False], [False]]), moved, 1e-9)
+    assert found.missed == {"y": pytest.approx(wanted, rel=1e-6)}
 
 
 def test_from_a_poor_first_model_the_plant_is_found_to_nine_digits():
-    found = coefficients_of(refine_one_step, LIBRARY, column(-1.0, 2.0, 0.5, 0.2), FREE, recording(), 1e-9)
+    found = refined(column(-1.0, 2.0, 0.5, 0.2), FREE, recording(), 1e-9).coefficients
     assert found[2:].flatten().tolist() == [0.0, 0.0]
     assert found[:2].flatten().tolist() == pytest.approx([A, B], rel=1e-8)
 
@@ -60,25 +62,24 @@ def test_with_process_noise_it_is_the_least_squares_fit_of_the_discrete_form():
     rows = torch.cat([data.x, data.u], -1).numpy()
     phi, gamma = np.linalg.lstsq(rows, data.x_next.numpy().ravel(), rcond=None)[0]
     a = math.log(phi) / DT
-    found = coefficients_of(
-        refine_one_step, LIBRARY, column(A, B, 0.0, 0.0), torch.tensor([[True], [True], [False], [False]]), data, 1e-9
-    )
+    found = refined(column(A, B, 0.0, 0.0), torch.tensor([[True], [True], [False], [False]]), data, 1e-9).coefficients
     assert found[:2].flatten().tolist() == pytest.approx([a, gamma * a / (phi - 1)], rel=1e-6)
     assert abs(a - A) > 1e-3  # the noise does move the estimate
 
 
 def test_a_recording_is_fitted_block_by_block_as_it_is_at_once(monkeypatch):
     data, xi = recording(0.05), column(-1.0, 2.0, 0.0, 0.0)
-    whole = refine_one_step(LIBRARY, xi, FREE, data, 1e-9)[1], one_step_covariance(LIBRARY, xi, FREE, data, 1e-9)
-    monkeypatch.setattr(one_step_fit, "CHUNK", 40)
-    found, known = refine_one_step(LIBRARY, xi, FREE, data, 1e-9)[1], one_step_covariance(LIBRARY, xi, FREE, data, 1e-9)
-    torch.testing.assert_close(found, whole[0], rtol=1e-9, atol=1e-12)
-    torch.testing.assert_close(known.factor, whole[1].factor, rtol=1e-6, atol=1e-9)
+    whole = refined(xi, FREE, data, 1e-9)
+    monkeypatch.setattr(shooting, "CHUNK", 40)
+    monkeypatch.setattr(shooting, "MOST_SLOPES", 40)
+    found = refined(xi, FREE, data, 1e-9)
+    torch.testing.assert_close(found.coefficients, whole.coefficients, rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(found.covariance.factor, whole.covariance.factor, rtol=1e-6, atol=1e-9)
 
 
 def test_coefficients_that_are_not_free_stay():
     free = torch.tensor([[True], [False], [False], [False]])
-    found = coefficients_of(refine_one_step, LIBRARY, column(-1.0, 2.5, 0.0, 0.0), free, recording(), 1e-6)
+    found = refined(column(-1.0, 2.5, 0.0, 0.0), free, recording(), 1e-6).coefficients
     assert found[1, 0] == 2.5 and found[2:].flatten().tolist() == [0.0, 0.0]
 
     def errors(a):
@@ -93,10 +94,10 @@ def test_standard_errors_are_those_of_the_discrete_form_and_of_the_scatter():
     fits, stated, support = [], [], torch.tensor([[True], [True], [False], [False]])
     for seed in range(40):
         data = recording(0.02, 400, seed)
-        library, xi = refine_one_step(LIBRARY, column(A, B, 0.0, 0.0), support, data, 1e-9)
-        known = one_step_covariance(library, xi, support, data, 1e-9)
+        found = refined(column(A, B, 0.0, 0.0), support, data, 1e-9)
+        known = found.covariance
         assert (known.features.tolist(), known.states.tolist()) == ([0, 1], [0, 0])
-        fits.append(xi[:2, 0])
+        fits.append(found.coefficients[:2, 0])
         stated.append(known.errors)
     rows = torch.cat([data.x, data.u], -1).numpy()
     phi, gamma = math.exp(A * DT), B * (math.exp(A * DT) - 1) / A
