@@ -186,7 +186,8 @@ ROUNDING = 1e-12
 """Part of a state below which errors are those of arithmetic, which differ from processor to processor."""
 FINEST, FINE, COARSE, STABLE, MOST_STEPS = 0.02, 0.1, 0.3, 1.5, 10
 """Runge-Kutta step times the fastest rate of the model: for errors of 1e-9, 1e-7, and 2e-5, by which functions are
-compared, and the most that is stable; and how many steps of an interval the first three may ask for."""
+compared, and the most that is stable; and how many steps of an interval the next two, and five times as many the first,
+may ask for."""
 
 
 @dataclass
@@ -353,7 +354,8 @@ def relative_step(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float)
 
 def substeps_for(turn: float, turned: float = FINE) -> int:
     """Return into how many steps an interval is divided so that a step is `turned` long, see `relative_step`."""
-    return max(1, min(math.ceil(turn / turned - 1e-6), MOST_STEPS), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
+    most = MOST_STEPS if turned > FINEST else 5 * MOST_STEPS
+    return max(1, min(math.ceil(turn / turned - 1e-6), most), min(math.ceil(turn / STABLE), 10 * MOST_STEPS))
 
 
 DEGREES = {"id": 1.0, "abs": 1.0, "sqrt": 0.5, "sign": 0.0}
