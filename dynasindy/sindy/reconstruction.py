@@ -16,7 +16,7 @@ from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.library import Constraints, Library, variable
 from dynasindy.sindy.named_libraries import polynomial
-from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, shares, simpson_form, weak_form
+from dynasindy.sindy.regression import DEPENDENT, Rows, Theta, simpson_form, weak_form
 from dynasindy.sindy.shooting import ENOUGH, choose_stretches, relative_step, substeps_for
 from dynasindy.systems.base import Signature
 from dynasindy.systems.smoothing import best_length, local_cubic
@@ -62,10 +62,6 @@ class RegressionData:
     def dependent(self) -> float:
         """Return the part that other functions leave over of one below which noise cannot tell it from them."""
         return NOISY if self.half else DEPENDENT
-
-    def shares(self, library: Library) -> Tensor | None:
-        """Return the prior of each term, `(n_features,)`; none of data without noise, which tell every coefficient."""
-        return shares(library) if self.half else None
 
     def rows(self, theta: Theta, field: Theta) -> Rows:
         """Average functions and rates of change: by the weak form, or within intervals if all states were measured.

@@ -337,6 +337,6 @@ class _Fit:
         for _ in range(settings.rounds):
             sums = RunningSums(len(library), library.signature.n_x)
             sums.add(seen.rows(library, generate(library, coefficients)))
-            coefficients = regression.solve(sums, free, offset, seen.shares(library))
+            coefficients = regression.solve(sums, free, offset)
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients

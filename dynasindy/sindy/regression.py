@@ -10,7 +10,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.library import Library
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.steps import time_step_of
 from dynasindy.systems.transitions import Transitions
@@ -399,15 +398,13 @@ class Regression:
                 "paper's is 0.9), and a number above 0"
             )
 
-    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor, share: Tensor | None = None) -> Tensor:
+    def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
         """Find sparse coefficients.
 
         Args:
             sums: the samples.
             support: coefficients that may differ from zero, bool `(n_features, n_x)`.
             offset: coefficients that are given and stay, `(n_features, n_x)`.
-            share: standard deviation of the Gaussian prior of each term, in rates of change of its equation,
-                `(n_features,)`, for `bic`; none by default. See `prior`.
 
         Returns:
             Coefficients, offset included, in the units of the data, `(n_features, n_x)`.
@@ -425,7 +422,6 @@ class Regression:
                 sums.count,
                 self.tolerance,
                 self.dependent,
-                share,
             )
             return offset + free * rates / columns.unsqueeze(-1)
         threshold = self.threshold / math.sqrt(1000.0)
@@ -479,7 +475,6 @@ def _eliminate(
     count: int,
     tolerance: float,
     dependent: float = DEPENDENT,
-    share: Tensor | None = None,
 ) -> Tensor:
     """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
 
@@ -490,25 +485,14 @@ def _eliminate(
         count: number of samples behind the columns.
         tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
         dependent: part of a column that others leave over, below which it depends on them.
-        share: standard deviation of each coefficient before the columns tell it, `(n_features,)`; none by default.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in range(targets.shape[1]):
         mine = support[:, i].nonzero().squeeze(-1)
-        columns, target = theta, targets[:, i]
-        if share is not None and len(mine):
-            columns, target = _with_prior(columns, target, mine, count, share)
-        active = _best_subset(columns, target, mine, count, tolerance, dependent)
+        active = _best_subset(theta, targets[:, i], mine, count, tolerance, dependent)
         if len(active):
-            coefficients[active, i] = least_squares(columns[:, active], target)
+            coefficients[active, i] = least_squares(theta[:, active], targets[:, i])
     return coefficients
-
-
-def _with_prior(theta: Tensor, target: Tensor, mine: Tensor, count: int, share: Tensor) -> tuple[Tensor, Tensor]:
-    """Return columns and target with a row for each coefficient that says, as loudly as a sample does: it is small."""
-    left = target - theta[:, mine] @ least_squares(theta[:, mine], target)
-    small = torch.diag(left.norm() / math.sqrt(max(count, 1)) / share)
-    return torch.cat([theta, small]), torch.cat([target, torch.zeros_like(share)])
 
 
 def _best_subset(
@@ -590,46 +574,3 @@ def _rates(measured: Transitions, guess: Transitions, rows: Tensor, rates: Mappi
         if bool(raw[:, i].isnan().all()):
             rate[:, i] = (x[2:, of] - 2 * x[1:-1, of] + x[:-2, of]) / guess.dt**2
     return rate
-
-
-# A prior on coefficients. Over the range of a log functions may look nearly alike, as alpha and sin(alpha) at small
-# angles, and a fit to noisy data makes up any function out of their small differences, by coefficients of 1e6 that all
-# but cancel. So a term c f, f a function of an angle, is a priori normal about zero, of a standard deviation of `SHARE`
-# times the rate of change of its equation, both as root-mean-squares over the data: one measurement more. An angle is
-# what stands in a sine, a cosine or a quotient; its powers count, too, or a fit would take the angle and not its sine.
-# Functions of other states have none: powers of a state far from zero, as deg C, cancel one another by nature.
-
-SHARE = 10.0
-"""Standard deviation of a term, in rates of change of its equation."""
-TURNED = ("sin", "cos", "per_cos2")
-"""How the names of the functions of angles begin, of one angle, or of the sum or the difference of two."""
-
-
-def shares(library: Library) -> Tensor:
-    """Return how many rates of change of its equation a term may be, `(n_features,)`; infinite if not known."""
-    factors = (factor for feature in library.features for factor in feature.factors)
-    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
-    turned = [bool(angles & feature.variables) for feature in library.features]
-    return torch.where(torch.tensor(turned), SHARE, torch.inf).to(torch.float64)
-
-
-def likely(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
-    """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
-
-    It is infinite without a prior, for a function that is zero throughout, and for a state that does not move. Rates of
-    change are those that a first guess xi tells at states `(N, n_x)`, or those of the states over a window of samples,
-    whichever are larger.
-    """
-    theta = library(x, data.u.to(x.dtype))
-    rates = torch.maximum((theta @ xi).square().mean(0).sqrt(), _moved(x, data, window))
-    sizes = theta.square().mean(0).sqrt()
-    told = (sizes > 0).unsqueeze(-1) & (rates > 0) & sizes.isfinite().unsqueeze(-1) & rates.isfinite()
-    return torch.where(told, shares(library).unsqueeze(-1) * rates / sizes.clamp_min(1e-300).unsqueeze(-1), torch.inf)
-
-
-def _moved(x: Tensor, data: Transitions, window: int) -> Tensor:
-    """Return rates of change over a window of samples of one stretch, root-mean-square, `(n_x,)`."""
-    window = max(1, min(window, len(x) - 1))
-    within = data.segment[window:] == data.segment[:-window]
-    moved = (x[window:] - x[:-window])[within] / (window * data.dt)
-    return moved.square().mean(0).sqrt() if len(moved) else torch.zeros_like(x[0])

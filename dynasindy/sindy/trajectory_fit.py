@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 
 from dynasindy.progress import TimeIsUp, report_progress
-from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.library import Feature, Library
+from dynasindy.sindy.library import Library
 from dynasindy.sindy.noise import repetition
-from dynasindy.sindy.regression import likely, reconsider, walk_down
+from dynasindy.sindy.regression import reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
     COARSE,
@@ -36,28 +35,6 @@ from dynasindy.sindy.shooting import (
     weighted_errors,
 )
 from dynasindy.systems.transitions import Transitions
-
-
-def _drop_quotient(library: Library, xi: Tensor, free: Tensor, place: int) -> Tensor | None:
-    """Return coefficients in which a quotient of `library.shapes` is left out, its terms standing without it.
-
-    None where that cannot be: where the number is one of another function, where it is not in use, or where a term
-    has no free coefficient without the quotient.
-    """
-    shape, found = library.shapes[place], xi.clone()
-    if shape.function not in QUOTIENTS:
-        return None
-    places = {feature.key: k for k, feature in enumerate(library.features)}
-    for k, feature in enumerate(library.features):
-        if shape not in (factor.base for factor in feature.factors) or not bool(found[k].any()):
-            continue
-        bare = places.get(Feature(tuple(factor for factor in feature.factors if factor.base != shape)).key)
-        if bare is None or not bool((free[bare] & free[k])[found[k] != 0].all()):
-            return None
-        found[bare] += found[k]
-        found[k] = torch.zeros_like(found[k])
-    return None if torch.equal(found, xi) else found
-
 
 NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
@@ -173,23 +150,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descen
         if changed is None:
             break
         flow, came = changed, changed.parameters.support(free.shape)
-    found = flow.estimate if best is None else best[0].estimate
-    for place in range(len(found.library.shapes)):
-        simple = _drop_quotient(found.library, found.xi, free, place)
-        if simple is not None:
-            found = _cheaper(found, replace(found, xi=simple), free, windows, descent)
-    return found
-
-
-def _cheaper(estimate: Estimate, simple: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Estimate:
-    """Return the simpler one of two estimates where what it loses is not worth a coefficient."""
-    with suppress(RunsAway):
-        simple, support = _descend(simple, (simple.xi != 0) & free, windows, descent)
-        flows = (Flow.of(e, Parameters.where((e.xi != 0) & free), windows) for e in (estimate, simple))
-        (before, full), (after, _) = ((left_over(model, windows), model) for model in map(linearise_windows, flows))
-        if bool(support.any()) and 2 * (after - before) <= _worth(descent, full.errors, windows):
-            return simple
-    return estimate
+    return flow.estimate if best is None else best[0].estimate
 
 
 def _descend(estimate: Estimate, support: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Tensor]:
@@ -443,3 +404,46 @@ def _grown(
             break  # a model that runs away in longer windows is fitted to these
         flow, _, length = found
     return flow
+
+
+# A prior on coefficients. Over the range of a log functions may look nearly alike, as alpha and sin(alpha) at small
+# angles, and a fit to noisy data makes up any function out of their small differences, by coefficients of 1e6 that all
+# but cancel. So a term c f, f a function of an angle, is a priori normal about zero, of a standard deviation of `SHARE`
+# times the rate of change of its equation, both as root-mean-squares over the data: one measurement more. An angle is
+# what stands in a sine, a cosine or a quotient; its powers count, too, or a fit would take the angle and not its sine.
+# Functions of other states have none: powers of a state far from zero, as deg C, cancel one another by nature.
+
+SHARE = 10.0
+"""Standard deviation of a term, in rates of change of its equation."""
+TURNED = ("sin", "cos", "per_cos2")
+"""How the names of the functions of angles begin, of one angle, or of the sum or the difference of two."""
+
+
+def shares(library: Library) -> Tensor:
+    """Return how many rates of change of its equation a term may be, `(n_features,)`; infinite if not known."""
+    factors = (factor for feature in library.features for factor in feature.factors)
+    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
+    turned = [bool(angles & feature.variables) for feature in library.features]
+    return torch.where(torch.tensor(turned), SHARE, torch.inf).to(torch.float64)
+
+
+def likely(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
+    """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
+
+    It is infinite without a prior, for a function that is zero throughout, and for a state that does not move. Rates of
+    change are those that a first guess xi tells at states `(N, n_x)`, or those of the states over a window of samples,
+    whichever are larger.
+    """
+    theta = library(x, data.u.to(x.dtype))
+    rates = torch.maximum((theta @ xi).square().mean(0).sqrt(), _moved(x, data, window))
+    sizes = theta.square().mean(0).sqrt()
+    told = (sizes > 0).unsqueeze(-1) & (rates > 0) & sizes.isfinite().unsqueeze(-1) & rates.isfinite()
+    return torch.where(told, shares(library).unsqueeze(-1) * rates / sizes.clamp_min(1e-300).unsqueeze(-1), torch.inf)
+
+
+def _moved(x: Tensor, data: Transitions, window: int) -> Tensor:
+    """Return rates of change over a window of samples of one stretch, root-mean-square, `(n_x,)`."""
+    window = max(1, min(window, len(x) - 1))
+    within = data.segment[window:] == data.segment[:-window]
+    moved = (x[window:] - x[:-window])[within] / (window * data.dt)
+    return moved.square().mean(0).sqrt() if len(moved) else torch.zeros_like(x[0])
