@@ -182,6 +182,9 @@ def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tenso
 
     `slopes`, `(3, n)`, are the function, the variable and the place of each.
     """
+    if not slopes.numel():  # as of trajectories alone, which are many and short
+        none = torch.zeros(2, 0, dtype=torch.int32)
+        return (none, xi.new_zeros(0)), none
     function, variable, place = slopes
     each, state = (xi[function] != 0).nonzero(as_tuple=True)
     keys, to = (state * width + variable[each]).unique(return_inverse=True)
