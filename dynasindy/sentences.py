@@ -675,8 +675,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "neither inputs nor states; if they are states, give {states:data.states}",
     "log.guessed_inputs": "{inputs:list} are taken as inputs, for they move in steps and all others in most rows; no "
     "heading says so: if they are not, correct {inputs:data.inputs} and {states:data.states}",
-    "log.labels": "{columns:list} hold whole numbers that hardly ever change, as labels of trials and modes do; if "
-    "they are such, leave them out of the states: {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.differentiated": "{state} was reconstructed from {of}",
     "log.short_stretches": "{count} samples in stretches under {least} samples have no rate; they were skipped",

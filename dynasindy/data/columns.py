@@ -108,25 +108,6 @@ def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[
     return found
 
 
-def conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:
-    """Return which columns were converted, and the column map that keeps their units; nothing where none was.
-
-    Args:
-        columns: Columns by name, as `with_units` returns them.
-        headings: Headings of the file.
-    """
-    units = units_of(headings)
-    before = {name: units[column.name] for name, column in columns.items() if units.get(column.name)}
-    after = {name: (columns[name].unit, columns[name].scale) for name in before}
-    changed = {name: unit for name, unit in before.items() if after[name] == in_radians(unit) != (unit, 1)}
-    if not changed:
-        return []
-    logged = {name: column for name, column in columns.items() if column.name}
-    kept = logged | {name: replace(columns[name], unit=unit, scale=1.0) for name, unit in changed.items()}
-    both = {name: (unit, columns[name].unit) for name, unit in changed.items()}
-    return [note("log.converted", units=both, kept=as_map(kept, headings))]
-
-
 def _is_label(column: Array) -> bool:
     """Tell whether a column holds whole numbers that change in few rows only."""
     return len(column) > 1 and bool((np.diff(column) != 0).mean() < RARE and (column == column.round()).all())
@@ -276,9 +257,6 @@ def infer(
         out.append(weak("log.followed", columns=led, states=[*left, *led]))
     if guessed:
         out.append(weak("log.guessed_inputs", inputs=[*found], states=[*left]))
-    labels = [name for name, column in left.items() if name not in named and _is_label(look.moving[column.name])]
-    if labels and (rest := [name for name in left if name not in labels]):
-        out.append(note("log.labels", columns=labels, states=rest))
     if findings is not None:
         findings += out
     return left, found

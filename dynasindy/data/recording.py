@@ -6,7 +6,7 @@ A row without a time or an input is skipped. One without a state stays, NaN ther
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.actuator_scaling import actuator_ranges, with_actuator_ranges
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
-from dynasindy.data.columns import Column, columns_of, conversions, find_clock, infer, with_units
+from dynasindy.data.columns import Column, as_map, columns_of, find_clock, infer, with_units
 from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample, stretches
@@ -202,7 +202,7 @@ class LogReader:
         segment = _join_segments([part.segment for part in parts])
         x = {name: _joined([part.x[name] for part in parts]) for name in parts[0].x}
         states = _with_speeds(parts[0].states, headings, x, segment, dt)
-        findings += conversions(states, headings)
+        findings += _conversions(states, headings)
         usable = _usable_rows(x, parts)
         findings += [*after, *(each for part in parts for each in self._findings_of(part))]
         full = _with_rates(x, states, segment, dt, findings)
@@ -503,6 +503,20 @@ def _with_speeds(
         unit, scale = in_radians(units[states[name].name], rpm)
         found[name], x[name] = replace(states[name], unit=unit, scale=scale), x[name] * scale
     return found
+
+
+def _conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:
+    """Return which columns were converted, and the map that keeps their units; nothing where none was."""
+    units = units_of(headings)
+    before = {name: units[column.name] for name, column in columns.items() if units.get(column.name)}
+    after = {name: (columns[name].unit, columns[name].scale) for name in before}
+    changed = {name: unit for name, unit in before.items() if after[name] == in_radians(unit) != (unit, 1)}
+    if not changed:
+        return []
+    logged = {name: column for name, column in columns.items() if column.name}
+    kept = logged | {name: replace(columns[name], unit=unit, scale=1.0) for name, unit in changed.items()}
+    both = {name: (unit, columns[name].unit) for name, unit in changed.items()}
+    return [note("log.converted", units=both, kept=as_map(kept, headings))]
 
 
 def _of_plant(log: Signature, plant: Signature, unmeasured: Sequence[bool]) -> Signature:
