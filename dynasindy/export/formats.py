@@ -5,13 +5,13 @@ SymPy expressions are in `dynasindy.sindy.pysindy_interchange.to_sympy`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.export.expressions import comment, identifiers, right_sides
+from dynasindy.export.expressions import comment, formulas, identifiers, right_sides
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import equations_to_latex
 from dynasindy.systems.machine import Program
@@ -58,12 +58,31 @@ def numpy_field(model: SindyModel) -> NumpyField:
     Raises:
         ValueError: The model has a function without a formula.
     """
-    scope: dict[str, Any] = {name: getattr(np, name) for name in FORMULA_FUNCTIONS if hasattr(np, name)}
-    scope["larger"] = np.maximum
-    # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
-    exec(compile(_python(right_sides(model)), "<exported model>", "exec"), scope)
-    field = scope["field"]
+    calls: dict[str, Any] = {name: getattr(np, name) for name in FORMULA_FUNCTIONS if hasattr(np, name)}
+    field = _run(right_sides(model), calls | {"larger": np.maximum})
     return lambda x, u: np.array(field(x, u), dtype=np.float64)
+
+
+def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
+    """Return dx/dt of a model as a function of the places of `x` and `u`, which may hold any kind of number.
+
+    Args:
+        model: The model.
+        calls: What is called for each of `FORMULA_FUNCTIONS`.
+
+    Raises:
+        ValueError: The model has a function without a formula.
+    """
+    return _run(formulas(model), calls)
+
+
+def _run(found: Program, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
+    """Return formulas as a function."""
+    scope = dict(calls)
+    # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
+    exec(compile(_python(found), "<exported model>", "exec"), scope)
+    field: Callable[[Any, Any], list[Any]] = scope["field"]
+    return field
 
 
 def control_system(model: SindyModel) -> Any:

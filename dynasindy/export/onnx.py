@@ -31,10 +31,20 @@ from torch.overrides import TorchFunctionMode
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlLaw, Memory
 from dynasindy.control.files import network, require_sparse
+from dynasindy.export.formats import field_of
 from dynasindy.safe_io import replace_file
+from dynasindy.sindy import SindyModel
+from dynasindy.systems import System
 
 OPSET, FORMAT = 17, 8
 """Versions of the operators and of the file, which runtimes since 2022 read."""
+
+CALLS: dict[str, Any] = {
+    **{name: getattr(torch, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "square")},
+    "fabs": torch.abs,
+    "larger": lambda a, b: torch.maximum(*(torch.as_tensor(value, dtype=torch.float64) for value in (a, b))),
+}
+"""What formulas call."""
 
 
 def controller_onnx(controller: Controller, path: Path) -> None:
@@ -109,7 +119,7 @@ class _ControlStep(nn.Module):
         policy = TensorDictModule(_Policy(controller), in_keys=["observation"], out_keys=["action"])
         observer = copy.deepcopy(controller.observer)
         if observer is not None:
-            require_sparse(observer).machine_code = False  # which no trace sees
+            observer.model = _Written(require_sparse(observer))
         self.law = ControlLaw(policy, controller.setup, observer, controller.integral)
         self.shapes: tuple[tuple[int, ...], ...] = ((controller.signature.n_u,), *self.law.shapes)
         self.sizes = [math.prod(shape) for shape in self.shapes]
@@ -128,6 +138,35 @@ class _ControlStep(nn.Module):
         # As in Python: infinity is no measurement, while NaN is a lost one.
         sound = torch.cat([whole, reference, rate]).isfinite().all() & ~measurement.isinf().any()
         return torch.where(sound, u, before), torch.where(sound, whole, state)
+
+
+class _Written(System):
+    """The equations of a model as plain operations; its own code keeps tensors, which would be those of a trace.
+
+    Args:
+        model: A sparse model.
+    """
+
+    def __init__(self, model: SindyModel) -> None:
+        super().__init__(model.signature)
+        self.field = field_of(model, CALLS)
+        self.found = model.followers, model.step
+        self.delay = model.delay
+
+    @property
+    def followers(self) -> dict[int, int]:
+        """Those of the model."""
+        return self.found[0]
+
+    @property
+    def step(self) -> float | None:
+        """That of the model."""
+        return self.found[1]
+
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:
+        """Compute rates of change, `(*batch, n_x)`."""
+        rates = self.field(x.unbind(-1), u.unbind(-1))
+        return torch.stack([rate + torch.zeros_like(x[..., 0]) for rate in rates], -1)
 
 
 class _Plain(TorchFunctionMode):
