@@ -1,8 +1,8 @@
 """Steps of TD3 as machine code: the losses of `TD3Loss`, their gradients and Adam, on the CPU.
 
-At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c` does the
-same arithmetic on the same tensors without it: weights, targets, the moments of Adam and the smoothing noise are
-torch's and stay where they are. A step equals that of `GradientSteps` up to rounding.
+At the sizes that control needs, a good half of an update is what torch does around its products. `c/td3.c`, with the
+networks of `c/perceptron.c`, does the same arithmetic on the same tensors without it: weights, targets, the moments of
+Adam and the smoothing noise are torch's and stay where they are. A step equals that of `GradientSteps` up to rounding.
 """
 
 from __future__ import annotations
@@ -25,6 +25,12 @@ LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
 FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
+
+
+def source(*names: str) -> str:
+    """Return the C texts of that name in this room, one after another."""
+    texts = (resources.files("dynasindy.agents").joinpath("c", name) for name in names)
+    return "\n".join(text.read_text(encoding="utf-8") for text in texts)
 
 
 def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = True) -> GradientSteps:
@@ -70,8 +76,7 @@ class _MachineSteps(GradientSteps):
 
     def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
         super().__init__(loss, critics, actor)
-        source = resources.files("dynasindy.agents").joinpath("c", "td3.c").read_text(encoding="utf-8")
-        self._code = load_library(source, FUNCTIONS, fast=True)
+        self._code = load_library(source("perceptron.c", "td3.c"), FUNCTIONS, fast=True, cached=True)
         self._code.room.restype = ctypes.c_long
         gradients = [[_zeros(layer) for layer in layers] for layers in (loss.actor_layers, loss.critic_layers)]
         targets = loss.target_actor_layers, loss.target_critic_layers
@@ -79,7 +84,9 @@ class _MachineSteps(GradientSteps):
         first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
         self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
         sizes = self.n_obs, self.n_u, last.shape[0]
-        self._agent = _Agent(*sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(_network, networks))
+        self._agent = _Agent(
+            *sizes, loss.discount, loss.policy_noise, loss.noise_clip, *map(network_pointers, networks)
+        )
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
         self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
         moments = [state[name] for each in (critics, actor) for state in each.state.values() for name in state]
@@ -149,7 +156,9 @@ class _MachineSteps(GradientSteps):
         return ctypes.c_void_p(-(-self._room.data_ptr() // LINE) * LINE)
 
 
-class _Network(ctypes.Structure):
+class NetworkPointers(ctypes.Structure):
+    """A perceptron as `c/perceptron.c` reads it."""
+
     _fields_ = (
         ("depth", ctypes.c_int),
         ("widths", ctypes.POINTER(ctypes.c_int)),
@@ -162,8 +171,8 @@ class _Agent(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int) for name in ("n_obs", "n_u", "critics")),
         *((name, ctypes.c_float) for name in ("gamma", "sigma", "clip")),
-        *((name, _Network) for name in ("actor", "critic", "target_actor", "target_critic")),
-        *((name, _Network) for name in ("actor_gradient", "critic_gradient")),
+        *((name, NetworkPointers) for name in ("actor", "critic", "target_actor", "target_critic")),
+        *((name, NetworkPointers) for name in ("actor_gradient", "critic_gradient")),
     )
 
 
@@ -187,10 +196,11 @@ def _zeros(layer: Layer) -> Layer:
     return Layer(torch.zeros_like(layer.weight), torch.zeros_like(layer.bias))
 
 
-def _network(layers: Sequence[Layer]) -> _Network:
+def network_pointers(layers: Sequence[Layer]) -> NetworkPointers:
+    """Return where the tensors of layers lie; they must stay there, and not be freed, as long as it is used."""
     widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
     weights, biases = zip(*((layer.weight, layer.bias) for layer in layers))
-    return _Network(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
+    return NetworkPointers(len(layers), (ctypes.c_int * len(widths))(*widths), _pointers(weights), _pointers(biases))
 
 
 def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:

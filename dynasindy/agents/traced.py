@@ -35,14 +35,9 @@ class Traced(Protocol):
         """Add the gradient of the weighted sum of all actions, weights `(*batch, n_u)`, to the policy's parameters."""
 
 
-def by_hand(network: object) -> bool:
-    """Return whether a network's derivatives are taken by hand."""
-    return isinstance(network, MLP) and network.squash
-
-
 def trace(network: Callable[[Tensor], Tensor], observation: Tensor) -> Traced:
     """Return the actions of a policy for observations `(*batch, n_o)`, which need no graph."""
-    if isinstance(network, MLP) and by_hand(network):
+    if isinstance(network, MLP) and network.squash:
         return Layers(network, observation.detach())
     return _Recorded(network, observation)
 
@@ -94,20 +89,13 @@ class Layers:
     @torch.no_grad()
     def backward(self, weights: Tensor) -> None:
         """Add the gradient of the weighted sum of all actions, weights `(*batch, n_u)`, to the policy's parameters."""
-        self.pull(weights)
-
-    @torch.no_grad()
-    def pull(self, weights: Tensor) -> Tensor:
-        """Do what `backward` does, and return the derivative of the same sum by the observation, `(*batch, n_o)`."""
         slope = weights.reshape(self.u.shape) * self.steep
         layers = [*self.hidden, self.last]
         for k in range(len(layers) - 1, -1, -1):
             if k < len(layers) - 1:
-                slope = _through(slope, self.kept[k + 1])
+                slope = _through(slope @ layers[k + 1].weight, self.kept[k + 1])
             _add_product(layers[k].weight, slope, self.kept[k])
             _add(layers[k].bias, slope.sum(0))
-            slope = slope @ layers[k].weight
-        return slope.unflatten(0, self.batch)
 
 
 def _through(slope: Tensor, y: Tensor) -> Tensor:

@@ -13,9 +13,9 @@ The rollout is sequential and runs without a graph. The derivatives of the model
 
     lambda_k = dJ/dz_k + (A_k + B_k K_k)' lambda_k+1,    dJ/du_k = B_k' lambda_k+1,
 
-and one backward pass of the policy. An effort e(u_k) adds K_k' de/du_k to the first and de/du_k to the second. A
-perceptron keeps its layers in the rollout: then K_k' dJ/du_k comes out of that pass, period by period, and K is not
-computed. The gradient equals that of automatic differentiation through the rollout.
+and one backward pass of the policy. An effort e(u_k) adds K_k' de/du_k to the first and de/du_k to the second. The
+machine code of `planning.machine` keeps the layers of a perceptron, and K_k' dJ/du_k comes out of that pass, period by
+period, without K. The gradient equals that of automatic differentiation through the rollout.
 """
 
 from __future__ import annotations
@@ -26,16 +26,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.agents.traced import Layers, Traced, by_hand, trace
+from dynasindy.agents.traced import Traced, trace
 from dynasindy.envs import ControlEnv
+from dynasindy.planning.machine import MachineRollout
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import System, integrate
 
 Network = Callable[[Tensor], Tensor]
 """Observations `(*batch, n_o)` to actions `(*batch, n_u)`."""
-
-FedBack = Callable[[int, Tensor], tuple[Tensor, Tensor]]
-"""What an action's derivative is by the state it answers: factors `(rows, m)` and `(rows, m, n_x)` of a period."""
 
 CHUNK = 20
 """Control periods whose activations are handled at once; more would not stay in a core's cache."""
@@ -51,7 +49,7 @@ class Rows:
         params: Task parameters, `(rows, *params_shape)`.
         t: Time since the start of each episode [s], `(rows, 1)`.
         reach: Magnitude of each state beyond which the model has diverged, `(n_x,)`; None for any finite one.
-        kept: Whether the policy's layers are kept for `backward`, if its derivatives are taken by hand.
+        kept: Whether `backward` follows, for which the machine code keeps the policy's layers.
         strength: How strong the inputs of each episode are; None for that of the model.
         late: Share of a control period by which the inputs of each episode are late, `(rows, 1)`, in [0, 1]: so much of
             what acts is the input of the period before. None for no delay.
@@ -78,7 +76,7 @@ class Window:
             strength.
         times: `(T + 1, rows, 1)` [s].
         alive: Where the row has not diverged so far, bool `(T + 1, rows)`.
-        layers: The policy's layers in each period, if they were kept.
+        machine: The machine code that made the window and can go back through it, if any.
     """
 
     states: Tensor
@@ -86,7 +84,7 @@ class Window:
     actions: Tensor
     times: Tensor
     alive: Tensor
-    layers: list[Layers] | None = None
+    machine: MachineRollout | None = None
 
 
 @torch.no_grad()
@@ -106,38 +104,47 @@ def imagine(
         rows: Where the rollouts begin; not changed.
         steps: Control periods T of the window.
     """
-    layers: list[Layers] | None = [] if rows.kept and by_hand(network) else None
-    x, held, states, applied, actions = rows.x, rows.held, [rows.x], [], []
-    times = rows.t + env.dt * torch.arange(steps + 1, dtype=x.dtype).reshape(-1, 1, 1)
-    for k in range(steps):
-        observed = env.task.observation(x, rows.params, times[k])
-        if layers is None:
-            u = network(observed)
-        else:
-            traced = trace(network, observed)
-            assert isinstance(traced, Layers)
-            layers.append(traced)
-            u = traced.actions
-        entering, held = u if rows.late is None else torch.lerp(u, held, rows.late), u
-        if rows.strength is not None:
-            entering = rows.strength.at(rows.params, times[k]).acting(entering)
-        samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
-        x = samples[..., -1, :]
-        states.append(x)
-        applied.append(entering)
-        actions.append(u)
-    whole = torch.stack(states)
+    times = rows.t + env.dt * torch.arange(steps + 1, dtype=rows.x.dtype).reshape(-1, 1, 1)
+    strength = None
+    if (acting := rows.strength) is not None:
+        fixed = acting.along is None
+        strength = acting, torch.stack([acting.at(rows.params, t).rest for t in (times[:1] if fixed else times[:-1])])
+    machine = MachineRollout.of(env, system, network, rows.x, steps, rows.late, strength)
+    if machine is not None:
+        still = rows.x.new_zeros(steps, *rows.x.shape)
+        free = env.task.observation(still, rows.params.expand(steps, *rows.params.shape), times[:-1])
+        whole, entered, actions = machine.imagine(rows.x, rows.held, free, rows.kept)
+    else:
+        whole, entered, actions = _imagine(env, system, network, rows, times)
     alive = _alive(whole, rows.reach)
     kept = alive.unsqueeze(-1)
     x, nothing = rows.x, torch.zeros_like(rows.held)
     return Window(
         states=torch.where(kept, whole, x),
-        applied=torch.where(kept[1:], torch.stack(applied), nothing),
-        actions=torch.where(kept[1:], torch.stack(actions), nothing),
+        applied=torch.where(kept[1:], entered, nothing),
+        actions=torch.where(kept[1:], actions, nothing),
         times=times,
         alive=alive,
-        layers=layers if layers and bool(alive.all()) else None,
+        machine=machine if rows.kept and bool(alive.all()) else None,
     )
+
+
+def _imagine(
+    env: ControlEnv, system: System, network: Network, rows: Rows, times: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return states, inputs that acted and actions of a window, period by period."""
+    x, held, states, applied, actions = rows.x, rows.held, [rows.x], [], []
+    for t in times[:-1]:
+        u = network(env.task.observation(x, rows.params, t))
+        entering, held = u if rows.late is None else torch.lerp(u, held, rows.late), u
+        if rows.strength is not None:
+            entering = rows.strength.at(rows.params, t).acting(entering)
+        samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
+        x = samples[..., -1, :]
+        states.append(x)
+        applied.append(entering)
+        actions.append(u)
+    return torch.stack(states), torch.stack(applied), torch.stack(actions)
 
 
 def backward(
@@ -170,13 +177,11 @@ def backward(
         if not bool(window.alive.all()):
             a, b = (slope.where(window.alive[1:, :, None, None], torch.zeros(())) for slope in (a, b))
         reward, cost, effort = _cost(env, rows, window)
-        if (layers := window.layers) is not None:
-            params = rows.params.expand(len(window.actions), *rows.params.shape)
-            observed = env.task.observation_slope(window.states[:-1], params, window.times[:-1])
-            _adjoint(a, b, cost, effort, rows.late, lambda step, slope: (layers[step].pull(slope), observed[step]))
+        if window.machine is not None:
+            window.machine.adjoint(a, b, cost, effort)
             return reward
         actions, k = _policy(env, network, rows, window)
-        whole = _adjoint(a, b, cost, effort, rows.late, lambda step, slope: (slope, k[step]))
+        whole = _adjoint(a, b, cost, effort, rows.late, k)
         for traced, slopes in zip(actions, whole.split(CHUNK), strict=True):
             traced.backward(slopes)
     return reward
@@ -238,9 +243,7 @@ def _cost(env: ControlEnv, rows: Rows, window: Window) -> tuple[Tensor, Tensor, 
     return reward.detach(), slope, effort
 
 
-def _adjoint(
-    a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Tensor | None, fed_back: FedBack
-) -> Tensor:
+def _adjoint(a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Tensor | None, k: Tensor) -> Tensor:
     """Solve the adjoint equation backwards and return dJ/du, `(T, rows, n_u)`.
 
     Args:
@@ -249,7 +252,7 @@ def _adjoint(
         cost: Derivatives of the cost by the states, `(T + 1, rows, n_x)`.
         effort: Those by the actions, `(T, rows, n_u)`; None where these cost nothing.
         late: Share of each action that acts a period later, `(rows, 1)`; None for no delay.
-        fed_back: Takes a period and dJ/du in it, and returns two factors of what that is by the state.
+        k: Derivatives of the actions by the state, `(T, rows, n_u, n_x)`.
     """
     adjoint, slopes, later = cost[-1].unsqueeze(-2), [], torch.zeros(())
     for step in range(len(a) - 1, -1, -1):
@@ -257,7 +260,6 @@ def _adjoint(
         if late is not None:  # an action acts in part in its own period, and for the rest in the next one
             slope, later = slope * (1 - late) + later, slope * late
         slopes.append(slope if effort is None else slope + effort[step])
-        left, right = fed_back(step, slopes[-1])
         adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, a[step])
-        adjoint = torch.baddbmm(adjoint, left.unsqueeze(-2), right)
+        adjoint = torch.baddbmm(adjoint, slopes[-1].unsqueeze(-2), k[step])
     return torch.stack(slopes[::-1])

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -100,7 +101,8 @@ class Machine:
         self._code = load_library(source, ("advance", "sensitivities"), fast=single)
         self._room = _arrays(program.n_x, program.n_u, WIDTH if single else 1)
         self._large = self._room * ctypes.sizeof(self._real) > STACK
-        self._ends: dict[Stops, tuple[object, ...]] = {}
+        self._kept: Tensor | None = None
+        self._ends: dict[Stops, tuple[Any, ...]] = {}
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
         """Return whether states and inputs are as many numbers of the kind as it computes in, in the CPU's memory."""
@@ -132,14 +134,32 @@ class Machine:
         x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
         length, count, _ = steps_of(self.step, dt, substeps)
         samples = x.new_empty(*u.shape[:-1], count, self.n_x)
-        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
-        if (ends := self._ends.get(stops)) is None:
-            ends = self._ends[stops] = self._in_memory(stops)
+        touched, ends = torch.empty(u.shape[:-1], dtype=torch.bool), self._in_memory(stops)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
         room = self._heap(x)
         h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched, room)
         self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
         return samples, touched
+
+    def advance_arguments(self, dt: float, substeps: int, stops: Stops | None = None) -> tuple[object, ...]:
+        """Return what other machine code advances states with: steps, stops, step length, and where the rest lies.
+
+        The last six are the function `advance` of `c/period.c` and what it reads: constants, four arrays of the stops,
+        and room. They stay where they are as long as this code.
+
+        Args:
+            dt: control period [s].
+            substeps: Runge-Kutta steps per period.
+            stops: mechanical stops, if any.
+        """
+        stops = stops or FREE
+        length, count, _ = steps_of(self.step, dt, substeps)
+        if self._large and self._kept is None:
+            self._kept = torch.empty(self._room, dtype=self.dtype)
+        room = None if self._kept is None else ctypes.c_void_p(self._kept.data_ptr())
+        places = (ctypes.cast(each, ctypes.c_void_p) for each in (self._constants, *self._in_memory(stops)))
+        advance = ctypes.cast(self._code.advance, ctypes.c_void_p)
+        return int(count), len(stops.positions), length, advance, *places, room
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
         """Return dx_next/dx, `(*batch, n_x, n_x)`, and dx_next/du, `(*batch, n_x, n_u)`, of a period without stops.
@@ -165,10 +185,12 @@ class Machine:
         """Return memory for arrays that are too large for the stack."""
         return x.new_empty(self._room) if self._large else x
 
-    def _in_memory(self, stops: Stops) -> tuple[object, ...]:
+    def _in_memory(self, stops: Stops) -> tuple[Any, ...]:
         """Return stops as the code reads them; they are kept, as to write them costs as much as a control period."""
-        places = self._places(stops.positions), self._places(stops.rates)
-        return *places, self._reals(stops.low), self._reals(stops.high)
+        if stops not in self._ends:
+            places = self._places(stops.positions), self._places(stops.rates)
+            self._ends[stops] = *places, self._reals(stops.low), self._reals(stops.high)
+        return self._ends[stops]
 
     def _places(self, columns: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
         """Return columns of the states, counted from the first; there are negative ones, from the last."""

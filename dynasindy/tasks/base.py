@@ -84,6 +84,11 @@ class Task(ABC):
         return action.clamp(low, high)
 
     @property
+    def linear(self) -> bool:
+        """Whether the observations are linear in the states, with slopes that are the same at all times."""
+        return False
+
+    @property
     def start_ends(self) -> Tensor:
         """Ends of the states in which episodes begin, `(2, n_x)`; zero where nothing says where."""
         if self.starts is None:
@@ -115,14 +120,6 @@ class Task(ABC):
     @abstractmethod
     def observation(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
         """Return what the agent sees, `(*batch, n_o)`, of states `(*batch, n_x)` at times `t` [s]."""
-
-    def observation_slope(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
-        """Return the derivative of the observations by the states, `(*batch, n_o, n_x)`."""
-        with torch.enable_grad():
-            x = x.detach().requires_grad_()
-            # An observation that no state enters, as of a reference alone, has a derivative of zero.
-            columns = (self.observation(x, params, t) + 0 * x.sum(-1, keepdim=True)).unbind(-1)
-            return torch.stack([torch.autograd.grad(c.sum(), x, retain_graph=True)[0] for c in columns], -2)
 
     @abstractmethod
     def reward(self, x: Tensor, x_next: Tensor, params: Tensor, t_next: Tensor, at_stop: Tensor) -> Tensor:

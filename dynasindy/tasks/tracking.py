@@ -295,14 +295,11 @@ class Tracking(Task):
             parts.append(references.rate(params, t) / self._unit(x, 1.0))
         return torch.cat(parts, -1)
 
-    def observation_slope(self, x: Tensor, params: Tensor, t: Tensor) -> Tensor:
-        """Return the derivative of the observations by the states; of this class it is the same everywhere, a view."""
+    @property
+    def linear(self) -> bool:
+        """Whether the observations are linear in the states: those of this class are, whatever is tracked."""
         kind = type(self)
-        if kind.observation is not Tracking.observation or kind.error is not Tracking.error:
-            return super().observation_slope(x, params, t)
-        place = (slice(0, 1),) * (x.dim() - 1)
-        slope = super().observation_slope(x[place], params[(slice(0, 1),) * (params.dim() - 2)], t[place])
-        return slope.expand(*x.shape[:-1], *slope.shape[-2:])
+        return kind.observation is Tracking.observation and kind.error is Tracking.error
 
     def seen(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return the states `(*batch, n_x)` and the references `(*batch, n_r)` of observations."""

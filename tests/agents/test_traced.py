@@ -40,15 +40,3 @@ def test_equal_to_autograd(name, batch):
     trace(network, observation).backward(weights)  # a second chunk adds to the first
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, 2 * gradient, rtol=1e-4, atol=1e-6)
-
-
-def test_one_pull_gives_both_derivatives():
-    network = networks()["deep"]
-    generator = torch.Generator().manual_seed(4)
-    observation, weights = torch.randn(6, 4, generator=generator), torch.randn(6, 3, generator=generator)
-    seen = observation.clone().requires_grad_()
-    wanted = torch.autograd.grad((weights * network(seen)).sum(), [seen, *network.parameters()])
-    network.zero_grad()
-    torch.testing.assert_close(trace(network, observation).pull(weights), wanted[0])
-    for parameter, gradient in zip(network.parameters(), wanted[1:], strict=True):
-        torch.testing.assert_close(parameter.grad, gradient, rtol=1e-4, atol=1e-6)

@@ -11,6 +11,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.planning.rollout import Rows, backward, imagine, sensitivities
 from dynasindy.systems import rk4
+from dynasindy.systems.compiler import compiler
 from dynasindy.systems.xi import Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 
@@ -19,12 +20,15 @@ SHARES = torch.linspace(0.0, 1.0, 8).unsqueeze(-1)
 """Delays of eight rows [control periods], from none to a whole period."""
 
 
-def setting():
+def setting(perceptron=False):
     plant = Xi()
     reward = TrackingReward(error_shape="linear", width=0.02, bonus=0.0)
     task = Tracking(plant.signature, RandomStep([-0.5, -0.5], [0.5, 0.4]), reward=reward)
     env = ControlEnv(plant, task, substeps=1)
     network = nn.Sequential(nn.Linear(task.n_o, 16), nn.Tanh(), nn.Linear(16, 2), nn.Tanh())
+    if perceptron:  # which machine code moves
+        torch.manual_seed(0)
+        network = MLP(task.n_o, 2, (16, 8), squash=True)
     rng = torch.Generator().manual_seed(3)
     x = 0.1 * torch.randn(8, 6, generator=rng)
     rows = Rows(x, torch.zeros(8, 2), task.sample(torch.Size((8,)), rng), torch.zeros(8, 1))
@@ -46,10 +50,12 @@ def unrolled(env, network, rows, late=0.0, factor=1.0, rest=0.0, limits=(-math.i
     return total.detach()
 
 
+@pytest.mark.parametrize("perceptron", [False, True])
 @pytest.mark.parametrize(("strong", "limits"), [(False, None), (True, None), (True, (-0.4, -0.1))])
 @pytest.mark.parametrize("late", [None, SHARES], ids=["at once", "late"])
-def test_gradient_equals_back_propagation_through_time(late, strong, limits):
-    env, network, rows, rng = setting()
+def test_gradient_equals_back_propagation_through_time(late, strong, limits, perceptron):
+    env, network, rows, rng = setting(perceptron)
+    rows.kept = True
     factor, rest = (0.7 + 0.6 * torch.rand(8, 2, generator=rng), torch.rand(8, 2, generator=rng)) if strong else (1, 0)
     rows.late = late
     expected = unrolled(
@@ -60,6 +66,7 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits):
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     window = imagine(env, env.system, network, rows, STEPS)
+    assert (window.machine is not None) == (perceptron and compiler() is not None)
     if limits is not None:
         clamped = (window.applied == ends[0]) | (window.applied == ends[1])
         assert 0.1 < clamped.float().mean() < 0.9
@@ -102,9 +109,10 @@ class Explosion(Xi):
         return torch.cat([dx[..., :5], dx[..., 5:] + 1e-3 * (x[..., 5:] - 900).clamp_min(0) ** 3], -1)
 
 
-def moving():
+def moving(perceptron):
     """The setting under references that move, each row at its own time and phase, in two sub-steps."""
-    env, network, rows, rng = setting()
+    env, network, rows, rng = setting(perceptron)
+    rows.kept = True
     env.task.references = Wave([0.3, 0.2], [0.5, 0.4])
     env.substeps = 2
     rows.t = 0.05 * torch.arange(8.0).unsqueeze(-1)
@@ -133,9 +141,10 @@ def looped(env, network, rows, late):
     return torch.stack(states, 1), torch.stack(actions).reshape(8, STEPS, 2).movedim(0, 1), total
 
 
+@pytest.mark.parametrize("perceptron", [False, True])
 @pytest.mark.parametrize("late", [torch.zeros(8, 1), SHARES], ids=["at once", "late"])
-def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late):
-    env, network, rows, _ = moving()
+def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late, perceptron):
+    env, network, rows, _ = moving(perceptron)
     rows.late = late
     states, actions, total = looped(env, network, rows, late)
     (-total).backward()
@@ -195,7 +204,7 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient():
     for keep in (True, False):
         rows.kept = keep
         window = imagine(env, env.system, network, rows, STEPS)
-        assert (window.layers is not None) == keep
+        assert (window.machine is not None) == keep
         network.zero_grad()
         backward(env, env.system, network, rows, window)
         found[keep] = [p.grad.clone() for p in network.parameters()]
