@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from dynasindy.findings import Finding, note, weak
 from dynasindy.sentences import line
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import change_of
-from dynasindy.sindy.library import Feature, Library
+from dynasindy.sindy.library import Library
 from dynasindy.sindy.regression import RunningSums
 
 CLEAR = 1e6
@@ -30,14 +30,12 @@ class Identifiability:
         n_features: number of functions.
         condition: largest over smallest singular value, columns scaled to unit norm.
         weakest: functions in the least excited direction, with their weight in it, heaviest first.
-        advice: sentences that say what to excite more.
     """
 
     rank: int
     n_features: int
     condition: float
     weakest: tuple[tuple[str, float], ...]
-    advice: tuple[str, ...]
 
     @classmethod
     def of(cls, library: Library, sums: RunningSums) -> Identifiability:
@@ -58,69 +56,19 @@ class Identifiability:
         if bool((norms == 0).any()):
             weakest = [(library.names[k], 1.0) for k in (norms == 0).nonzero().flatten().tolist()]
         condition = float(singular[0] / singular[-1]) if float(singular[-1]) > 0 else float("inf")
-        return cls(
-            rank,
-            sums.n_features,
-            condition,
-            tuple(weakest),
-            tuple(_advice(library, [n for n, _ in weakest], sums, rank, condition)),
-        )
+        return cls(rank, sums.n_features, condition, tuple(weakest))
 
     def to_text(self) -> str:
-        """Write which functions the data can tell apart, and what to excite, in a few lines."""
+        """Write which functions the data can tell apart, in one line."""
         count, names = self.n_features, ", ".join(name for name, _ in self.weakest)
         condition = f"condition number {self.condition:.2g}"
         if self.rank < count:
             which = f"{count - self.rank} of {count} candidate functions"
-            first = f"{which} cannot be told apart from others by these data: {names}"
-        elif self.condition < CLEAR:
+            return f"{which} cannot be told apart from others by these data: excite {names} more, or otherwise"
+        if self.condition < CLEAR:
             told = f"the data can tell all {count} candidate functions apart"
             return f"{told} ({condition}; below {CLEAR:,.0f} is good)"
-        else:
-            first = (
-                f"these of {count} candidate functions can hardly be told apart by these data ({condition}): {names}"
-            )
-        return "\n".join([first, *self.advice])
-
-
-def _advice(library: Library, weak: list[str], sums: RunningSums, rank: int, condition: float) -> list[str]:
-    """Say what these data cannot tell, and what to excite where they show that it was not."""
-    if rank == len(library) and condition < CLEAR:
-        return ["the functions are well apart: the data can tell them from each other"]
-    features, norms = {f.name(): f for f in library.features}, sums.norms()
-    inputs = [n for n in library.signature.input_names if n in library.names]
-    silent = [n for n in inputs if float(norms[library.index(n)]) == 0]
-    sentences = [f"{name} was zero all the time: excite it" for name in silent]
-    involved = set().union(*(features[n].variables for n in weak)) if weak else set()
-    moved = [n for n in inputs if n in involved and n not in silent]
-    if len(moved) > 1 and all(_alike(library, sums, moved[0], other) for other in moved[1:]):
-        sentences.append(f"{' and '.join(moved)} move together: give the inputs different signals")
-    for name in sorted(involved):
-        mine = [features[n] for n in weak if name in features[n].variables]
-        if any(_alike(library, sums, f.name(), _without_abs(f, name).name()) for f in mine):
-            sentences.append(
-                f"{name} kept its sign, so that |{name}| is no other function: the model holds for that sign"
-            )
-        elif involved == {name} and any(f.function in ("sin", "cos") for g in mine for f in g.factors):
-            sentences.append(f"functions of {name} look alike over its range: let it swing further")
-    return sentences or [f"{', '.join(weak)} look alike: these data do not tell them apart"]
-
-
-def _without_abs(feature: Feature, name: str) -> Feature:
-    """Return a function with a variable itself where its size stands."""
-    of_size = [f.function == "abs" and f.variables == (name,) for f in feature.factors]
-    return Feature.of(
-        replace(f, function="id") if size else f for f, size in zip(feature.factors, of_size, strict=True)
-    )
-
-
-def _alike(library: Library, sums: RunningSums, one: str, other: str) -> bool:
-    """Tell whether two functions are multiples of each other on the samples."""
-    if one == other or not {one, other} <= set(library.names):
-        return False
-    columns = sums.theta()
-    a, b = columns[:, library.index(one)], columns[:, library.index(other)]
-    return float((a @ b).abs()) > (1 - 1e-6) * float(a.norm() * b.norm())
+        return f"these of {count} candidate functions can hardly be told apart by these data ({condition}): {names}"
 
 
 class Refined(NamedTuple):

@@ -35,7 +35,7 @@ def test_rank_and_condition_are_numpy_s_of_unit_columns():
     theta = LIBRARY(x, u).numpy()
     assert found.condition == pytest.approx(np.linalg.cond(theta / np.linalg.norm(theta, axis=0)), rel=1e-6)
     assert (found.rank, found.n_features) == (5, 5)
-    assert len(found.advice) == 1 and f"{found.condition:.2g}" in found.to_text()
+    assert f"{found.condition:.2g}" in found.to_text()
 
 
 def test_one_signal_on_both_inputs_is_named():
@@ -45,32 +45,20 @@ def test_one_signal_on_both_inputs_is_named():
     (one, first), (two, second) = found.weakest
     assert {one, two} == {"u", "v"}
     assert first == pytest.approx(-second) and abs(first) == pytest.approx(math.sqrt(0.5))
-    (advice,) = found.advice
-    assert "u and v" in advice and "together" in advice and found.to_text().endswith(advice)
 
 
 def test_every_silent_input_is_named():
     x, u = samples()
     found = judge(LIBRARY, x, 0 * u)
     assert found.rank == 3 and found.weakest == (("u", 1.0), ("v", 1.0))
-    assert [advice.split(":")[0][:10] for advice in found.advice] == ["u was zero", "v was zero"]
 
 
 def test_small_swings_and_speeds_of_one_sign_are_named():
     x, u = samples()
     swing = Library(SIGNATURE, [CONSTANT, variable("a"), of("sin", "a"), of("cos", "a")])
     small = judge(swing, 1e-4 * x, u)
-    assert small.condition > 1e6 and "swing" in small.advice[0]
+    assert small.condition > 1e6 and {name for name, _ in small.weakest} <= {"1", "a", "sin(a)", "cos(a)"}
     drag = Library(SIGNATURE, [variable("b"), of("abs", "b")])
     one_signed = judge(drag, x.abs(), u)
-    assert one_signed.rank == 1 and one_signed.advice[0].startswith("b kept its sign")
+    assert one_signed.rank == 1 and {name for name, _ in one_signed.weakest} == {"b", "|b|"}
     assert judge(drag, x, u).rank == 2
-
-
-def test_a_speed_that_changed_its_sign_is_not_said_to_have_kept_it():
-    x, u = samples()
-    drag = Library(SIGNATURE, [variable("a"), variable("b"), variable("b") * of("abs", "b"), variable("b", 2)])
-    both = torch.stack([x[:, 1] * x[:, 1].abs(), x[:, 1]], -1)  # a is b |b|, for a b of both signs
-    (advice,) = judge(drag, both, u).advice
-    assert "sign" not in advice and "alike" in advice
-    assert "b kept its sign" in judge(drag, both.abs(), u).to_text()
