@@ -138,6 +138,9 @@ def simulate(
             omitted.
         seed: Seed of the sensors' noise and of starts that are drawn.
 
+    Returns:
+        The runs, with their metrics.
+
     Raises:
         ValueError: The plant has other states or inputs, a target is missing or of no output, or a start is of no
             state.
@@ -188,6 +191,9 @@ def excite(
         signal: What moves it: `Multisine`, `Aprbs` or `Chirp` of `dynasindy.excitation`, or another `Excitation`.
         seed: Seed of signal and noise.
         **settings: Settings of the signal, such as `first=0.1` for a plant that may not stay by itself.
+
+    Returns:
+        The recording, as `read` returns that of a log.
 
     Raises:
         ValueError: A setting is not allowed.

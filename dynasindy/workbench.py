@@ -105,6 +105,9 @@ def plan(
         seed: Seed of networks, references and starts.
         **settings: Settings of `GradientPlanning`, such as `updates`.
 
+    Returns:
+        The controller, with an observer where one is needed.
+
     Raises:
         ValueError: The task or the log does not fit the model, an output depends on no input, or an observer has no log
             to learn from, which a model whose inputs act late needs.
@@ -200,6 +203,9 @@ def forecast(
         scenario: What to fly; if omitted, 64 steps over the range of the targets, as long as the task's episodes.
         seed: Seed of the sensors' noise.
         within: Mean absolute error at the end that is asked for, in target ranges.
+
+    Returns:
+        Flights of the controller on each model, and their errors.
 
     Raises:
         ValueError: The log is of another plant, or the task is one without a range of targets and no scenario is given.

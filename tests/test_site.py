@@ -1,7 +1,9 @@
 """The site builds without a warning, and its generated pages say of every setting what configs and code say."""
 
 import importlib.util
+import inspect
 import json
+import pkgutil
 import re
 import subprocess
 import sys
@@ -105,6 +107,35 @@ def test_a_comment_is_the_sentence_of_the_key_below_it_and_an_argument_that_of_i
     assert settings.heading(file) == "What the file is for."
 
 
+def test_links_to_configs_lead_to_sections_of_the_page_on_settings(settings):
+    anchors = re.findall(r"\{ #([\w-]+) \}$", settings.page(), re.M)
+    assert len(anchors) == len(set(anchors))
+    assert {settings.anchor(file) for file in FILES} | {file.name for file in CONF.iterdir() if file.is_dir()} <= set(
+        anchors
+    )
+
+
+def referenced():
+    """Yield names of the reference, each with the members that it lists."""
+    for names in yaml.safe_load((SITE / "reference.yml").read_text()).values():
+        for entry in names:
+            yield from entry.items() if isinstance(entry, dict) else [(entry, [])]
+
+
+@pytest.mark.parametrize(("name", "members"), list(referenced()))
+def test_a_name_of_the_reference_says_what_goes_in_and_comes_out(name, members):
+    thing = pkgutil.resolve_name(name)
+    text = inspect.getdoc(thing)
+    assert text and all(inspect.getdoc(getattr(thing, member)) for member in members)
+    if inspect.isclass(thing):
+        # A class that takes what its base takes has its words there.
+        needed, text = inspect.signature(thing).parameters, "".join(base.__doc__ or "" for base in thing.__mro__[:-1])
+    else:
+        needed = inspect.signature(thing).parameters
+        assert "Returns:" in text or inspect.signature(thing).return_annotation in (None, "None")
+    assert not needed or "Args:" in text or "Attributes:" in text
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in NEEDED),
@@ -125,5 +156,6 @@ def test_the_site_builds_without_a_warning_and_its_links_hold(tmp_path):
             if not (place.is_file() or (place / "index.html").is_file()):
                 broken.add((str(page.relative_to(tmp_path)), target))
     assert not broken
-    assert (tmp_path / "reference" / "dynasindy.systems" / "index.html").is_file()
+    reference = (tmp_path / "reference" / "index.html").read_text()
+    assert not [name for name, _ in referenced() if f'id="{name}"' not in reference]
     assert "steady_state_error" in (tmp_path / "metrics" / "index.html").read_text()

@@ -1,4 +1,4 @@
-"""Pages on every key of conf/: what the YAML files say of it, and what the annotations of the code allow.
+"""The page on every key of conf/: what the YAML files say of it, and what the annotations of the code allow.
 
 Nothing is written here a second time. The sentence on a key is the comment above it in its file, or, where a file says
 nothing, the sentence on the argument in the docstring of what `_target_` names. What a key may hold is the annotation
@@ -26,6 +26,7 @@ from settings import CHECKING, EXPORTING, LARGEST, TOP, parameters  # noqa: E402
 
 CONF = REPOSITORY / "conf"
 GROUPS = {
+    "commands": "Commands",
     "system": "Plants",
     "task": "Tasks",
     "excitation": "Excitations",
@@ -39,7 +40,7 @@ GROUPS = {
     "data": "Data of an identification",
     "rig": "Rigs",
 }
-"""Folders of conf/ in the order of their pages, with titles."""
+"""The top of conf/, and its folders, in the order of their sections, with titles."""
 SILENT = {"_target_", "_partial_", "defaults", "hydra"}
 """Keys that configure Hydra, not dynasindy."""
 
@@ -63,22 +64,27 @@ class Key:
     target: str = ""
 
 
-def titles() -> dict[str, str]:
-    """Return the title of each page by its name: the commands, then the groups."""
-    return {"commands": "Commands", **GROUPS}
+def page() -> str:
+    """Return the page in Markdown: the commands, then the groups, each with all its files."""
+    parts = ["# Settings", "The groups that stand below `defaults` of a command have sections of their own."]
+    for group, title in GROUPS.items():
+        command = group == "commands"
+        files = sorted(
+            (CONF if command else CONF / group).glob("*.yaml"), key=lambda file: (file.stem != "train", file)
+        )
+        about = "The keys at the top of each command."
+        if not command:
+            about = f"`{group}=NAME` on the command line chooses one of these files of `conf/{group}`."
+        parts += [f"## {title} {{ #{group} }}", about]
+        parts += [_section(file, f"scripts/{file.stem}.py" if command else f"{group}={file.stem}") for file in files]
+    return "\n\n".join(parts) + "\n"
 
 
-def page(name: str) -> str:
-    """Return a page in Markdown: all commands, or all files of a group."""
-    if name == "commands":
-        files = sorted(CONF.glob("*.yaml"), key=lambda file: (file.stem != "train", file.stem))
-        about = "The keys at the top of each command. The groups below `defaults` have pages of their own."
-        parts = [_section(file, f"`scripts/{file.stem}.py`", file.stem) for file in files]
-    else:
-        files = sorted((CONF / name).glob("*.yaml"))
-        about = f"`{name}=NAME` on the command line chooses one of these files of `conf/{name}`."
-        parts = [_section(file, f"`{name}={file.stem}`", file.stem.lstrip("_")) for file in files]
-    return "\n\n".join([f"# {titles()[name]}", about, *parts]) + "\n"
+def anchor(path: Path) -> str:
+    """Return where the page describes a folder or a file of conf/."""
+    if path.parent != CONF:
+        return f"{path.parent.name}-{path.stem.lstrip('_')}"
+    return f"commands-{path.stem}" if path.suffix else path.name
 
 
 def keys(file: Path) -> Iterator[Key]:
@@ -164,13 +170,13 @@ def _whole(file: Path, name: str) -> str:
     return name if everywhere else f"{file.parent.name}.{name}"
 
 
-def _section(file: Path, title: str, anchor: str) -> str:
+def _section(file: Path, title: str) -> str:
     rows = [
         f"| `{key.name}` | {_code(key.value)} | {_cell(_allowed(key, file))} | {_cell(key.comment)} |"
         for key in explained(file)
     ]
     table = ["| key | value | allowed | meaning |", "| --- | --- | --- | --- |", *rows] if rows else []
-    return "\n\n".join(filter(None, [f"## {title} {{ #{anchor} }}", _cell(heading(file)), "\n".join(table)]))
+    return "\n\n".join(filter(None, [f"### `{title}` {{ #{anchor(file)} }}", _cell(heading(file)), "\n".join(table)]))
 
 
 def _code(text: str) -> str:

@@ -197,6 +197,9 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         loop: Controller and model.
         settings: What is tried.
 
+    Returns:
+        All that was found, as arrays and figures.
+
     Raises:
         ValueError: The target range has another number of outputs than the controller.
     """

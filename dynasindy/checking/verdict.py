@@ -151,6 +151,13 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     """Return what was found, the stability first; an unstable loop has no margins and no noise.
 
     What keeps its threshold is a note, what does not is weak; a loop that leaves its targets is wrong.
+
+    Args:
+        found: What `check` returned.
+        thresholds: What is good enough; the defaults if omitted.
+
+    Returns:
+        Findings with their numbers.
     """
     limits = thresholds or Thresholds()
     findings = [_stability(found, limits)]

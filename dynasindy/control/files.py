@@ -80,6 +80,12 @@ def save(controller: Controller, path: str | Path) -> None:
 def load(path: str | Path) -> Controller:
     """Read a controller that `save` wrote, from its file or from the run folder that holds it.
 
+    Args:
+        path: File, or folder of a run.
+
+    Returns:
+        The controller, as it was saved.
+
     Raises:
         FileNotFoundError: There is no such file.
         DamagedFileError: The file is damaged, or not of this format.

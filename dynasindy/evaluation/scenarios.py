@@ -245,6 +245,9 @@ def evaluate(
         phase: What is under way, in words; the scenario's name says it by default.
         seconds: Length of the run [s]; that of the scenario if omitted.
 
+    Returns:
+        Trajectory, metrics and times of the run.
+
     Raises:
         TypeError: The scenario has a reference and the task tracks none.
         ValueError: The policy gives no action, or one of the wrong shape.

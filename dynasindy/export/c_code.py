@@ -78,6 +78,9 @@ def model_sources(model: SindyModel, name: str = "model") -> Sources:
         model: The model.
         name: What the names in C, and those of the files, begin with.
 
+    Returns:
+        Header and source of the model in C.
+
     Raises:
         ValueError: The name is none, or the model has a function without a formula.
     """
@@ -193,6 +196,9 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     Args:
         controller: Its policy is an actor of `dynasindy.agents`, and the model of its observer a sparse one.
         name: What the names in C, and those of the files, begin with.
+
+    Returns:
+        Header, source and names of the controller in C.
 
     Raises:
         ValueError: The name is none, the policy or the model is of another kind, or the model has a function without a

@@ -165,6 +165,9 @@ def run_flight(
         guard: What it goes on with.
         clock: Tells the time and waits.
 
+    Returns:
+        How the flight went, and why it ended.
+
     Raises:
         ValueError: A range is that of no measured state, or the log exists already; nothing has moved.
         OSError: The log cannot be written; nothing has moved.

@@ -219,6 +219,9 @@ def register_function(
             second argument. It is saved with a model, which then can be read where the function is not registered,
             and be exported to C and other languages. It has to say what `compute` does.
 
+    Returns:
+        The function, as libraries hold it.
+
     Raises:
         ValueError: the name is not an identifier, or the formula holds anything but arguments, numbers, + - * / and
             `FORMULA_FUNCTIONS`.

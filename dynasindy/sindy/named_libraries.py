@@ -311,6 +311,13 @@ GENERAL = ("auto", "auto_rig", "mechanical", "polynomial")
 def build_library(library: str | Sequence[str] | Library | LibraryBuilder, signature: Signature) -> Library:
     """Make a library from a name, a list of functions in words, a builder or a library.
 
+    Args:
+        library: What it is made of.
+        signature: States and inputs that its functions read.
+
+    Returns:
+        The library.
+
     Raises:
         ValueError: no library has that name, or a function cannot be read.
     """
