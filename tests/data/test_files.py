@@ -111,6 +111,14 @@ def test_a_format_gives_the_log_that_was_written(tmp_path, name):
     assert data.u[:, 0].numpy() == pytest.approx(COMMAND[:-1], abs=1e-12)
 
 
+def test_a_row_of_a_sheet_is_told_by_its_number_there(tmp_path):
+    pytest.importorskip("openpyxl")
+    gap = pd.DataFrame(WORDS).assign(angle=np.where(np.arange(ROWS) == 7, np.nan, ANGLE))
+    gap.to_excel(tmp_path / "log.xlsx", index=False)
+    findings = LoggedData(str(tmp_path / "log.xlsx")).recording(None).findings
+    assert [each.values["line"] for each in findings if each.code == "log.missing"] == [9]  # behind one of headings
+
+
 def test_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
     np.savez(tmp_path / "log.npz", time=T, angle=ANGLE, u=COMMAND[:-1], trigger=np.arange(7.0))
     found = LoggedData(str(tmp_path / "log.npz")).recording(None)

@@ -92,7 +92,9 @@ def test_a_one_sided_input_stays_one_sided_whatever_its_strength(inverted):
     env, rests = inverted()
     whole = GainMargin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
     assert whole.limits is None
-    assert float(whole.acting(torch.zeros(3, 1)).min()) == pytest.approx(-0.2 * 4 / 6 * math.sin(0.15), abs=1e-4)
+    # The weakest, that of the model and the strongest, in turn.
+    wanted = [part * 4 / 6 * math.sin(0.15) for part in (0.2, 0.0, -0.2)]
+    assert whole.acting(torch.zeros(3, 1)).flatten().tolist() == pytest.approx(wanted, abs=1e-4)
     env.task = env.task.with_input_limits([[0.0], [1.0]])
     pump = GainMargin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
     assert float(pump.rest[0]) == pytest.approx(4 / 6 * math.sin(0.15), abs=1e-3)

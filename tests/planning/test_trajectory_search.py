@@ -78,11 +78,11 @@ def test_the_end_of_a_way_counts_by_the_square_of_its_time():
 def test_a_way_pays_for_leaving_the_limits_of_the_plant_and_for_running_away():
     env = setting(bounds={"p": 2.0})
     _, params = rows(env, [[0.0, 0.0]])
-    inside = torch.tensor([[[0.0, 0.0]], [[1.9, 0.0]], [[0.0, 0.0]]])
-    paid = _objective(env, inside, params)
-    for beyond, cost in ((2.1, OUTSIDE / 5), (-2.1, OUTSIDE / 5), (math.nan, FAR * OUTSIDE), (math.inf, FAR * OUTSIDE)):
+    inside = torch.tensor([[[0.0, 0.0]], [[-2.0, 0.0]], [[2.0, 0.0]], [[0.0, 0.0]]])  # as at stops that are the limits
+    paid, gone = _objective(env, inside, params), FAR * OUTSIDE
+    for beyond, cost in ((2.1, OUTSIDE / 14), (-2.1, OUTSIDE / 14), (math.nan, gone), (math.inf, gone)):
         outside = inside.clone()
-        outside[1, 0, 0] = beyond  # weight 1 of 1 + 4; what ran away has not come back
+        outside[1, 0, 0] = beyond  # weight 1 of 1 + 4 + 9; what ran away has not come back
         assert (paid - _objective(env, outside, params)).item() == pytest.approx(cost, rel=0.01)
 
 

@@ -19,6 +19,7 @@ from dynasindy.sindy.shooting import (
     RunsAway,
     Windows,
     _free_scales,
+    choose_stretches,
     left_over,
     linearise_windows,
     move,
@@ -126,8 +127,8 @@ def test_a_window_is_left_out_of_standard_errors_as_a_whole(joined):
 def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, monkeypatch):
     y = motion(A, B, Y0, INPUTS)
     data = Transitions.from_trajectory(torch.from_numpy(y)[:, None], torch.from_numpy(INPUTS)[:, None], DT)
-    windows = Windows.of(data, 2, joined)
-    estimate = Estimate(LIBRARY, column(A, B, 0.1, 0.0), torch.from_numpy(y[:-1:2])[:, None] + 0.1)
+    windows = Windows.of(data, 3, joined)
+    estimate = Estimate(LIBRARY, column(A, B, 0.1, 0.0), torch.from_numpy(y[:-1:3])[:, None] + 0.1)
     at_once, parts = (Flow.of(estimate, Parameters.where(TWO), windows) for _ in range(2))
     wanted = linearise_windows(at_once)
     monkeypatch.setattr(shooting, "MOST_SLOPES", 0)
@@ -138,6 +139,13 @@ def test_slopes_that_do_not_stay_in_memory_are_computed_part_by_part(joined, mon
     torch.testing.assert_close(found.moves, wanted.moves, rtol=1e-9, atol=1e-12)
     normal = [model.triangle.mT @ model.triangle for model in (found, wanted)]
     torch.testing.assert_close(*normal, rtol=1e-9, atol=1e-9)
+
+
+def test_stretches_of_a_long_recording_are_two_windows_long_at_least():
+    for wanted, window, stretches in ((30, 10, 1), (10, 10, 1), (40, 10, 2), (60, 10, 3)):
+        chosen = choose_stretches(1000, wanted, window)
+        begins = int(chosen.int().diff(prepend=torch.zeros(1)).eq(1).sum())
+        assert (int(chosen.sum()), begins) == (wanted, stretches)
 
 
 # y' = a y + 5: the fastest rate is |a|. An error of 1e-7 wants steps of 0.1 / |a|, at most 10; stability 1.5 / |a|.

@@ -85,7 +85,7 @@ class Linear(System):
 
     def __init__(self, a, b, scale=None):
         n = len(a)
-        super().__init__(Signature(tuple("pvqwabcd"[:n]), ("-",) * n, ("u",), scale or (1.0,) * n))
+        super().__init__(Signature(tuple("pvqwabcd"[:n]), ("-",) * n, ("u", "z")[: len(b[0])], scale or (1.0,) * n))
         self.a, self.b = (torch.tensor(given, dtype=torch.float64) for given in (a, b))
 
     def forward(self, x, u):
@@ -103,8 +103,8 @@ def two(first, second):
 
 
 def of(system, outputs=(0,)):
-    n = system.signature.n_x
-    return LocalModes(system, torch.zeros(n), torch.zeros(1), outputs).oscillation
+    signature = system.signature
+    return LocalModes(system, torch.zeros(signature.n_x), torch.zeros(signature.n_u), outputs).oscillation
 
 
 @pytest.mark.parametrize("damping", [-0.05, 0.0, 0.14, 0.45])
@@ -122,7 +122,8 @@ def test_what_hardly_swings_has_no_oscillation(damping):
 def test_the_fastest_of_two_oscillations_counts_only_where_an_input_moves_it_or_an_output_shows_it():
     slow, fast = spring(1.0, 0.1), spring(20.0, 0.1)
     root = math.sqrt(1 - 0.01)
-    pushed, free = [[0.0], [1.0], [0.0], [400.0]], [[0.0], [1.0], [0.0], [0.0]]
+    # Each of two inputs pushes a mass of its own.
+    pushed, free = [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 400.0]], [[0.0], [1.0], [0.0], [0.0]]
     assert of(Linear(two(slow, fast), pushed)) == pytest.approx(1 / (20 * root), rel=1e-6)
     assert of(Linear(two(slow, fast), free)) == pytest.approx(1 / root, rel=1e-6)
     assert of(Linear(two(slow, fast), free), outputs=(2,)) == pytest.approx(1 / (20 * root), rel=1e-6)

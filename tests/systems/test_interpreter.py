@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.systems.interpreter import simulate_program
+from dynasindy.systems.interpreter import Slopes, simulate_program
 from dynasindy.systems.machine import Program
 
 ROWS = 70  # more than are handled at once, and no multiple of that
@@ -47,3 +47,15 @@ def test_inputs_are_held_over_their_period():
     u = numbers(3, 20, 1)
     ends = simulate_program(Program(1, 1, (), ("u[0]",)), torch.zeros(3, 1, dtype=torch.float64), u, 0.1, 2)
     np.testing.assert_allclose(ends, 0.1 * u.cumsum(1), atol=1e-12)
+
+
+def test_rates_of_a_sparse_model_have_the_slopes_on_paper():
+    """a' = 2 sin(a) + u b^2 / 2 and b' = -3 b sin(a), where sin(a) is computed once."""
+    functions = Program(2, 1, (("v0", "sin(x[0])"),), ("v0", "v0 * x[1]", "u[0] * square(x[1])"))
+    xi = torch.tensor([[2.0, 0.0], [0.0, -3.0], [0.5, 0.0]], dtype=torch.float64)
+    x, u = numbers(ROWS, 2), numbers(ROWS, 1, seed=1)
+    (a, b), v = x.T.numpy(), u[:, 0].numpy()
+    wanted = [[2 * np.cos(a), v * b], [-3 * b * np.cos(a), -3 * np.sin(a)]]
+    np.testing.assert_allclose(
+        Slopes(functions).rates_by_state(xi, x, u).permute(1, 2, 0), wanted, rtol=1e-11, atol=1e-12
+    )

@@ -5,9 +5,10 @@ from dynasindy.systems.twin_rotor import SIGNATURE, beam_stops, two_branches
 
 
 def test_default_stops_are_those_of_the_vendors_simulation():
-    stops = beam_stops()
-    assert stops.high == pytest.approx((6.0, 1.5708), abs=1e-4)
-    assert stops.low == tuple(-h for h in stops.high)
+    beyond = torch.tensor([[7.0, 2.0, 1.0, 3.0, 4e3, 2e3]], dtype=torch.float64)
+    held = torch.tensor([[6.0, 1.5708, 0.0, 0.0, 4e3, 2e3]], dtype=torch.float64)
+    for side in (1, -1):
+        torch.testing.assert_close(beam_stops().apply(side * beyond)[0], side * held, rtol=0, atol=1e-4)
 
 
 def test_states_and_inputs_are_the_papers_in_its_order():
