@@ -151,7 +151,7 @@ def _read_text(path: Path) -> RawTable:
         why = f"{path}: {' '.join(str(error).split())}; allowed are short values: look for an open quote"
         raise ValueError(_open_quote(path) or why) from error
     lines_of = layout.first + 1 + np.arange(len(frame))
-    if fault := _open_quote(path):
+    if fault := _open_quote(path, layout.first + len(frame)):
         raise ValueError(fault)
     blank = frame[0].isna().to_numpy()
     if blank.any() and (blank := frame.isna().all(axis=1).to_numpy()).any():
@@ -293,11 +293,15 @@ def _separator(lines: Sequence[str]) -> str:
     return near[0]
 
 
-def _open_quote(path: Path) -> str:
-    """Return at which line a quote opens that is not closed there, '' if none does."""
+def _open_quote(path: Path, read: int = 0) -> str:
+    """Return at which line a quote opens that is not closed there, '' if as many lines were read as there are."""
+    line = lines = 0
     with path.open("rb") as file:
-        line = next((number for number, text in enumerate(file, 1) if text.count(b'"') % 2), 0)
-    return f"{path}, line {line}: a quote opens that is not closed in its line; close or remove it" if line else ""
+        for lines, text in enumerate(file, 1):  # noqa: B007 - counted
+            line = line or lines * (text.count(b'"') % 2)
+    if not line or lines == read:
+        return ""
+    return f"{path}, line {line}: a quote opens that is not closed in its line; close or remove it"
 
 
 def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:

@@ -57,6 +57,11 @@ def test_headings_are_found_below_a_title_above_units_and_between_any_separators
     assert table.lines.tolist() == lines
 
 
+def test_a_quote_within_a_value_is_a_letter(tmp_path):
+    table = select_columns(write(tmp_path, 'a,pipe\n1,5" long\n2,6 long\n'), ["a"])
+    assert table.lines.tolist() == [2, 3]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
