@@ -297,7 +297,7 @@ def _open_quote(path: Path, read: int = 0) -> str:
     """Return at which line a quote opens that is not closed there, '' if as many lines were read as there are."""
     line = lines = 0
     with path.open("rb") as file:
-        for lines, text in enumerate(file, 1):  # noqa: B007 - counted
+        for lines, text in enumerate(file, 1):
             line = line or lines * (text.count(b'"') % 2)
     if not line or lines == read:
         return ""
