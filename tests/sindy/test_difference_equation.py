@@ -72,7 +72,7 @@ def test_no_differential_equation_does_what_a_negative_eigenvalue_does():
     assert float(one_step_error(discrete, fresh).max()) < 1e-12
     assert float(one_step_error(continuous, fresh, 10)[0]) > 0.2
     assert float(nrmse(open_loop(discrete, fresh), fresh).max()) < 1e-12
-    assert float(nrmse(open_loop(continuous, fresh, 10), fresh)[0]) > 0.2
+    assert not float(nrmse(open_loop(continuous, fresh, 10), fresh)[0]) <= 0.2  # or it diverges
 
 
 def test_a_file_and_a_checkpoint_hold_the_step(tmp_path):
@@ -112,13 +112,13 @@ def test_noise_of_the_sensors_and_pushes_are_told_apart_and_neither_bends_the_eq
     x, u = trajectory(1000)
     noisy = data_of(x, u, 0.05)
     (naive, _), (model, report) = identified(noisy, "one_step"), identified(noisy)
-    assert "look like noise" in report.to_text()
+    assert [finding.code for finding in report.findings] == ["fit.trajectories"]
     found, shrunk = right_sides(model), right_sides(naive)
     assert shrunk["b", "b"] < 0.35
     assert found["b", "b"] == pytest.approx(0.5, abs=0.05) and found["b", "a"] == pytest.approx(-0.4, abs=0.03)
     assert found["a", "a"] == pytest.approx(-0.6, abs=0.04) and found["a", "u"] == pytest.approx(0.3, abs=0.01)
     pushed, report = identified(data_of(*trajectory(1000, pushed=0.05)))
-    assert "do not look" in report.to_text()
+    assert [finding.code for finding in report.findings] == ["fit.single_steps"]
     found = right_sides(pushed)
     assert {key: found[key] for key in TRUE if key != ("a", "b^2")} == pytest.approx(
         {key: value for key, value in TRUE.items() if key != ("a", "b^2")}, abs=0.03
