@@ -66,13 +66,13 @@ def test_the_coefficients_of_a_known_map_are_exact(method):
 
 
 def test_no_differential_equation_does_what_a_negative_eigenvalue_does():
-    """e^(A dt) of a real A of one state is positive; -0.6 a is none, so the best such model misses most of it."""
+    """e^(A dt) of a real A is positive; -0.6 a is none, so the best such model misses most of it, or diverges."""
     training, fresh = data_of(*trajectory()), data_of(*trajectory(seed=7))
     discrete, continuous = (identified(training, time=time)[0] for time in ("discrete", "continuous"))
     assert float(one_step_error(discrete, fresh).max()) < 1e-12
-    assert float(one_step_error(continuous, fresh, 10)[0]) > 0.2
+    assert not float(one_step_error(continuous, fresh, 10)[0]) <= 0.2
     assert float(nrmse(open_loop(discrete, fresh), fresh).max()) < 1e-12
-    assert not float(nrmse(open_loop(continuous, fresh, 10), fresh)[0]) <= 0.2  # or it diverges
+    assert not float(nrmse(open_loop(continuous, fresh, 10), fresh)[0]) <= 0.2
 
 
 def test_a_file_and_a_checkpoint_hold_the_step(tmp_path):
