@@ -128,7 +128,7 @@ def test_a_recording_ends_where_the_plant_leaves_its_bounds():
 def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     plant, u = Growing(), torch.ones(1000, 1)
     data = record_plant(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
-    with pytest.raises(Diverged, match=r"q .* 1000 m, after 3.81 s.*excitation\.first=0\.1"):
+    with pytest.raises(Diverged, match=r"q .* 1000 m after 3.81 s.*excitation\.first=0\.1"):
         before_leaving(data, plant.signature, {}, "excitation")
     with pytest.raises(Diverged, match=r"wider plant\.bounds"):
         before_leaving(data, plant.signature, {"q": 4.0}, "excitation")
