@@ -33,6 +33,11 @@ def source(*names: str) -> str:
     return "\n".join(text.read_text(encoding="utf-8") for text in texts)
 
 
+def line_of(room: Tensor) -> ctypes.c_void_p:
+    """Return where the first line of a processor's cache begins in some room."""
+    return ctypes.c_void_p(-(-room.data_ptr() // LINE) * LINE)
+
+
 def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = True) -> GradientSteps:
     """Return machine code for these networks where there can be, and otherwise automatic differentiation.
 
@@ -153,7 +158,7 @@ class _MachineSteps(GradientSteps):
         needed = self._code.room(ctypes.byref(self._agent), ctypes.c_long(rows)) + LINE // 4
         if len(self._room) < needed:
             self._room = torch.zeros(needed)
-        return ctypes.c_void_p(-(-self._room.data_ptr() // LINE) * LINE)
+        return line_of(self._room)
 
 
 class NetworkPointers(ctypes.Structure):

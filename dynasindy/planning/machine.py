@@ -7,12 +7,14 @@ in one call, for a perceptron on the CPU whose observations are linear in the st
 from __future__ import annotations
 
 import ctypes
+import warnings
+from functools import cache
 from importlib import resources
 
 import torch
 from torch import Tensor
 
-from dynasindy.agents.machine import LINE, network_pointers, source
+from dynasindy.agents.machine import LINE, line_of, network_pointers, source
 from dynasindy.agents.networks import MLP, Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.randomization import InputStrength
@@ -23,10 +25,27 @@ from dynasindy.systems.machine import Machine
 FUNCTIONS = ("imagine", "adjoint", "layers_size", "room_size")
 
 
+@cache
+def _library() -> ctypes.CDLL | None:
+    """Return the code of windows, None where there is no compiler or one that refuses it, which is tried once."""
+    own = resources.files("dynasindy.planning").joinpath("c", "rollout.c")
+    try:
+        text = source("perceptron.c") + own.read_text(encoding="utf-8")
+        code = load_library(text, FUNCTIONS, fast=True, cached=True)
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError) as error:
+        warnings.warn(f"windows are imagined by torch code, which is slower: {error}", stacklevel=4)
+        return None
+    code.layers_size.restype = code.room_size.restype = ctypes.c_long
+    return code
+
+
 class MachineRollout:
     """Windows of a policy in a model, as machine code; `MachineRollout.of` returns one where there can be.
 
     Args:
+        library: `c/rollout.c`, compiled.
         env: Imagined environment: its task, period, sub-steps and stops.
         code: Machine code of the model.
         policy: The perceptron.
@@ -38,6 +57,7 @@ class MachineRollout:
 
     def __init__(
         self,
+        library: ctypes.CDLL,
         env: ControlEnv,
         code: Machine,
         policy: MLP,
@@ -46,23 +66,20 @@ class MachineRollout:
         late: Tensor | None,
         strength: tuple[InputStrength, Tensor] | None,
     ) -> None:
-        own = resources.files("dynasindy.planning").joinpath("c", "rollout.c")
-        text = source("perceptron.c") + own.read_text(encoding="utf-8")
-        self._code = load_library(text, FUNCTIONS, fast=True, cached=True)
-        self._code.layers_size.restype = self._code.room_size.restype = ctypes.c_long
+        self._code = library
         self.policy, self.periods, self.rows = policy, periods, rows
         self._layers = [Layer(*(tensor.detach() for tensor in layer)) for layer in policy.layers()]
         self._policy = network_pointers(self._layers)
         n_o, n_x = policy.layers()[0].weight.shape[-1], code.n_x
         params, t = torch.zeros(n_x, *env.task.params_shape), torch.zeros(n_x, 1)
         still, moved = (env.task.observation(x, params, t) for x in (torch.zeros(n_x, n_x), torch.eye(n_x)))
-        slope = (moved - still).T.contiguous()
+        slope = _floats((moved - still).T)
         call = code.advance_arguments(env.dt, env.substeps, env.stops)
         factor = rest = limits = None
         if strength is not None:
-            factor, rest = strength[0].factor.contiguous(), strength[1].contiguous()
-            limits = None if strength[0].limits is None else strength[0].limits.float().contiguous()
-        late = None if late is None else late.contiguous()
+            factor, rest = _floats(strength[0].factor), _floats(strength[1])
+            limits = None if strength[0].limits is None else _floats(strength[0].limits)
+        late = None if late is None else _floats(late)
         jump = rest.stride(0) if rest is not None and len(rest) > 1 else 0
         ends = (None, None) if limits is None else (_at(limits[0]), _at(limits[1]))
         self._rollout = _Rollout(
@@ -100,12 +117,9 @@ class MachineRollout:
         if any(p.dtype != torch.float32 or not p.is_cpu for p in network.parameters()):
             return None
         code = system.compiled(x, x.new_zeros(len(x), env.task.signature.n_u))
-        if type(code) is not Machine or code.dtype != torch.float32:
+        if type(code) is not Machine or code.dtype != torch.float32 or (library := _library()) is None:
             return None
-        try:
-            return cls(env, code, network, periods, len(x), late, strength)
-        except (FileNotFoundError, ValueError, OSError):
-            return None  # no compiler, or one that refuses
+        return cls(library, env, code, network, periods, len(x), late, strength)
 
     def imagine(self, x: Tensor, held: Tensor, free: Tensor, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
         """Return states `(T + 1, rows, n_x)`, inputs that acted and actions, `(T, rows, n_u)`, of a window.
@@ -120,10 +134,10 @@ class MachineRollout:
         states[0] = x
         applied, actions = x.new_empty(2, self.periods, *held.shape)
         touched = torch.empty(self.rows, dtype=torch.bool)
-        held, free = held.contiguous(), free.contiguous()
+        held, free = _floats(held), _floats(free)
         self._kept = torch.empty(self._size * (self.periods if keep else 1) + LINE // 4)
         window = map(_at, (held, free, states, applied, actions))
-        self._code.imagine(*self._arguments(), *window, *self._layers_at(keep), _line(self._room), _at(touched))
+        self._code.imagine(*self._arguments(), *window, *self._layers_at(keep), line_of(self._room), _at(touched))
         return states, applied, actions
 
     def adjoint(self, a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None) -> None:
@@ -136,15 +150,17 @@ class MachineRollout:
             effort: Those by the actions, `(T, rows, n_u)`; None where these cost nothing.
         """
         gradients = [Layer(*(_gradient(each) for each in layer)) for layer in self.policy.layers()]
-        given = [None if each is None else each.contiguous() for each in (a, b, cost, effort)]
+        given = [None if each is None else _floats(each) for each in (a, b, cost, effort)]
         policy, pointers = self._arguments(), network_pointers(gradients)
-        self._code.adjoint(*policy, ctypes.byref(pointers), *map(_at, given), *self._layers_at(True), _line(self._room))
+        self._code.adjoint(
+            *policy, ctypes.byref(pointers), *map(_at, given), *self._layers_at(True), line_of(self._room)
+        )
 
     def _arguments(self) -> tuple[object, ...]:
         return ctypes.byref(self._rollout), ctypes.byref(self._policy)
 
     def _layers_at(self, keep: bool) -> tuple[object, ...]:
-        return _line(self._kept), ctypes.c_long(self._size if keep else 0)
+        return line_of(self._kept), ctypes.c_long(self._size if keep else 0)
 
 
 class _Rollout(ctypes.Structure):
@@ -161,9 +177,9 @@ def _at(tensor: Tensor | None) -> ctypes.c_void_p | None:
     return None if tensor is None else ctypes.c_void_p(tensor.data_ptr())
 
 
-def _line(tensor: Tensor) -> ctypes.c_void_p:
-    """Return where the first line of a processor's cache begins in some room."""
-    return ctypes.c_void_p(-(-tensor.data_ptr() // LINE) * LINE)
+def _floats(tensor: Tensor) -> Tensor:
+    """Return numbers as the code reads them: a plant may have set another default."""
+    return tensor.float().contiguous()
 
 
 def _gradient(parameter: Tensor) -> Tensor:

@@ -26,7 +26,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dynasindy.agents.traced import Traced, trace
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.machine import MachineRollout
 from dynasindy.planning.randomization import InputStrength
@@ -182,8 +181,8 @@ def backward(
             return reward
         actions, k = _policy(env, network, rows, window)
         whole = _adjoint(a, b, cost, effort, rows.late, k)
-        for traced, slopes in zip(actions, whole.split(CHUNK), strict=True):
-            traced.backward(slopes)
+        for acted, slopes in zip(actions, whole.split(CHUNK), strict=True):
+            torch.autograd.backward(acted, slopes)
     return reward
 
 
@@ -209,15 +208,14 @@ def _alive(states: Tensor, reach: Tensor | None) -> Tensor:
     return believed.all(-1).int().cummin(0).values.bool()
 
 
-def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Traced], Tensor]:
-    """Return the actions with what their derivatives need, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
+def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Tensor], Tensor]:
+    """Return the actions with their graphs, in chunks of periods, and K, `(T, rows, n_u, n_x)`."""
     actions, gains = [], []
     for x, t in zip(window.states[:-1].split(CHUNK), window.times[:-1].split(CHUNK)):
         seen = x.detach().requires_grad_()
-        observed = env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t)
-        traced = trace(network, observed)
-        columns = [torch.autograd.grad(observed, seen, slope, retain_graph=True)[0] for slope in traced.slopes()]
-        actions.append(traced)
+        acted = network(env.task.observation(seen, rows.params.expand(len(x), *rows.params.shape), t))
+        columns = [torch.autograd.grad(column.sum(), seen, retain_graph=True)[0] for column in acted.unbind(-1)]
+        actions.append(acted)
         gains.append(torch.stack(columns, -2))
     return actions, torch.cat(gains)
 
