@@ -14,6 +14,7 @@ import torch
 
 from dynasindy.systems.machine import Program
 
+COMPARISONS = ("gt", "lt", "ge", "le")
 PATTERNS = {
     **{"add": "{} + {}", "sub": "{} - {}", "rsub": "{1} - {0}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}"},
     **{name: f"{name}({{}})" for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign", "square")},
@@ -87,6 +88,9 @@ class _Page:
                 found = self._line(PATTERNS[name].format(*map(self._text, node.args)))
             case _:
                 raise TypeError(f"its code cannot be read: {node.target}{node.args} is none of what can be")
+        value = node.meta.get("val")
+        if isinstance(value, torch.Tensor) and not value.is_floating_point() and name not in COMPARISONS:
+            raise TypeError(f"its code cannot be read: {node.target}{node.args} makes whole numbers or truth values")
         self.values[node] = found
         return found
 

@@ -116,6 +116,8 @@ def test_everything_that_can_be_read():
         (lambda x, u: torch.stack([c for a, b, c in [x.unbind(-1)]] * 2, -1), "cannot be read"),
         (lambda x, u: torch.stack([x[0]] * 2, -1), "select"),
         (lambda x, u: torch.stack([x[..., 0].cumsum(0)] * 2, -1), "cumsum"),
+        (lambda x, u: torch.stack([x[..., 0].long().to(x.dtype)] * 2, -1), "cannot be read"),
+        (lambda x, u: torch.stack([((x[..., 0] > 0) + (u[..., 0] > 0)).to(x.dtype)] * 2, -1), "cannot be read"),
     ],
 )
 def test_what_cannot_be_read_is_told(forward, words):
