@@ -135,6 +135,10 @@ def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
         period: Time between two even times [ticks].
         within: Width of the strip about even times in which stamps stay [ticks].
     """
+    rows = np.arange(len(at), dtype=np.float64)
+    off = at - period * rows
+    if max(off.max(), 0.0) - min(off.min(), 0.0) <= within:  # no row was lost
+        return rows, 0
     low = high = 0.0
     number, anew, numbers = -1, 0, list[int]()
     for stamp in at.tolist():

@@ -297,6 +297,9 @@ def _open_quote(path: Path, read: int = 0) -> str:
     """Return at which line a quote opens that is not closed there, '' if as many lines were read as there are."""
     line = lines = 0
     with path.open("rb") as file:
+        if not any(b'"' in part for part in iter(lambda: file.read(1 << 20), b"")):
+            return ""
+        file.seek(0)
         for lines, text in enumerate(file, 1):
             line = line or lines * (text.count(b'"') % 2)
     if not line or lines == read:

@@ -45,7 +45,7 @@ class Windows:
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in an interval.
-        likely: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
+        prior: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
             every coefficient is as likely as any other.
         last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
         history: inputs as they were applied, from M samples before each window to its end, `(W, M + L + 1, n_u)`; with
@@ -63,7 +63,7 @@ class Windows:
     joined: Tensor
     dt: float
     substeps: int = 1
-    likely: Tensor | None = None
+    prior: Tensor | None = None
     last_inputs: Tensor | None = None
     history: Tensor | None = None
     gain_mask: Tensor | None = None
@@ -523,7 +523,7 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         moves.append(moved)
     norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
     rest = [_starts(flow, sigma, nodes, norms)] if nodes is not None else []
-    if windows.likely is not None:
+    if windows.prior is not None:
         rest.append(_small(flow, triangles[0].shape[1]))
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
@@ -589,17 +589,17 @@ def weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
 
 def _unlikely(flow: Flow) -> float:
     """Return the sum of squared coefficients over their variances before the recording tells them."""
-    if flow.windows.likely is None:
+    if flow.windows.prior is None:
         return 0.0
     parameters = flow.parameters
-    return float((parameters.read(flow.estimate.xi) / parameters.read(flow.windows.likely)).square().sum())
+    return float((parameters.read(flow.estimate.xi) / parameters.read(flow.windows.prior)).square().sum())
 
 
 def _small(flow: Flow, width: int) -> Tensor:
     """Return rows that say of each coefficient that it is likely to be small, `(P, F + P + 1)`."""
-    assert flow.windows.likely is not None
+    assert flow.windows.prior is not None
     parameters = flow.parameters
-    weight = 1 / parameters.read(flow.windows.likely)
+    weight = 1 / parameters.read(flow.windows.prior)
     rows = torch.zeros(len(parameters), width, dtype=weight.dtype)
     rows[:, width - 1 - len(parameters) : -1] = torch.diag(weight)
     rows[:, -1] = -weight * parameters.read(flow.estimate.xi)

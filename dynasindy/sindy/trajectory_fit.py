@@ -382,11 +382,11 @@ def _grown(
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
     guess, length = estimate.nodes, descent.window
     # Samples without noise tell every coefficient.
-    prior = likely(estimate.library, estimate.xi, guess, data, length) if descent.floor is None else None
+    prior = coefficient_prior(estimate.library, estimate.xi, guess, data, length) if descent.floor is None else None
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = Windows.of(data, length, descent.joined is not False, substeps, before)
-        windows = replace(windows, likely=prior, gain_mask=descent.gain_mask, floor=descent.floor)
+        windows = replace(windows, prior=prior, gain_mask=descent.gain_mask, floor=descent.floor)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 
@@ -419,7 +419,7 @@ TURNED = ("sin", "cos", "per_cos2")
 """How the names of the functions of angles begin, of one angle, or of the sum or the difference of two."""
 
 
-def shares(library: Library) -> Tensor:
+def prior_widths(library: Library) -> Tensor:
     """Return how many rates of change of its equation a term may be, `(n_features,)`; infinite if not known."""
     factors = (factor for feature in library.features for factor in feature.factors)
     angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
@@ -427,7 +427,7 @@ def shares(library: Library) -> Tensor:
     return torch.where(torch.tensor(turned), SHARE, torch.inf).to(torch.float64)
 
 
-def likely(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
+def coefficient_prior(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
     """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
 
     It is infinite without a prior, for a function that is zero throughout, and for a state that does not move. Rates of
@@ -438,7 +438,9 @@ def likely(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: i
     rates = torch.maximum((theta @ xi).square().mean(0).sqrt(), _moved(x, data, window))
     sizes = theta.square().mean(0).sqrt()
     told = (sizes > 0).unsqueeze(-1) & (rates > 0) & sizes.isfinite().unsqueeze(-1) & rates.isfinite()
-    return torch.where(told, shares(library).unsqueeze(-1) * rates / sizes.clamp_min(1e-300).unsqueeze(-1), torch.inf)
+    return torch.where(
+        told, prior_widths(library).unsqueeze(-1) * rates / sizes.clamp_min(1e-300).unsqueeze(-1), torch.inf
+    )
 
 
 def _moved(x: Tensor, data: Transitions, window: int) -> Tensor:

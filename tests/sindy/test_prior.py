@@ -7,7 +7,7 @@ import torch
 
 from dynasindy.sindy.library import CONSTANT, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import mechanical
-from dynasindy.sindy.trajectory_fit import SHARE, likely, shares
+from dynasindy.sindy.trajectory_fit import SHARE, coefficient_prior, prior_widths
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -25,7 +25,7 @@ def recorded():
 
 def test_a_term_is_likely_to_be_some_times_the_rate_of_change_of_its_equation():
     data, none = recorded(), torch.zeros(4, 2).double()
-    found = likely(LIBRARY, none, data.x, data)
+    found = coefficient_prior(LIBRARY, none, data.x, data)
     # Within the first stretch a moves by 1 in 0.5 s; the others have one sample each.
     rate = 1.0 / 0.5
     turned = [math.sin(value) * u for value, u in zip((0, 1, 3, 100), (2, -2, 2, 9), strict=True)]
@@ -39,12 +39,16 @@ def test_a_term_is_likely_to_be_some_times_the_rate_of_change_of_its_equation():
 
 def test_functions_of_angles_have_a_prior_and_others_have_none():
     words = ["1", "b", "b^2", "u", "tanh(20 b)", "b |b|", "a", "a^2 u", "sin(a)", "cos(a) b", "sin(2 a) u"]
-    found = shares(Library(SIGNATURE, [parse(word) for word in words]))
+    found = prior_widths(Library(SIGNATURE, [parse(word) for word in words]))
     assert found.tolist() == [math.inf] * 6 + [SHARE] * 5
     # Where nothing is turned by a state it is no angle.
-    assert shares(Library(SIGNATURE, [parse(word) for word in words[:8]])).isinf().all()
+    assert prior_widths(Library(SIGNATURE, [parse(word) for word in words[:8]])).isinf().all()
     quotient = of("per_cos2", "a", frequency=3.0, fitted=True)
-    assert shares(Library(SIGNATURE, [quotient, variable("a"), variable("b")])).tolist() == [SHARE, SHARE, math.inf]
+    assert prior_widths(Library(SIGNATURE, [quotient, variable("a"), variable("b")])).tolist() == [
+        SHARE,
+        SHARE,
+        math.inf,
+    ]
     library = mechanical(Signature(("p", "q", "v", "w"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1,) * 4))
     turned = [any(name in words for name in "pq") for words in (feature.variables for feature in library.features)]
-    assert (shares(library) == SHARE).tolist() == turned and sum(turned) > 50
+    assert (prior_widths(library) == SHARE).tolist() == turned and sum(turned) > 50

@@ -53,7 +53,7 @@ def test_a_coefficient_that_is_likely_to_be_small_counts_as_one_measurement_more
     # y' = c is linear in all unknowns: starts and c by least squares, with one row that says c = 0, 0.4 on either side.
     y = np.random.default_rng(3).normal(size=8)
     data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.zeros(7, 1).double(), 0.5)
-    windows = replace(Windows.of(data, 7, joined), likely=column(1.0, 1.0, 0.4, 1.0))
+    windows = replace(Windows.of(data, 7, joined), prior=column(1.0, 1.0, 0.4, 1.0))
     parameters = Parameters.where(torch.tensor([[False], [False], [True], [False]]))
     estimate = Estimate(LIBRARY, column(0.0, 0.0, 3.0, 0.0), torch.zeros(1, 1).double())
     model = linearise_windows(Flow.of(estimate, parameters, windows), torch.tensor([2.0]).double())
@@ -63,7 +63,7 @@ def test_a_coefficient_that_is_likely_to_be_small_counts_as_one_measurement_more
     assert found.xi[2, 0].item() == pytest.approx(slope) and found.nodes.item() == pytest.approx(start)
     missed = np.square((y - 3.0 * 0.5 * np.arange(8)) / 2.0).sum()
     assert model.cost == pytest.approx(missed + (3.0 / 0.4) ** 2)
-    bare = linearise_windows(Flow.of(estimate, parameters, replace(windows, likely=None)), torch.tensor([2.0]).double())
+    bare = linearise_windows(Flow.of(estimate, parameters, replace(windows, prior=None)), torch.tensor([2.0]).double())
     assert left_over(model, windows) - left_over(bare, windows) == pytest.approx(0.5 * (3.0 / 0.4) ** 2)
 
 
