@@ -492,33 +492,15 @@ def _swing(swing: Mapping[str, Any]) -> str:
 def _margin(form: str) -> Callable[..., str]:
     """Return what says a margin, its figure being in `form`."""
 
-    def text(value: float | None, limit: float, input: str, target: Sequence[float], small: bool, dt: float) -> str:
+    def text(value: float | None, limit: float, input: str, target: Sequence[float], large: bool, dt: float) -> str:
         least = "without limit"
         if value is not None and not math.isinf(value):
             lag = f", {1000 * value * dt:.0f} ms," * form.endswith("periods")
             least = f"the least is {form.format(_beside(value, limit))}{lag}"
-        slow = ", in movements so small that dry friction damps them" * small
-        return f"{least} of {input} at {_places(target)}{slow}; threshold: {form.format(f'{limit:g}')}"
+        how = ", in movements so large that dry friction hardly damps them" * large
+        return f"{least} of {input} at {_places(target)}{how}; threshold: {form.format(f'{limit:g}')}"
 
     return text
-
-
-def _large_movements(gain: float | None, delay: float = 0.0, **more: Any) -> str:
-    if gain is None:
-        return "simulated from target to target, the plant does not come to rest"
-    limits = {kind: more[f"{kind}_limit"] for kind in ("gain", "delay")}
-    stronger, later = (
-        "at least " * more["tried"][kind] + _beside(value, limits[kind])
-        for kind, value in (("gain", gain), ("delay", delay))
-    )
-    which = "the margins above are less than these, and count"
-    if more["counts"]:
-        which = f"less than the {' and the '.join(f'{name} margin' for name in more['counts'])} above, this counts"
-    return (
-        f"simulated from target to target, the inputs may act {stronger} times as strongly, or {later} control "
-        f"periods, {1000 * delay * more['dt']:.0f} ms, later; {which}; thresholds: {limits['gain']:g} and "
-        f"{limits['delay']:g}"
-    )
 
 
 def _noise(value: float = 0.0, limit: float = 0.0, input: str = "", known: bool = True) -> str:
@@ -579,9 +561,7 @@ _VARIED = (
 REMEDIES = {
     "check.stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
     **dict.fromkeys(
-        [f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")]
-        + ["check.gain_reduction", "check.large_movements"],
-        _CAREFUL,
+        [*(f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")), "check.gain_reduction"], _CAREFUL
     ),
     "check.noise": f"{_GENTLE}, or mend the sensor",
     "check.steady_error": "See steps.png. If outputs still move at its end, give a longer time by seconds=; if they "
@@ -838,7 +818,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.phase_margin": _margin("{} deg"),
     "check.delay_margin": _margin("{} control periods"),
     "check.disk_margin": _margin("{}"),
-    "check.large_movements": _large_movements,
     "check.noise": _noise,
     "check.steady_error": lambda begin, **error: (
         f"in steps from {begin} at most {_error(**error)}; threshold: {_error_limit(**error)}"

@@ -19,17 +19,15 @@ from dynasindy.checking.linear_loop import (
     guess_rest,
     loop_margins,
     noise_gain,
+    without_dry_friction,
 )
 from dynasindy.checking.simulation import (
     AWAY,
-    LargeSignalMargins,
     LimitCycles,
     LoopSimulation,
     Plane,
     diverged_rows,
     find_limit_cycles,
-    has_dry_friction,
-    large_signal_margins,
     recovery_plane,
     simulate_loop,
 )
@@ -115,7 +113,8 @@ class Check:
         targets: References, `(n_targets, n_r)`.
         begin: State in which steps begin, `(n_x,)`.
         rest: Where the loop rests at them.
-        margins: Per target and input; none where the loop is not stable.
+        margins: Per target and input, at rest; none where the loop is not stable.
+        smooth: The same of large movements, which dry friction hardly damps; none of a plant without dry friction.
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
         resolution: Step between two values that each state's sensor can tell apart, likewise; 0 where none is known.
@@ -124,8 +123,6 @@ class Check:
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
         planes: From which errors around the middle target the plant comes back.
         swings: What becomes of flights to the targets at which the loop is not stable.
-        flown: Margins of flights from each target at which the loop is stable to the opposite one; None where there is
-            none, and of a plant without dry friction, whose margins at rest are those of large movements as well.
     """
 
     loop: ClosedLoop
@@ -134,6 +131,7 @@ class Check:
     begin: Tensor
     rest: RestingLoop
     margins: list[list[Margins]]
+    smooth: list[list[Margins]]
     noise: list[Array | None]
     sensors: Array
     resolution: Array
@@ -142,7 +140,6 @@ class Check:
     spread: Spread
     planes: list[Plane]
     swings: LimitCycles
-    flown: LargeSignalMargins | None
 
     @property
     def seconds(self) -> float:
@@ -216,6 +213,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         ([], None) if row is None else (loop_margins(row), noise_gain(row))
         for row in track("margins", rows, len(rows), "targets")
     ]
+    smooth = without_dry_friction(loop, rest, targets)
     others, how = variants(loop.plant.model, settings.draws, settings.seed)
     return Check(
         loop,
@@ -224,6 +222,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         begin,
         rest,
         [margins for margins, _ in both],
+        [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [noise for _, noise in both],
         *_sensors(loop),
         simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
@@ -231,7 +230,6 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         spread(loop, targets[good], rest.select(good), others, how, seconds),
         _recovery(loop, settings, targets, rest, seconds),
         find_limit_cycles(loop, targets, good, seconds, begin),
-        _large_movements(loop, targets[good], rest.select(good), begin, seconds),
     )
 
 
@@ -241,16 +239,6 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
     held = torch.isclose(targets, r, atol=0.0).all(-1).nonzero().flatten()
     home = rest.select(held) if len(held) else find_rest(loop, r, seconds=seconds)
     return recovery_plane(loop, home.z[0, loop.parts["x"]], r[0], settings.reach, settings.grid, seconds)
-
-
-def _large_movements(
-    loop: ClosedLoop, targets: Tensor, rest: RestingLoop, begin: Tensor, seconds: float
-) -> LargeSignalMargins | None:
-    """Fly from rest at each target to the opposite one; a single target is flown to from where steps begin."""
-    if not len(targets) or not has_dry_friction(loop.plant.model):
-        return None
-    x = rest.z[:, loop.parts["x"]]
-    return large_signal_margins(loop, x if len(targets) > 1 else begin.expand_as(x), targets.flip(0), seconds)
 
 
 def _farthest(loop: ClosedLoop, targets: Tensor, begin: Tensor) -> int:

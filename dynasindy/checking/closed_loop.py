@@ -68,8 +68,6 @@ class Plant:
         step: Longest Runge-Kutta step [s].
         stops: Mechanical stops, if any.
         coefficients: Xi of each row of a batch, `(rows, n_features, n_x)`; None for those of the model.
-        gain: Factor on the effect of all inputs, or one for each row, `(rows, 1)`.
-        later: How much later all inputs act than the model says [s].
     """
 
     model: SindyModel
@@ -77,13 +75,11 @@ class Plant:
     step: float
     stops: Stops | None = None
     coefficients: Tensor | None = None
-    gain: float | Tensor = 1.0
-    later: float = 0.0
 
     @property
     def late(self) -> tuple[int, float]:
         """Delay of the inputs, in whole control periods and the rest [s]."""
-        return split_delay(self.model.delay + self.later, self.dt)
+        return split_delay(self.model.delay, self.dt)
 
     @property
     def pending(self) -> int:
@@ -114,7 +110,7 @@ class Plant:
     def _flow(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         steps = max(1, math.ceil(seconds / self.step - 1e-6))
         rates = Rates(self.rates, self.model.step)
-        return integrate(rates, x, self.gain * u, seconds, steps, self.stops)[0][..., -1, :]
+        return integrate(rates, x, u, seconds, steps, self.stops)[0][..., -1, :]
 
 
 class _Moved(NamedTuple):
@@ -167,19 +163,14 @@ class ClosedLoop:
         """Control period [s]."""
         return self.controller.dt
 
-    def varied(self, coefficients: Tensor | None = None, gain: float | Tensor = 1.0, later: float = 0.0) -> ClosedLoop:
+    def varied(self, coefficients: Tensor) -> ClosedLoop:
         """Return the same controller around other plants; nobody tells it, and its observer believes in the model.
 
         Args:
-            coefficients: Xi of each plant, `(rows, n_features, n_x)`; None for those of the model.
-            gain: Factor on the effect of the inputs, or one for each row, `(rows, 1)`.
-            later: How much later they act than the model says [s].
+            coefficients: Xi of each plant, `(rows, n_features, n_x)`.
         """
         other = copy.copy(self)
-        other.plant = replace(self.plant, coefficients=coefficients, gain=gain, later=later)
-        other.parts = other._layout()
-        other.size = max(part.stop for part in other.parts.values())
-        other.scale = other._scale()
+        other.plant = replace(self.plant, coefficients=coefficients)
         return other
 
     def rows(self, index: Tensor) -> ClosedLoop:

@@ -172,6 +172,25 @@ def _linearise(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tu
     return Linear(a, b, c, e, f, loop.dt), centre[:, 0, :n] - z, centre[:, 0, n:]
 
 
+def without_dry_friction(loop: ClosedLoop, rest: RestingLoop, r: Tensor) -> Linear | None:
+    """Return loops linearised at rest as large movements meet them, to which dry friction is a force without a slope.
+
+    Args:
+        loop: The loop, of one plant.
+        rest: Where it rests.
+        r: References, `(rows, n_r)`.
+
+    Returns:
+        The linear loops; None of a plant whose equations have no kink that is steep at rest only.
+    """
+    model = loop.plant.model
+    rubs = torch.tensor([any(factor.function == "tanh" for factor in each.factors) for each in model.library.features])
+    if not bool(model.coefficients[rubs].any()):
+        return None
+    smooth = model.coefficients.masked_fill(rubs.unsqueeze(-1), 0.0)
+    return _linearise(loop.varied(smooth.unsqueeze(0)), rest.z, rest.covariance, r.double())[0].finite()
+
+
 def find_rest(
     loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0, phase: str = RESTS
 ) -> RestingLoop:
@@ -299,13 +318,9 @@ def open_loop_response(linear: Linear, omega: Array) -> Complex:
 
 
 def loop_margins(linear: Linear) -> list[Margins]:
-    """Return the margins of one stable loop, input by input.
-
-    Raises:
-        ValueError: The loop is not stable, and has no margins.
-    """
+    """Return the margins of one loop, input by input; all are used up of one that is not stable."""
     if np.abs(np.linalg.eigvals(linear.a)).max() >= 1:
-        raise ValueError("the loop is not stable, so it has no margins")
+        return [Margins(gain=1.0, lower=1.0, phase=0.0, delay=0.0, disk=0.0)] * linear.b.shape[1]
     omega = frequencies(linear)
     s = sensitivity(linear, omega)
     return [_of(linear, omega, s[:, i], i) for i in range(linear.b.shape[1])]

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.check import Check
-from dynasindy.checking.linear_loop import CLOSED, LONGEST
-from dynasindy.checking.simulation import GAINS, LATEST, TOLERANCE
+from dynasindy.checking.linear_loop import CLOSED, LONGEST, Margins
+from dynasindy.checking.simulation import TOLERANCE
 from dynasindy.findings import Finding, note, records, weak, wrong
 
 
@@ -50,59 +50,52 @@ class Thresholds:
 
 def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, Any]:
     """Return all figures as plain numbers, findings first; null stands for what is infinite or does not exist."""
-    signature, outputs = found.loop.signature, found.loop.task.output_names
-    names, eigenvalues = signature.input_names, found.rest.linear.eigenvalues
+    signature, outputs, linear, others = (
+        found.loop.signature,
+        found.loop.task.output_names,
+        found.rest.linear,
+        found.spread,
+    )
+    names = signature.input_names
     targets = []
     for k, target in enumerate(found.targets.tolist()):
-        gain = found.noise[k]
+        gain, swings = found.noise[k], (*found.swings.outputs[k], *found.swings.inputs[k])
+        eigenvalues = [[_plain_number(v.real), _plain_number(v.imag)] for v in linear.eigenvalues[k] if abs(v) > 1e-6]
         targets.append(
             {
                 "target": dict(zip(outputs, target, strict=True)),
                 "rests": bool(found.rest.still[k]),
                 "stable": bool(found.stable[k]),
-                "spectral_radius": _plain_number(found.rest.linear.radius[k]),
-                "eigenvalues": [
-                    [_plain_number(v.real), _plain_number(v.imag)] for v in eigenvalues[k] if abs(v) > 1e-6
-                ],
+                "spectral_radius": _plain_number(linear.radius[k]),
+                "eigenvalues": eigenvalues,
                 "steady_error": _named(outputs, found.steps.steady_error[k]),
-                "swing": None
-                if bool(found.stable[k])
-                else _named((*outputs, *names), torch.cat([found.swings.outputs[k], found.swings.inputs[k]])),
-                "margins": {
-                    name: {key: _plain_number(value) for key, value in vars(margin).items()}
-                    for name, margin in zip(names, found.margins[k], strict=False)
-                },
-                "noise_to_input": {
-                    name: _named(signature.state_names, row) for name, row in zip(names, gain, strict=True)
-                }
-                if gain is not None
-                else None,
+                "swing": None if bool(found.stable[k]) else _named((*outputs, *names), swings),
+                "margins": _margin_record(names, found.margins[k]),
+                "margins_without_friction": _margin_record(names, found.smooth[k]),
+                "noise_to_input": None
+                if gain is None
+                else {name: _named(signature.state_names, row) for name, row in zip(names, gain, strict=True)},
                 "slew": _named(names, found.steps.slew[k]),
                 "saturated": _named(names, found.steps.saturated[k]),
             }
         )
-    others = found.spread
+    slowest = None if others.settling is None else others.settling[:, :-1].amax(0)
     changes = [
         {
-            "spectral_radius": _plain_number(float(others.worst[k])),
+            "spectral_radius": _plain_number(radius),
             "steady_error": _named(outputs, others.farthest[k]),
-            "settling": None
-            if others.settling is None or others.worst[k] >= 1
-            else _plain_number(float(others.settling[:, k].amax())),
+            "settling": None if slowest is None or radius >= 1 else _plain_number(float(slowest[k])),
         }
-        for k in range(others.radius.shape[1])
+        for k, radius in enumerate(others.worst.tolist())
     ]
     planes = [
         {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
         for plane in found.planes
     ]
-    settings = {name: list(v) if isinstance(v, tuple) else v for name, v in vars(found.settings).items()}
-    flights = None if found.flown is None else vars(found.flown)
     return {
         "findings": records(findings),
-        "settings": settings,
+        "settings": vars(found.settings),
         "targets": targets,
-        "flown": flights,
         "changes": changes,
         "recovery": planes,
     }
@@ -115,6 +108,10 @@ def _plain_number(value: float) -> float | None:
 
 def _named(names: Any, values: Any) -> dict[str, float | None]:
     return {name: _plain_number(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+def _margin_record(names: Sequence[str], margins: Sequence[Margins]) -> dict[str, dict[str, float | None]]:
+    return {name: _named(vars(each), vars(each).values()) for name, each in zip(names, margins, strict=False)}
 
 
 def unstable_targets(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
@@ -133,10 +130,10 @@ def main_figures(found: Check, findings: Sequence[Finding]) -> dict[str, Any]:
     """
     least: dict[str, dict[str, float | None]] = {}
     for i, name in enumerate(found.loop.signature.input_names):
-        if at_targets := [each[i] for each in found.margins if each]:
-            worst = {key: min(getattr(m, key) for m in at_targets) for key in ("gain", "phase", "delay", "disk")}
-            worst["lower"] = max(m.lower for m in at_targets)
-            least[name] = {key: _plain_number(value) for key, value in worst.items()}
+        if margins := [each[i] for each in (*found.margins, *found.smooth) if each]:
+            worst = {key: min(getattr(m, key) for m in margins) for key in ("gain", "phase", "delay", "disk")}
+            worst["lower"] = max(m.lower for m in margins)
+            least[name] = _named(worst, worst.values())
     return {
         "stable": bool(found.stable.all()),
         "findings": records(findings),
@@ -162,7 +159,7 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     limits = thresholds or Thresholds()
     findings = [_stability(found, limits)]
     if any(found.margins):
-        findings += [*_margins(found, limits), *_large_movements(found, limits), _noise(found, limits)]
+        findings += [*_margins(found, limits), _noise(found, limits)]
     findings += [*_steps(found, limits), *_coefficients(found, limits), *_settling(found, limits)]
     return [*findings, _recovery(found, limits)] if found.planes else findings
 
@@ -218,39 +215,27 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
-    """Return the least margins at rest, over inputs and targets."""
+    """Return the least margins over inputs and targets, of small and of large movements."""
     dt, names = found.loop.dt, found.loop.signature.input_names
-    rows = [(k, i, m) for k, target in enumerate(found.margins) for i, m in enumerate(target)]
+    rows = [
+        (k, i, large, margins)
+        for large, every in ((False, found.margins), (True, found.smooth))
+        for k, target in enumerate(every)
+        for i, margins in enumerate(target)
+    ]
     kinds = {
-        "gain_margin": ([m.gain for _, _, m in rows], limits.gain),
-        "gain_reduction": ([1 / m.lower if m.lower else math.inf for _, _, m in rows], limits.gain),
-        "phase_margin": ([m.phase for _, _, m in rows], limits.phase),
-        "delay_margin": ([m.delay / dt for _, _, m in rows], limits.delay),
-        "disk_margin": ([m.disk for _, _, m in rows], limits.disk),
+        "gain_margin": ([m.gain for *_, m in rows], limits.gain),
+        "gain_reduction": ([1 / m.lower if m.lower else math.inf for *_, m in rows], limits.gain),
+        "phase_margin": ([m.phase for *_, m in rows], limits.phase),
+        "delay_margin": ([m.delay / dt for *_, m in rows], limits.delay),
+        "disk_margin": ([m.disk for *_, m in rows], limits.disk),
     }
     findings = []
     for code, (values, limit) in kinds.items():
-        k, i, _ = rows[row := int(np.argmin(values))]
-        where = {"input": names[i], "target": _target(found, k), "small": found.flown is not None, "dt": dt}
+        k, i, large, _ = rows[row := int(np.argmin(values))]
+        where = {"input": names[i], "target": _target(found, k), "large": large, "dt": dt}
         findings.append(_judged(code, values[row] >= limit, value=values[row], limit=limit, **where))
     return findings
-
-
-def _large_movements(found: Check, limits: Thresholds) -> list[Finding]:
-    """Return the margins of large movements; none of a plant without dry friction."""
-    margins, dt = found.flown, found.loop.dt
-    if margins is None:
-        return []
-    if not margins.gain:
-        return [weak("check.large_movements", gain=None)]
-    small = [margin for target in found.margins for margin in target]
-    ends = {"gain": (margins.gain, float(GAINS[-1])), "delay": (margins.delay, LATEST)}
-    tried = {kind: value >= end for kind, (value, end) in ends.items()}  # as far as was tried is no end
-    at_rest = {"gain": min(m.gain for m in small), "delay": min(m.delay for m in small) / dt}
-    counts = [kind for kind, (value, _) in ends.items() if not tried[kind] and value < at_rest[kind]]
-    keeps = margins.gain >= limits.gain and margins.delay >= limits.delay
-    facts = {"gain_limit": limits.gain, "delay_limit": limits.delay, "tried": tried, "counts": counts, "dt": dt}
-    return [_judged("large_movements", keeps, gain=margins.gain, delay=margins.delay, **facts)]
 
 
 def _noise(found: Check, limits: Thresholds) -> Finding:

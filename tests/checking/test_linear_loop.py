@@ -20,6 +20,7 @@ from dynasindy.checking.linear_loop import (
     open_loop_response,
     sensitivity,
     settling,
+    without_dry_friction,
 )
 from dynasindy.checking.verdict import check_record
 from dynasindy.sindy import SindyModel
@@ -288,3 +289,37 @@ def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts
     assert check_record(replace(found, spread=replace(found.spread, radius=part)))["changes"][0]["settling"] is None
     none = replace(found.spread, radius=torch.full_like(part, 1.01))
     assert "check.settling" not in [each.code for each in check_verdict(replace(found, spread=none))]
+
+
+def stable(k_p, k_v, later, dt=0.1):
+    """Tell whether the sampled loop on a double integrator is stable, its input so many periods late."""
+    a = np.eye(2 + later, k=1)
+    a[:2] = 0.0
+    a[:2, :2], a[:2, 2:3], a[-1, :2] = A, B, [-k_p, -k_v]
+    return np.abs(np.linalg.eigvals(a)).max() < 1
+
+
+def test_dry_friction_makes_margins_at_rest_that_large_movements_do_not_have(loops, law):
+    """Of a cart with a force of 0.15 against any speed above 1 cm/s, and no other damping but the controller's."""
+    model = SindyModel(loops().signature, ["force", "v", "tanh(100 v)"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -0.15]], dtype=torch.float64))
+    found = check(loops(law(2.0, 1.2), model=model), Settings((-0.4,), (0.4,), points=2, seconds=4.0, grid=2, draws=0))
+    rests, large = (
+        min(margin.delay for target in margins for margin in target) / 0.1 for margins in (found.margins, found.smooth)
+    )
+    late = next(n for n in range(1, 20) if not stable(2.0, 1.2, n))  # nothing rubs
+    assert late - 1 <= large <= late and large < 0.5 * rests
+    values = {each.code: each.values for each in check_verdict(found)}["check.delay_margin"]
+    assert values["value"] == pytest.approx(large) and values["large"]
+
+
+def test_a_loop_that_friction_alone_holds_has_no_margin(loops, law):
+    model = SindyModel(loops().signature, ["force", "v", "tanh(100 v)"], known={"p": "v"})
+    model.set_coefficients(torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -0.15]], dtype=torch.float64))
+    loop = loops(law(2.0, 0.05), model=model)
+    r = targets(0.0)
+    rest = find_rest(loop, r)
+    smooth = without_dry_friction(loop, rest, r)
+    assert rest.stable.all() and smooth.radius > 1
+    assert [(each.gain, each.delay, each.phase) for each in loop_margins(smooth.row(0))] == [(1.0, 0.0, 0.0)]
+    assert without_dry_friction(loops(), find_rest(loops(), r), r) is None

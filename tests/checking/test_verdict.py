@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear_loop import Margins
-from dynasindy.checking.simulation import LargeSignalMargins, LoopSimulation
+from dynasindy.checking.simulation import LoopSimulation
 from dynasindy.checking.verdict import (
     Thresholds,
     check_record,
@@ -169,16 +169,18 @@ def test_small_swings_are_told_with_their_size_and_forbid_no_flight(loops, carts
         assert first.severity == severity and first.values["swing"]["error"] == pytest.approx(swing)
 
 
-@pytest.mark.parametrize(
-    ("gain", "delay", "counts"),
-    [(2.0, 1.0, ["gain", "delay"]), (2.0, 7.0, ["gain"]), (4.0, 8.0, [])],
-)
-def test_of_margins_that_disagree_the_lesser_count(good, gain, delay, counts):
-    """At rest they are 5 and 0.5 s, which are five periods; four times and eight periods are as far as is tried."""
-    margin = Margins(5.0, 0.2, 60.0, 0.5, 1.0)
-    found = by_name(replace(good, margins=[[margin], [margin]], flown=LargeSignalMargins(gain, delay)))
-    assert found["large_movements"].values["counts"] == counts and str(found["large_movements"])
-    assert found["gain_margin"].values["small"] and not by_name(good)["gain_margin"].values["small"]
+def test_of_small_and_large_movements_the_lesser_margins_count(good):
+    small, large = Margins(5.0, 0.2, 60.0, 0.5, 1.0), Margins(6.0, 0.1, 20.0, 0.2, 0.4)
+    found = by_name(replace(good, margins=[[small], [small]], smooth=[[], [large]]))
+    assert {name: each.values["large"] for name, each in found.items() if "large" in each.values} == {
+        "gain_margin": False,
+        "gain_reduction": False,
+        "phase_margin": True,
+        "delay_margin": True,
+        "disk_margin": True,
+    }
+    assert found["delay_margin"].values["value"] == pytest.approx(2.0)
+    assert main_figures(replace(good, smooth=[[large], []]), [])["margins"]["force"]["phase"] == 20.0
 
 
 def test_findings_come_first_and_what_is_infinite_is_null(loops, carts):
