@@ -1,4 +1,4 @@
-"""TorchRL's TD3 loss and target updater on plain tensors: the same values and gradients in less time."""
+"""TorchRL's TD3 loss on plain tensors: the same values and gradients in less time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torch.optim import Adam
-from torchrl.objectives import SoftUpdate as TorchRLSoftUpdate
 from torchrl.objectives import TD3Loss as TorchRLTD3Loss
 from torchrl.objectives import ValueEstimators
 
@@ -112,25 +111,6 @@ class TD3Loss(TorchRLTD3Loss):
         moved = super()._apply(fn, *args)
         self._list_layers()  # moving to a device or a dtype replaces tensors
         return moved
-
-
-class SoftUpdate(TorchRLSoftUpdate):
-    """TorchRL's soft update, theta' <- tau theta + (1 - tau) theta', as one call for all tensors.
-
-    Args:
-        loss_module: the loss whose targets move.
-        tau: share of the online parameters.
-    """
-
-    def __init__(self, loss_module: TD3Loss, *, tau: float) -> None:
-        super().__init__(loss_module, tau=tau)
-        self.tau = tau
-        self.targets: list[Tensor] = list(self._targets.values(True, True))
-        self.sources: list[Tensor] = [source.detach() for source in self._sources.values(True, True)]
-
-    def step(self) -> None:
-        """Move the targets."""
-        torch._foreach_lerp_(self.targets, self.sources, self.tau)
 
 
 Check = Callable[[Tensor, str], None]

@@ -95,20 +95,17 @@ class _MachineSteps(GradientSteps):
         self._actor_weights = _weights(actor, loss.actor_layers, gradients[0])
         self._critic_weights = _weights(critics, loss.critic_layers, gradients[1])
         moments = [state[name] for each in (critics, actor) for state in each.state.values() for name in state]
-        # What the code points to is kept alive, as are the dictionaries that say what it is.
-        self._held = [*(tensor for layers in networks for layer in layers for tensor in layer[:2]), *moments]
-        self._places, self._listed = self._now()
+        self._held = networks, moments  # what the code points to is kept alive
+        self._listed = self._now()
         self._room = torch.empty(0)
 
     def stands(self) -> bool:
-        """Return whether all tensors are still there, and where they lay when the steps were made."""
-        places, listed = self._now()
-        same = all(one is other for one, other in zip(listed, self._listed))
-        return same and places == self._places and all(len(optimizer.state) for optimizer in self.optimizers)
+        """Return whether no tensor has been replaced since the steps were made."""
+        return all(one is other for one, other in zip(self._now(), self._listed, strict=True))
 
-    def _now(self) -> tuple[list[int], tuple[object, ...]]:
-        states = (optimizer.state for optimizer in self.optimizers)
-        return [held.data_ptr() for held in self._held], (self.loss.actor_layers, self.loss.critic_layers, *states)
+    def _now(self) -> list[object]:
+        """Return what lists the tensors; a list or a dictionary of its own takes the place of one whose tensors move."""
+        return [self.loss.actor_layers, self.loss.critic_layers, *(each.state for each in self.optimizers)]
 
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:
         """Take a step of the critics, see `GradientSteps`."""

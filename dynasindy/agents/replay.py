@@ -151,13 +151,6 @@ class DynaReplay:
         """Return a copy of the real rows, `(n,)`, the oldest first, in the CPU's memory."""
         return _in_order(self.real).cpu()
 
-    def real_as_stored(self) -> TensorDict:
-        """Return the real rows, `(n,)`, the oldest first, to be read before the next write.
-
-        They are a view of the storage, which may hold half a million rows, until the ring has come round.
-        """
-        return _in_order(self.real) if _round(self.real) else self.real.storage.get(slice(0, len(self.real)))
-
     def keep(self, keys: Sequence[NestedKey]) -> None:
         """Keep other keys of real rows from now on; the rows so far are forgotten.
 
@@ -216,10 +209,11 @@ class DynaReplay:
         """
         if not len(self.real) and not len(self.model):
             raise RuntimeError("Replay is empty; collect real transitions before sampling.")
-        drawn = [
-            [column.index_select(0, index.to(self.device)) for column in self.columns(buffer)]
-            for buffer, index in self.draw()
-        ]
+        drawn = []
+        for buffer, k in zip((self.real, self.model), self.counts(), strict=True):
+            if k:
+                places = torch.randint(len(buffer), (k,), generator=self.generator).to(self.device)
+                drawn.append([column.index_select(0, places) for column in self._columns(buffer)])
         columns = [torch.cat(pair) for pair in zip(*drawn)] if len(drawn) == 2 else drawn[0]
         observation, action, next_observation, reward, done, terminated, truncated = columns
         following = {"observation": next_observation, "reward": reward}
@@ -227,12 +221,7 @@ class DynaReplay:
         size = [self.batch_size]
         return TensorDict({"observation": observation, "action": action, "next": TensorDict(following, size)}, size)
 
-    def draw(self) -> list[tuple[TensorDictReplayBuffer, Tensor]]:
-        """Draw which rows a batch holds: a storage and rows of it, `(k,)`, in the CPU's memory; the real ones first."""
-        counts = zip((self.real, self.model), self.counts(), strict=True)
-        return [(buffer, torch.randint(len(buffer), (k,), generator=self.generator)) for buffer, k in counts if k]
-
-    def columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
+    def _columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
         """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""
         writer = buffer.writer
         assert isinstance(writer, _CheckedWriter)
@@ -275,16 +264,9 @@ class DynaReplay:
 def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
     """Return a copy of the rows of a ring, the oldest first."""
     rows: TensorDict = buffer.storage.get(slice(0, len(buffer)))
-    if not _round(buffer):
-        return rows.clone()
-    cursor = buffer.writer._cursor
+    cursor = buffer.writer._cursor % len(buffer)
     begun: TensorDict = torch.cat([rows[cursor:], rows[:cursor]])
     return begun
-
-
-def _round(buffer: TensorDictReplayBuffer) -> bool:
-    """Return whether the newest rows of a ring stand before the oldest ones."""
-    return len(buffer) == buffer.storage.max_size and bool(buffer.writer._cursor)
 
 
 def _words(keys: Collection[NestedKey]) -> str:

@@ -287,9 +287,6 @@ class GradientPlanning(Planner):
         imagined += done * self.rollouts * pace.window + improved.imagined
         return Planned(imagined, learnt + made + improved.updates)
 
-    def distrust(self) -> None:
-        """Do nothing: no imagined data are kept."""
-
     def summary(self) -> str:
         """Return the settings of the latest phase and why they are so, in one line."""
         return f"{self.pace}" if self.phase and self.rollouts else ""

@@ -5,7 +5,6 @@ A TorchRL transform turns real start states into imagined transitions.
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
+from torch.nn.functional import pad
 from torchrl.envs import Transform
 
 from dynasindy.agents import TD3, DynaReplay
@@ -69,8 +69,7 @@ class Planner(ABC):
     def plan(self) -> Planned:
         """Plan once with the world model as it is now."""
 
-    @abstractmethod
-    def distrust(self) -> None:
+    def distrust(self) -> None:  # noqa: B027 - most planners keep nothing
         """Drop what came from a model that is no longer trusted."""
 
     def summary(self) -> str:
@@ -144,37 +143,17 @@ class Imagination(Transform):
         rollout = self.env.rollout(
             self.horizon, self.policy, auto_reset=False, tensordict=start, break_when_any_done=False
         )
-        finite = _finite(rollout)
-        self.diverged = len(finite) - int(finite[:, 0].sum())
+        following = rollout["next"]
+        parts = [following[key] for key in ("state", "observation", "reward")]
+        sound = torch.cat(parts, -1).isfinite().all(-1)
+        self.diverged = len(sound) - int(sound[:, 0].sum())
         if self.limit is not None:
-            states = rollout["next", "state"]
-            finite = finite & (states.abs() <= self.limit.to(states)).all(-1)
-        kept, last = _kept(finite)
-        rollout["next", "truncated"] = rollout["next", "done"] = last.unsqueeze(-1)
-        rows, kept = rollout.select(*LEARN_KEYS).reshape(-1), kept.flatten()
-        # Nearly always all are kept; and each column would look for itself which ones are.
-        return rows if bool(kept.all()) else rows[kept.nonzero().squeeze(-1)]
-
-
-def _finite(rollout: TensorDictBase) -> Tensor:
-    """Return which transitions are finite, `(batch, horizon)` bool."""
-    following = rollout["next"]
-    parts = [following[key] for key in ("state", "observation", "reward")]
-    # A sum is a pass over the numbers; of numbers that are finite it may be too large for one.
-    if math.isfinite(sum(part.sum() for part in parts)):
-        return torch.ones(rollout.batch_size, dtype=torch.bool, device=parts[0].device)
-    return torch.cat(parts, -1).isfinite().all(-1)
-
-
-def _kept(sound: Tensor) -> tuple[Tensor, Tensor]:
-    """Return which steps precede the cut and which of them is the last of its rollout, `(batch, horizon)` bool."""
-    if bool(sound.all()):
-        last = torch.zeros_like(sound)
-        last[:, -1] = True
-        return sound, last
-    kept = sound.long().cumprod(-1).bool()
-    after = torch.cat([kept[:, 1:], torch.zeros_like(kept[:, :1])], -1)
-    return kept, kept & ~after
+            sound &= (parts[0].abs() <= self.limit.to(parts[0])).all(-1)
+        kept = sound.int().cummin(-1).values.bool()
+        last = kept & ~pad(kept[:, 1:], (0, 1))
+        following["truncated"] = following["done"] = last.unsqueeze(-1)
+        # Each column would look for itself which rows of a mask are kept.
+        return rollout.select(*LEARN_KEYS).reshape(-1)[kept.flatten().nonzero().squeeze(-1)]
 
 
 class NoPlanning(Planner):
@@ -194,9 +173,6 @@ class NoPlanning(Planner):
     def plan(self) -> Planned:
         """Return a cost of zero."""
         return Planned()
-
-    def distrust(self) -> None:
-        """Do nothing."""
 
 
 class ImaginedReplay(Planner):
@@ -263,10 +239,10 @@ class ImaginedReplay(Planner):
         report_progress("planning", note=f"{self.rollouts} imagined rollouts")
         if self.generations is not None:
             self.replay.keep_imagined(sum(self.made[max(0, len(self.made) + 1 - self.generations) :]))
-        real = self.replay.real_as_stored()
+        real = self.replay.real_in_order()
         rows = len(real) - 1 - torch.randint(len(real), (self.rollouts,), generator=self.generator)
         self.imagination.limit = self.state_bound * real["next", "state"].abs().amax(0)
-        starts = TensorDict({"state": real["state"][rows]}, [self.rollouts])
+        starts = TensorDict({"state": real["state"][rows]}, [self.rollouts]).to(self.replay.device)
         self.made.append(len(self.replay.model.extend(starts)))
         if self.imagination.diverged == self.rollouts:
             self.agent.check()  # its weights may be the reason
