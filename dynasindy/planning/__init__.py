@@ -3,7 +3,6 @@
 from dynasindy.planning.gate import Gate, ModelError, ModelPrediction, replay_error
 from dynasindy.planning.gradient_planning import GradientPlanning
 from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning, Planned, Planner
-from dynasindy.planning.randomization import Randomization
 
 __all__ = [
     "Gate",
@@ -15,6 +14,5 @@ __all__ = [
     "NoPlanning",
     "Planned",
     "Planner",
-    "Randomization",
     "replay_error",
 ]

@@ -20,16 +20,14 @@ from torch import Tensor, nn
 from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
-from dynasindy.planning.gate import Bound
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.randomization import GainMargin, ModelEnsemble, Randomization
+from dynasindy.planning.randomization import InputStrength, ModelEnsemble, draw_delays
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, Signature, System
-from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks import Task, Tracking
 
 DIVERGED = 100.0
@@ -41,7 +39,6 @@ class _Episodes:
 
     Attributes:
         diverged: Windows that have diverged so far.
-        margin: How strong inputs may be, set by `vary`; None for that of the model.
 
     Args:
         planner: Whose episodes they are.
@@ -49,7 +46,6 @@ class _Episodes:
 
     def __init__(self, planner: GradientPlanning) -> None:
         self.planner = planner
-        self.margin: GainMargin | None = None
         self.rows = references(planner.env, planner.rollouts, planner.rng)
         self.rows.kept = True
         self.system: System = planner.env.system
@@ -68,13 +64,11 @@ class _Episodes:
         # A state that never moved says nothing of its range.
         self.rows.reach = torch.where(largest > 0, DIVERGED * largest, torch.inf)
 
-    def vary(self, margin: GainMargin | None) -> None:
+    def vary(self, strength: InputStrength | None) -> None:
         """Let the inputs of every episode be late, and of a strength of their own, from now on."""
         planner, rows = self.planner, self.rows
-        rows.late = planner.randomization.delays(planner.rollouts, planner.rng)
-        if margin is not None:
-            self.margin = margin
-            rows.strength = margin.draw(rows.params, planner.rng)
+        rows.late = draw_delays(planner.input_delay, planner.rollouts, planner.rng)
+        rows.strength = None if strength is None else strength.draw(planner.rollouts, planner.rng)
 
     def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
         """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""
@@ -87,9 +81,10 @@ class _Episodes:
         fresh = planner.env.task.sample(new.shape, planner.rng)
         rows.params = torch.where(new.reshape(-1, *[1] * (fresh.dim() - 1)), fresh, rows.params)
         rows.t = rows.t.masked_fill(new.unsqueeze(-1), 0.0)
-        if self.margin is not None and rows.strength is not None:
-            rows.strength = rows.strength.where(new, self.margin.draw(rows.params, planner.rng))
-        if rows.late is not None and (delays := planner.randomization.delays(len(new), planner.rng)) is not None:
+        if (before := rows.strength) is not None:
+            drawn = before.draw(len(new), planner.rng)
+            rows.strength = dataclasses.replace(before, factor=drawn.factor.where(new.unsqueeze(-1), before.factor))
+        if rows.late is not None and (delays := draw_delays(planner.input_delay, len(new), planner.rng)) is not None:
             rows.late = delays.where(new.unsqueeze(-1), rows.late)
         self.end = self.end.masked_fill(new.unsqueeze(-1), self.length)
 
@@ -122,6 +117,8 @@ largest one that is told [target ranges]."""
 GAIN, ROUNDS = 0.05, 6
 """Share of its score that a further round of updates must gain for another one to follow, and how many there are at
 most."""
+LARGEST_GRADIENT = 0.3
+"""Bound of each gradient's norm."""
 FENCE = 40.0
 """Cost of leaving the plant's bounds, at which real episodes end and imagined ones do not [per range and period]; an
 error of a whole target range costs 4."""
@@ -141,7 +138,6 @@ class GradientPlanning(Planner):
         rollouts: Imagined episodes side by side; 0 plans nothing and leaves the actor to TD3.
         window: Control periods that a gradient reaches back.
         lr: Learning rate of the first phase at its start, 0.3 of it in later ones; it falls along a half cosine to 1 %.
-        max_grad_norm: Bound of each gradient's norm.
         width: Error at which the imagined cost turns from quadratic to linear [target ranges]; None plans on the
             task's own reward, as does a task without references.
         warm_start: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
@@ -155,15 +151,14 @@ class GradientPlanning(Planner):
         patience: Tests in a row without improvement after which a phase ends early.
         searches: Most searches for ways that earn more than the policy's, after the updates of a phase, where the task
             tracks no reference.
-        randomization: How imagined plants stray from the model; by default inputs are a control period late in
-            one episode of two. Where ways from afar are imitated, or the task tracks no reference, they never are.
+        input_delay: By how much inputs are late in one imagined episode of two, in control periods, up to 1. Where
+            ways from afar are imitated, or the task tracks no reference, they never are.
         others: Other models of the same plant, each of which moves as many imagined episodes as the model.
         every: Episodes between two planning phases.
         seed: Seed of references, starts and variations.
 
     Raises:
-        ValueError: A number is out of range, `warm_start` is asked for and the task tracks no reference, or the noise
-            has not one deviation per state.
+        ValueError: A number is out of range, or `warm_start` is asked for and the task tracks no reference.
     """
 
     # Departure: the paper's reward is quadratic with a bonus; its slope vanishes near zero and the bonus has none.
@@ -181,7 +176,6 @@ class GradientPlanning(Planner):
         rollouts: int = 128,
         window: int | None = None,
         lr: float | None = None,
-        max_grad_norm: Bound = 0.3,
         width: float | None = 0.02,
         real_starts: float = 0.25,
         jumps: float = 0.25,
@@ -191,7 +185,7 @@ class GradientPlanning(Planner):
         warm_start: bool | None = None,
         gain_range: float | None = None,
         searches: Count = 16,
-        randomization: Randomization | None = None,
+        input_delay: float = 1.0,
         others: Sequence[System] = (),
         every: int = 1,
         seed: int = 0,
@@ -199,11 +193,14 @@ class GradientPlanning(Planner):
         super().__init__(every)
         given = zip(FOLLOWING, (window, lr, updates, patience, substeps, warm_start, gain_range), strict=True)
         self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
-        sizes = {"check_every": check_every, "max_grad_norm": max_grad_norm, "width": width}
+        sizes = {"check_every": check_every, "width": width}
         _require_positive(
             {**{k: v for k, v in self.given.items() if k not in ("updates", "warm_start", "gain_range")}, **sizes}
         )
-        _require_share(gain_range)
+        if gain_range is not None and not 0 <= gain_range < 1:
+            raise ValueError(f"gradient planning got gain_range={gain_range}; give a share of at least 0 and below 1")
+        if not 0 <= input_delay <= 1:
+            raise ValueError(f"gradient planning got input_delay={input_delay}; give 0 to 1 control periods")
         least = min(rollouts, updates or 0, more_updates, real_starts, jumps)
         if least < 0 or real_starts + jumps > 1:
             raise ValueError(
@@ -214,11 +211,11 @@ class GradientPlanning(Planner):
         _require_memory(env.system.signature, rollouts, window or UNTOLD)
         self.agent, self.replay, self.network = agent, replay, _on_cpu(_network(agent.policy))
         self.more_updates, self.searches = more_updates, searches
-        self.rollouts, self.max_grad_norm = rollouts, max_grad_norm
+        self.rollouts = rollouts
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
         self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
-        self.randomization, self.others = randomization or Randomization(), list(others)
+        self.input_delay, self.others = input_delay, list(others)
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, warm_start), env.dt, substeps or 1)
         self.env.stops = env.stops
@@ -243,11 +240,13 @@ class GradientPlanning(Planner):
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
         episodes = _Episodes(self)
-        rows, late = self.held_out, None if rests is None else self.randomization.ends(len(self.held_out.x))
-        rows.reach, rows.strength, rows.late = episodes.rows.reach, None, late
+        rows = self.held_out
+        rows.reach, rows.strength, rows.late = episodes.rows.reach, None, None
+        if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
+            rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
         begun = WarmStart(-math.inf)
         if rests is not None and pace.warm_start and (first or not arrives(self.network, self.env, rests, self.rng)):
-            begun = self._held(rests)
+            begun = hold(self.network, self.env, rests, rows, self.test, self.rng)
         elif rests is not None and pace.warm_start:
             begun = WarmStart(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
@@ -260,9 +259,9 @@ class GradientPlanning(Planner):
             rows.late = None
             best = begun.score if begun.afar else self.test()
         elif rests is not None:
-            episodes.vary(margin := GainMargin.of(self.env, rests, pace.gain_range))
-            if margin is not None:
-                rows.strength = margin.ends(rows.params)
+            episodes.vary(strength := InputStrength.of(self.env, rests, pace.gain_range))
+            if strength is not None:
+                rows.strength = strength.ends(len(rows.x))
                 best = self.test() if best > -math.inf else best
         held = rests is not None and pace.warm_start
         best, done, made = self._descend(episodes, best, updates, lr, held)
@@ -272,7 +271,7 @@ class GradientPlanning(Planner):
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
-                law = hold(self.network, self.env, rests, self.test, self.rng, search=False)
+                law = hold(self.network, self.env, rests, rows, self.test, self.rng, search=False)
                 imagined, learnt, held, best = imagined + law.imagined, learnt + law.updates, True, self.test()
             before = best
             best, more, steps = self._descend(episodes, best, updates, 0.3 * lr, held)
@@ -365,28 +364,13 @@ class GradientPlanning(Planner):
             raise self._diverged(done, made, episodes.diverged, finite, rate)
         return best, done, made
 
-    def _held(self, rests: Equilibria) -> WarmStart:
-        """Let the policy begin as a law that holds the plant: a regulator that bears late inputs, or ways from afar.
-
-        Ways from afar are timed for the inputs of the model, and are asked for first.
-        """
-        late, before, drawn = self.held_out.late, self._weights(), self.rng.get_state()
-        self.held_out.late = None
-        begun = hold(self.network, self.env, rests, self.test, self.rng)
-        if begun.afar or late is None:
-            return begun
-        self.held_out.late = late
-        self.network.load_state_dict(before)
-        self.rng.set_state(drawn)
-        return hold(self.network, self.env, rests, self.test, self.rng)
-
     def _update(self, episodes: _Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
         rows, system = episodes.rows, episodes.system
         window = imagine(self.env, system, self.network, rows, self.pace.window)
         optimizer.zero_grad()
         backward(self.env, system, self.network, rows, window)
-        norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.max_grad_norm)
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
         alive = window.alive[-1]
         episodes.diverged += len(alive) - int(alive.sum())
         finite = bool(norm.isfinite())
@@ -428,11 +412,6 @@ class GradientPlanning(Planner):
 def _require_memory(signature: Signature, rollouts: int, window: int) -> None:
     size = 8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4)
     check_memory(size, f"{setting('planning.rollouts')}={rollouts} of {setting('planning.window')}={window} periods")
-
-
-def _require_share(gain_range: float | None) -> None:
-    if gain_range is not None and not 0 <= gain_range < 1:
-        raise ValueError(f"gradient planning got gain_range={gain_range}; give a share of at least 0 and below 1")
 
 
 def _require_positive(sizes: dict[str, Any]) -> None:

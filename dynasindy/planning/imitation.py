@@ -78,6 +78,7 @@ def hold(
     network: nn.Module,
     env: ControlEnv,
     rests: Equilibria,
+    rows: Rows,
     score: Callable[[Network], float],
     rng: torch.Generator,
     search: bool = True,
@@ -88,6 +89,7 @@ def hold(
         network: Policy, observations to inputs; trained in place.
         env: Imagined environment.
         rests: Equilibria of its model.
+        rows: Episodes by which policies are scored; their inputs are in time from now on if ways from afar are taken.
         score: What a policy earns in the model.
         rng: Source of starts, references and batches.
         search: Whether ways from afar are searched for where no regulator brings every episode home.
@@ -97,11 +99,14 @@ def hold(
     best, before = score(network), copy.deepcopy(network.state_dict())
     regulators = [Regulator.of(env, rests, replace(Weights(), outputs=weight)) for weight in LADDER]
     earned: dict[float, _Law] = {score(law): law for law in regulators if law is not None}
-    afar, imagined = False, 0
+    afar, imagined, late = False, 0, rows.late
     if search and earned and not arrives(earned[max(earned)], env, rests, rng):
         paths, imagined = TrajectoryLibrary.of(env, rests, rng)
-        if paths is not None and (scored := score(paths)) > max(earned):
-            afar, earned[scored] = True, paths
+        rows.late = None  # a way is timed for inputs that act at once
+        if paths is not None and (scored := score(paths)) > max(map(score, earned.values())):
+            afar, best, earned = True, score(network), {scored: paths}
+        else:
+            rows.late = late
     if not earned or max(earned) <= best:
         return WarmStart(best, imagined=imagined)
     lessons = FROM_AFAR if afar else REGULATED
@@ -244,13 +249,13 @@ def improve(
     for _ in range(rounds):
         if failures >= PATIENCE:
             break
-        begun, floor = starts(network, env, rows, rng, periods), _Floor()
+        begun = starts(network, env, rows, rng, periods)
         flown = imagine(env, env.system, network, begun, periods)
-        imagined_rewards(env, begun, flown, floor)
-        way = _better(network, env, begun, rng, periods, floor)
+        earned = imagined_rewards(env, begun, flown)
+        way = _better(network, env, begun, rng, periods, least := float(earned.amin()))
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
         imagined += STARTS * periods * (POPULATION * DRAWS + 3)
-        more = imagined_rewards(env, begun, way, floor).sum(0) - imagined_rewards(env, begun, flown, floor).sum(0)
+        more = imagined_rewards(env, begun, way, least).sum(0) - earned.sum(0)
         alive, gained = way.alive[1:], more > GAINED * more.amax()
         if not bool(alive.any()):
             break
@@ -267,19 +272,6 @@ def improve(
             best, weights = now, copy.deepcopy(network.state_dict())
     network.load_state_dict(weights)
     return Improvement(best, imagined, updates)
-
-
-class _Floor:
-    """The least that any period has earned in what was imagined so far; what has diverged earns no more than that."""
-
-    def __init__(self) -> None:
-        self.least = math.inf
-
-    def under(self, reward: Tensor, alive: Tensor) -> Tensor:
-        """Return rewards `(T, rows)` with those that are not alive replaced; minus infinity if none ever was."""
-        if bool(alive.any()):
-            self.least = min(self.least, float(reward[alive].amin()))
-        return reward.where(alive, self.least if math.isfinite(self.least) else -math.inf)
 
 
 @torch.no_grad()
@@ -299,11 +291,13 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
 
 @torch.no_grad()
 def _better(
-    network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, floor: _Floor | None = None
+    network: Network, env: ControlEnv, begun: Rows, rng: torch.Generator, periods: int, least: float = math.inf
 ) -> Window:
-    """Return the best way from each start that was found; it earns no less than that of the policy."""
+    """Return the best way from each start that was found; it earns no less than that of the policy.
+
+    `least` is what a period of one that diverges earns at most, see `imagined_rewards`.
+    """
     n, n_u = begun.held.shape
-    floor = floor or _Floor()
     acting = max(1, round(ACTING * periods))
     many = replace(
         begun,
@@ -312,7 +306,7 @@ def _better(
 
     def _earned(drawn: Tensor) -> Tensor:
         flown = imagine(env, env.system, _OnTop(network, drawn, acting, env.task.limit), many, periods)
-        return imagined_rewards(env, many, flown, floor).sum(0)
+        return imagined_rewards(env, many, flown, least).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
@@ -333,17 +327,20 @@ class _OnTop:
         return self.limit(u + self.signal[k]) if k < len(self.signal) else u
 
 
-def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, floor: _Floor | None = None) -> Tensor:
+def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, least: float = math.inf) -> Tensor:
     """Return what each period of a window earns, `(T, rows)`; those after divergence earn as little as the worst.
+
+    Where all diverge at once that is minus infinity.
 
     Args:
         env: Imagined environment.
         rows: Where the window began.
         window: What was imagined.
-        floor: What has earned least in windows that this one is compared with; none if omitted.
+        least: What has earned least in a window that this one is compared with; none if omitted.
     """
     free = torch.zeros(window.actions.shape[:-1], dtype=torch.bool)
     params = rows.params.expand(len(free), *rows.params.shape)
     x, x_next, alive = window.states[:-1], window.states[1:], window.alive[1:]
     reward = env.task.earned(x, window.actions, x_next, params, window.times[1:], free)
-    return (floor or _Floor()).under(reward, alive)
+    worst = min(least, float(reward[alive].amin())) if bool(alive.any()) else least
+    return reward.where(alive, worst if math.isfinite(worst) else -math.inf)

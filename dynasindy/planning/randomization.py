@@ -23,7 +23,6 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
-from dynasindy.sentences import setting
 from dynasindy.systems import Stops, System
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.systems.machine import Machine
@@ -35,26 +34,47 @@ class InputStrength:
     """How strong the inputs of imagined episodes are.
 
     Attributes:
+        share: By how much inputs are weaker or stronger at most.
+        rest: Inputs at rest, `(T or 1, rows, n_u)`, of task parameters `(rows, n_r, 5)` at times `(T, rows, 1)` [s]; of
+            the first time alone where no reference moves.
+        limits: Least and largest input that acts, `(2, n_u)`, infinite where there is none.
         factor: Of the inputs' distance from rest, `(rows, n_u)`.
-        rest: Inputs at rest, `(rows, n_u)`; where references move, those at the start of the episode.
-        limits: Least and largest input that acts, `(2, n_u)`, infinite where there is none; None for none at all.
-        along: Inputs at rest, `(rows, n_u)`, of task parameters `(rows, n_r, 5)` at times `(rows, 1)` [s], where
-            references move; None where none does.
     """
 
+    share: float
+    rest: Callable[[Tensor, Tensor], Tensor]
+    limits: Tensor
     factor: Tensor
-    rest: Tensor
-    limits: Tensor | None = None
-    along: Callable[[Tensor, Tensor], Tensor] | None = None
 
-    def at(self, params: Tensor, t: Tensor) -> InputStrength:
-        """Return the same about what holds references with parameters `(rows, n_r, 5)` at times `(rows, 1)` [s]."""
-        return self if self.along is None else replace(self, rest=self.along(params, t))
+    @classmethod
+    def of(cls, env: ControlEnv, rests: Equilibria, share: float) -> InputStrength | None:
+        """Return the strengths of a model, 1 all of them; None where none is asked for or nothing is regulated."""
+        if not share or (regulator := Regulator.of(env, rests, Weights())) is None:
+            return None
+        task = env.task
+        assert isinstance(task, Tracking)
+        low, high = task.input_limits
 
-    def acting(self, u: Tensor) -> Tensor:
-        """Return the inputs that act when `u` is commanded, `(rows, n_u)`."""
-        stronger = torch.lerp(self.rest, u, self.factor)
-        return stronger if self.limits is None else stronger.clamp(self.limits[0], self.limits[1])
+        def _rest(params: Tensor, t: Tensor) -> Tensor:
+            moving = bool(params[..., 1].any())  # amplitudes
+            return regulator.rest(task.reference(params, t if moving else t[:1]).float())[1]
+
+        limits = torch.stack([low.where(low > -1, -torch.inf), high.where(high < 1, torch.inf)])
+        return cls(share, _rest, limits, torch.ones(1, limits.shape[1]))
+
+    def draw(self, rows: int, rng: torch.Generator) -> InputStrength:
+        """Return strengths between the ends, each input's its own, for so many episodes."""
+        drawn = torch.rand(rows, self.factor.shape[1], generator=rng)
+        return replace(self, factor=1 + self.share * (2 * drawn - 1))
+
+    def ends(self, rows: int) -> InputStrength:
+        """Return strengths to test a policy with: the weakest, that of the model, and the strongest, in turn."""
+        turn = torch.arange(rows).remainder(3).sub(1).unsqueeze(-1)
+        return replace(self, factor=(1 + self.share * turn).expand(-1, self.factor.shape[1]))
+
+    def acting(self, u: Tensor, rest: Tensor) -> Tensor:
+        """Return the inputs that act when `u` is commanded, about those at rest, `(rows, n_u)`."""
+        return torch.lerp(rest, u, self.factor).clamp(self.limits[0], self.limits[1])
 
     def slope(self, acting: Tensor) -> Tensor:
         """Return the derivative of the inputs that acted by those commanded, each by its own, `(*batch, rows, n_u)`.
@@ -62,93 +82,21 @@ class InputStrength:
         Args:
             acting: What `acting` returned, `(*batch, rows, n_u)`.
         """
-        if self.limits is None:
-            return self.factor
         return self.factor * ((acting > self.limits[0]) & (acting < self.limits[1]))
 
-    def where(self, new: Tensor, fresh: InputStrength) -> InputStrength:
-        """Return the strengths with those of the rows that are new, bool `(rows,)`, taken from others."""
-        mask = new.unsqueeze(-1)
-        factor, rest = (
-            torch.where(mask, theirs, mine) for theirs, mine in ((fresh.factor, self.factor), (fresh.rest, self.rest))
-        )
-        return replace(self, factor=factor, rest=rest, along=self.along or fresh.along)
 
+def draw_delays(most: float, rows: int, rng: torch.Generator) -> Tensor | None:
+    """Return by how much the inputs of so many episodes are late, `(rows, 1)`; None if none is.
 
-class GainMargin:
-    """Draws how strong inputs are.
+    About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
+    was planned with delays drawn evenly from between has less margin.
 
     Args:
-        regulator: Knows the inputs at rest.
-        task: Gives the references of an episode.
-        share: By how much inputs are weaker or stronger at most.
+        most: Longest delay [control periods], up to 1.
+        rows: Number of episodes.
+        rng: Source of the delays.
     """
-
-    def __init__(self, regulator: Regulator, task: Tracking, share: float) -> None:
-        self.regulator, self.task, self.share = regulator, task, share
-        low, high = task.input_limits
-        ends = torch.stack([low.where(low > -1, -torch.inf), high.where(high < 1, torch.inf)])
-        self.limits = ends if bool(ends.isfinite().any()) else None
-
-    @classmethod
-    def of(cls, env: ControlEnv, rests: Equilibria | None, share: float) -> GainMargin | None:
-        """Return the margin of a model; None where none is asked for, or nothing rests or is regulated."""
-        if not share or rests is None or (regulator := Regulator.of(env, rests, Weights())) is None:
-            return None
-        assert isinstance(env.task, Tracking)
-        return cls(regulator, env.task, share)
-
-    def draw(self, params: Tensor, rng: torch.Generator) -> InputStrength:
-        """Return strengths between the ends, each input's its own, for episodes with task parameters `(rows, ...)`."""
-        rest = self._rest(params, torch.zeros(len(params), 1))
-        factor = 1 + self.share * (2 * torch.rand(rest.shape, generator=rng) - 1)
-        return InputStrength(factor, rest, self.limits, self._along(params))
-
-    def ends(self, params: Tensor) -> InputStrength:
-        """Return strengths to test a policy with: the weakest, that of the model, and the strongest, in turn."""
-        rest = self._rest(params, torch.zeros(len(params), 1))
-        turn = torch.arange(len(rest)).remainder(3).sub(1).unsqueeze(-1)
-        return InputStrength((1 + self.share * turn).expand_as(rest), rest, self.limits, self._along(params))
-
-    def _rest(self, params: Tensor, t: Tensor) -> Tensor:
-        return self.regulator.rest(self.task.reference(params, t).float())[1]
-
-    def _along(self, params: Tensor) -> Callable[[Tensor, Tensor], Tensor] | None:
-        """Return what holds references that move at a time; None where all of them stay."""
-        return self._rest if bool(params[..., 1].any()) else None  # amplitudes
-
-
-@dataclass(frozen=True)
-class Randomization:
-    """How far imagined plants stray from the model; by default inputs are late, and nothing else differs.
-
-    Attributes:
-        input_delay: Most by which inputs reach the plant late, in control periods, up to 1, in one episode of two; true
-            is 1.
-
-    Raises:
-        ValueError: The delay is out of range.
-    """
-
-    input_delay: float | bool = 1.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.input_delay <= 1:
-            raise ValueError(
-                f"a randomization needs 0 <= input_delay <= 1, got {self}; mend {setting('planning.randomization')}"
-            )
-
-    def delays(self, rows: int, rng: torch.Generator) -> Tensor | None:
-        """Return the delays of so many episodes, `(rows, 1)` [control periods]; None if none is late.
-
-        About one in two is late, and by as much as may be: what lies between is easier than the ends, and a policy that
-        was planned with delays drawn evenly from between has less margin.
-        """
-        return self.input_delay * (torch.rand(rows, 1, generator=rng) < 0.5).float() if self.input_delay else None
-
-    def ends(self, rows: int) -> Tensor | None:
-        """Return delays to test a policy with, `(rows, 1)`: three episodes in time and three that are late, in turn."""
-        return self.input_delay * (torch.arange(rows) // 3 % 2).unsqueeze(-1).float() if self.input_delay else None
+    return most * (torch.rand(rows, 1, generator=rng) < 0.5).float() if most else None
 
 
 class ModelEnsemble(System):

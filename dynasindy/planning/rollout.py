@@ -14,22 +14,32 @@ The rollout is sequential and runs without a graph. The derivatives of the model
     lambda_k = dJ/dz_k + (A_k + B_k K_k)' lambda_k+1,    dJ/du_k = B_k' lambda_k+1,
 
 and one backward pass of the policy. An effort e(u_k) adds K_k' de/du_k to the first and de/du_k to the second. The
-machine code of `planning.machine` keeps the layers of a perceptron, and K_k' dJ/du_k comes out of that pass, period by
-period, without K. The gradient equals that of automatic differentiation through the rollout.
+gradient equals that of automatic differentiation through the rollout.
+
+Period by period, a good half of a window is what torch does around its products. `c/rollout.c` does the same arithmetic
+in one call, for a perceptron on the CPU whose observations are linear in the states, and a model that has machine code.
+It keeps the layers of the perceptron, and K_k' dJ/du_k comes out of the backward pass, without K.
 """
 
 from __future__ import annotations
 
+import ctypes
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 
 import torch
 from torch import Tensor
 
+from dynasindy.agents.machine import LINE, line_of, network_pointers, source
+from dynasindy.agents.networks import MLP, Layer
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.machine import MachineRollout
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import System, integrate
+from dynasindy.systems.compiler import load_library
+from dynasindy.systems.machine import Machine
 
 Network = Callable[[Tensor], Tensor]
 """Observations `(*batch, n_o)` to actions `(*batch, n_u)`."""
@@ -104,17 +114,14 @@ def imagine(
         steps: Control periods T of the window.
     """
     times = rows.t + env.dt * torch.arange(steps + 1, dtype=rows.x.dtype).reshape(-1, 1, 1)
-    strength = None
-    if (acting := rows.strength) is not None:
-        fixed = acting.along is None
-        strength = acting, torch.stack([acting.at(rows.params, t).rest for t in (times[:1] if fixed else times[:-1])])
-    machine = MachineRollout.of(env, system, network, rows.x, steps, rows.late, strength)
+    rest = None if rows.strength is None else rows.strength.rest(rows.params, times[:-1])
+    machine = _machine(env, system, network, rows, steps, rest)
     if machine is not None:
         still = rows.x.new_zeros(steps, *rows.x.shape)
         free = env.task.observation(still, rows.params.expand(steps, *rows.params.shape), times[:-1])
         whole, entered, actions = machine.imagine(rows.x, rows.held, free, rows.kept)
     else:
-        whole, entered, actions = _imagine(env, system, network, rows, times)
+        whole, entered, actions = _imagine(env, system, network, rows, times[:-1], rest)
     alive = _alive(whole, rows.reach)
     kept = alive.unsqueeze(-1)
     x, nothing = rows.x, torch.zeros_like(rows.held)
@@ -129,15 +136,15 @@ def imagine(
 
 
 def _imagine(
-    env: ControlEnv, system: System, network: Network, rows: Rows, times: Tensor
+    env: ControlEnv, system: System, network: Network, rows: Rows, times: Tensor, rest: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return states, inputs that acted and actions of a window, period by period."""
     x, held, states, applied, actions = rows.x, rows.held, [rows.x], [], []
-    for t in times[:-1]:
+    for k, t in enumerate(times):
         u = network(env.task.observation(x, rows.params, t))
         entering, held = u if rows.late is None else torch.lerp(u, held, rows.late), u
-        if rows.strength is not None:
-            entering = rows.strength.at(rows.params, t).acting(entering)
+        if rows.strength is not None and rest is not None:
+            entering = rows.strength.acting(entering, rest[k % len(rest)])
         samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
         x = samples[..., -1, :]
         states.append(x)
@@ -261,3 +268,139 @@ def _adjoint(a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Te
         adjoint = torch.baddbmm(cost[step].unsqueeze(-2), adjoint, a[step])
         adjoint = torch.baddbmm(adjoint, slopes[-1].unsqueeze(-2), k[step])
     return torch.stack(slopes[::-1])
+
+
+FUNCTIONS = ("imagine", "adjoint", "layers_size", "room_size")
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    """Return the code of windows, None where there is no compiler or one that refuses it, which is tried once."""
+    own = resources.files("dynasindy.planning").joinpath("c", "rollout.c")
+    try:
+        text = source("perceptron.c") + own.read_text(encoding="utf-8")
+        code = load_library(text, FUNCTIONS, fast=True, cached=True)
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError) as error:
+        warnings.warn(f"windows are imagined by torch code, which is slower: {error}", stacklevel=4)
+        return None
+    code.layers_size.restype = code.room_size.restype = ctypes.c_long
+    return code
+
+
+def _machine(
+    env: ControlEnv, system: System, network: object, rows: Rows, steps: int, rest: Tensor | None
+) -> MachineRollout | None:
+    """Return the machine code of a window, None where it cannot be; `rest` are the inputs about which strengths act."""
+    if not (isinstance(network, MLP) and network.squash and env.task.linear and rows.x.dim() == 2 and len(rows.x)):
+        return None
+    if any(p.dtype != torch.float32 or not p.is_cpu for p in network.parameters()):
+        return None
+    code = system.compiled(rows.x, rows.held)
+    if type(code) is not Machine or code.dtype != torch.float32 or (library := _library()) is None:
+        return None
+    return MachineRollout(library, env, code, network, rows, steps, rest)
+
+
+class MachineRollout:
+    """A window of a perceptron in a model, as machine code.
+
+    Args:
+        library: `c/rollout.c`, compiled.
+        env: Imagined environment: its task, period, sub-steps and stops.
+        code: Machine code of the model.
+        policy: The perceptron.
+        rows: Where the rollouts begin.
+        steps: Control periods T of the window.
+        rest: Inputs about which the rows' strengths act in each period, or in all, `(T or 1, rows, n_u)`; None for none.
+    """
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        env: ControlEnv,
+        code: Machine,
+        policy: MLP,
+        rows: Rows,
+        steps: int,
+        rest: Tensor | None,
+    ) -> None:
+        self._code, self.policy, self.periods, self.rows = library, policy, steps, len(rows.x)
+        self._layers = [Layer(*(tensor.detach() for tensor in layer)) for layer in policy.layers()]
+        self._policy = network_pointers(self._layers)
+        n_o, n_x = policy.layers()[0].weight.shape[-1], code.n_x
+        params, t = torch.zeros(n_x, *env.task.params_shape), torch.zeros(n_x, 1)
+        still, moved = (env.task.observation(x, params, t) for x in (torch.zeros(n_x, n_x), torch.eye(n_x)))
+        strength = (None, None) if rows.strength is None else (rows.strength.factor, rows.strength.limits)
+        read = [None if each is None else _floats(each) for each in ((moved - still).T, rows.late, rest, *strength)]
+        jump = 0 if rest is None or len(rest) == 1 else self.rows * code.n_u
+        call = code.advance_arguments(env.dt, env.substeps, env.stops)
+        self._rollout = _Rollout(steps, self.rows, jump, n_x, code.n_u, n_o, *call, *map(_at, read))
+        self._held = code, call, read, self._layers  # what the code points to
+        self._size = self._code.layers_size(ctypes.byref(self._policy), ctypes.c_long(self.rows))
+        self._room = torch.empty(self._code.room_size(*self._arguments()) + LINE // 4)
+        self._kept = torch.empty(0)
+
+    def imagine(self, x: Tensor, held: Tensor, free: Tensor, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Return states `(T + 1, rows, n_x)`, inputs that acted and actions, `(T, rows, n_u)`, of a window.
+
+        Args:
+            x: States at its begin, `(rows, n_x)`.
+            held: Inputs of the period before, `(rows, n_u)`.
+            free: Observations of states of zero, `(T, rows, n_o)`.
+            keep: Whether the policy's layers are kept for `adjoint`.
+        """
+        states = x.new_empty(self.periods + 1, *x.shape)
+        states[0] = x
+        applied, actions = x.new_empty(2, self.periods, *held.shape)
+        touched = torch.empty(self.rows, dtype=torch.bool)
+        held, free = _floats(held), _floats(free)
+        self._kept = torch.empty(self._size * (self.periods if keep else 1) + LINE // 4)
+        window = map(_at, (held, free, states, applied, actions))
+        self._code.imagine(*self._arguments(), *window, *self._layers_at(keep), line_of(self._room), _at(touched))
+        return states, applied, actions
+
+    def adjoint(self, a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None) -> None:
+        """Add the gradient of the cost of the last window to the policy's parameters.
+
+        Args:
+            a: Derivatives of the next state by the state, `(T, rows, n_x, n_x)`.
+            b: Those by the action that acts, `(T, rows, n_x, n_u)`.
+            cost: Derivatives of the cost by the states, `(T + 1, rows, n_x)`.
+            effort: Those by the actions, `(T, rows, n_u)`; None where these cost nothing.
+        """
+        gradients = network_pointers([Layer(*map(_gradient, layer)) for layer in self.policy.layers()])
+        given = [None if each is None else _floats(each) for each in (a, b, cost, effort)]
+        slopes = ctypes.byref(gradients), *map(_at, given)
+        self._code.adjoint(*self._arguments(), *slopes, *self._layers_at(True), line_of(self._room))
+
+    def _arguments(self) -> tuple[object, ...]:
+        return ctypes.byref(self._rollout), ctypes.byref(self._policy)
+
+    def _layers_at(self, keep: bool) -> tuple[object, ...]:
+        return line_of(self._kept), ctypes.c_long(self._size if keep else 0)
+
+
+class _Rollout(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("periods", "rows", "rest_jump")),
+        *((name, ctypes.c_int) for name in ("n_x", "n_u", "n_o", "steps", "n_stops")),
+        ("h", ctypes.c_float),
+        *((name, ctypes.c_void_p) for name in ("advance", "constants", "position", "rate", "low", "high", "room")),
+        *((name, ctypes.c_void_p) for name in ("slope", "late", "rest", "factor", "limits")),
+    )
+
+
+def _at(tensor: Tensor | None) -> ctypes.c_void_p | None:
+    return None if tensor is None else ctypes.c_void_p(tensor.data_ptr())
+
+
+def _gradient(parameter: Tensor) -> Tensor:
+    parameter.grad = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+    return parameter.grad
+
+
+def _floats(tensor: Tensor) -> Tensor:
+    """Return numbers as the code reads them: a plant may have set another default."""
+    return tensor.float().contiguous()

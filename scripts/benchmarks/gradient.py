@@ -11,7 +11,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -30,7 +30,7 @@ from dynasindy.evaluation.disturbances import Pushed
 from dynasindy.evaluation.metrics import STEADY_SECONDS
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
-from dynasindy.planning import Gate, GradientPlanning, Randomization
+from dynasindy.planning import Gate, GradientPlanning
 from dynasindy.safe_io import Row, read_rows
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
@@ -101,7 +101,7 @@ class Case:
         detuned: Evaluate on a plant with other parameters, in a gust.
         integral: Evaluate with integral action, too.
         unseen: Evaluate in situations that nothing was tuned on.
-        randomization: How imagined plants stray.
+        input_delay: By how much inputs are late in one imagined episode of two [control periods].
         gain_range: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
         updates: Gradient updates of the first planning phase; None for as many as suit the plant.
         hidden: Widths of the policy's hidden layers.
@@ -116,7 +116,7 @@ class Case:
     detuned: bool = False
     integral: bool = False
     unseen: bool = False
-    randomization: Randomization = field(default_factory=Randomization)
+    input_delay: float = 1.0
     gain_range: float | None = None
     updates: int | None = None
     hidden: tuple[int, ...] = (128, 128)
@@ -126,7 +126,7 @@ class Case:
 CASES = {
     "step": Case(episodes=1),
     # Planned on the model as it is.
-    "nominal": Case(episodes=1, randomization=Randomization(input_delay=0.0), gain_range=0.0),
+    "nominal": Case(episodes=1, input_delay=0.0, gain_range=0.0),
     "small": Case(hidden=(64, 64)),
     "oracle": Case(oracle=True),
     "moving": Case(moving=True, updates=400),
@@ -226,7 +226,7 @@ def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) ->
         replay=partial(DynaReplay, capacity=100_000, batch_size=256),
         planning=partial(
             GradientPlanning,
-            **{"randomization": case.randomization, "gain_range": case.gain_range, "updates": case.updates, **planning},
+            **{"input_delay": case.input_delay, "gain_range": case.gain_range, "updates": case.updates, **planning},
         ),
         gate=Gate(open_below=torch.inf, close_above=torch.inf),
         train=LoopSettings(episodes=case.episodes, updates_per_step=0),

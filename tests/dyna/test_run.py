@@ -17,7 +17,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note
-from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning, Randomization
+from dynasindy.planning import Gate, GradientPlanning, ImaginedReplay, NoPlanning
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.systems import Diverged, Xi
 from dynasindy.tasks import RandomStep, Step, Tracking
@@ -25,7 +25,7 @@ from dynasindy.tasks import RandomStep, Step, Tracking
 REPLAYED = partial(ImaginedReplay, rollouts=6, horizon=4, generations=2)
 GRADIENT = partial(
     GradientPlanning, updates=2, more_updates=2, rollouts=4, window=3, check_every=1, searches=0,
-    randomization=Randomization(input_delay=0.5),
+    input_delay=0.5,
 )  # fmt: skip
 PLANNERS = {
     "none": NoPlanning,

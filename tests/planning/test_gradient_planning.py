@@ -10,7 +10,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import GradientPlanning, Planned, Randomization
+from dynasindy.planning import GradientPlanning, Planned
 from dynasindy.planning.gradient_planning import _Episodes, _schedule
 from dynasindy.planning.rollout import imagine
 from dynasindy.systems import Diverged, Signature, System
@@ -151,8 +151,7 @@ def test_a_reward_that_is_not_finite_is_told_from_a_model_that_explodes(setting,
 
 def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(setting, small):
     env, agent, replay = setting()
-    never = Randomization(input_delay=0.0)
-    settings = small | {"updates": 6, "check_every": 2, "warm_start": True, "gain_range": 0.0, "randomization": never}
+    settings = small | {"updates": 6, "check_every": 2, "warm_start": True, "gain_range": 0.0, "input_delay": 0.0}
     planner = GradientPlanning(env, agent, replay, **settings, lr=0.5)
     # Six regulators and the untrained policy, the imitation, then a policy that has lost the plant, a worse and a
     # better one.

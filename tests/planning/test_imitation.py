@@ -6,6 +6,7 @@ import torch
 from torch import nn
 
 from dynasindy.agents.networks import MLP
+from dynasindy.planning.gradient_planning import references
 from dynasindy.planning.imitation import _imitate, arrives, hold
 from dynasindy.planning.regulator import Regulator, Weights
 
@@ -31,7 +32,8 @@ def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):
         torch.manual_seed(0)
         network = MLP(3, 1, (8,), squash=True)
         before = nn.utils.parameters_to_vector(network.parameters()).clone()
-        earned = hold(network, env, rests, score(network), torch.Generator().manual_seed(0))
+        rows = references(env, 4, torch.Generator())
+        earned = hold(network, env, rests, rows, score(network), torch.Generator().manual_seed(0))
         return earned.score, bool((nn.utils.parameters_to_vector(network.parameters()) == before).all())
 
     assert held(lambda network: lambda policy: 1.0 if policy is network else 0.0) == (1.0, True)  # no law is better

@@ -5,8 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning import Randomization
-from dynasindy.planning.randomization import GainMargin, InputStrength, ModelEnsemble
+from dynasindy.planning.randomization import InputStrength, ModelEnsemble, draw_delays
 from dynasindy.planning.rollout import Rows, imagine
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Tras, Xi, integrate
@@ -45,12 +44,10 @@ def test_members_of_a_difference_equation_move_by_its_steps():
 
 
 def test_one_episode_of_two_is_late_by_as_much_as_may_be():
-    drawn = Randomization(input_delay=0.7).delays(4000, torch.Generator().manual_seed(0))
+    drawn = draw_delays(0.7, 4000, torch.Generator().manual_seed(0))
     assert drawn.shape == (4000, 1) and sorted(drawn.unique().tolist()) == pytest.approx([0.0, 0.7])
     assert float((drawn > 0).float().mean()) == pytest.approx(0.5, abs=0.03)  # of 4000 throws of a coin
-    never = Randomization(input_delay=0.0)
-    assert never.delays(5, torch.Generator()) is None and never.ends(5) is None
-    assert Randomization(input_delay=True).ends(8).flatten().tolist() == [0, 0, 0, 1, 1, 1, 0, 0]
+    assert draw_delays(0.0, 5, torch.Generator()) is None
 
 
 def params(*targets):
@@ -60,11 +57,12 @@ def params(*targets):
 
 def test_inputs_at_rest_hold_the_target_whatever_their_strength(inverted):
     env, rests = inverted()
-    strength = GainMargin.of(env, rests, 0.2).draw(params(-0.3, 0.0, 0.25), torch.Generator().manual_seed(0))
+    strength = InputStrength.of(env, rests, 0.2).draw(3, torch.Generator().manual_seed(0))
     # theta'' = 4 sin(theta) + 6 u
     wanted = [-4.0 / 6.0 * math.sin(target) for target in (-0.3, 0.0, 0.25)]
-    assert strength.rest.flatten().tolist() == pytest.approx(wanted, abs=1e-3)
-    assert torch.equal(strength.acting(strength.rest), strength.rest)
+    (rest,) = strength.rest(params(-0.3, 0.0, 0.25), torch.rand(5, 3, 1))
+    assert rest.flatten().tolist() == pytest.approx(wanted, abs=1e-3)
+    assert torch.equal(strength.acting(rest, rest), rest) and 0.8 <= float(strength.factor.min()) < 1
 
 
 def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted):
@@ -72,7 +70,7 @@ def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted)
     env, rests = inverted()
     moving = params(*[0.1] * 6)
     moving[::2, :, 1:] = torch.tensor([0.2, 2.5, 0.0, 1.0])
-    strength = GainMargin.of(env, rests, 0.3).ends(moving)
+    strength = InputStrength.of(env, rests, 0.3).ends(6)
 
     def hold(observation):
         """Return what holds the reference of this moment."""
@@ -84,34 +82,35 @@ def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted)
     targets[4:, ::2] = -0.1
     wanted = -4.0 / 6.0 * torch.sin(targets)
     torch.testing.assert_close(flown.applied[..., 0], wanted, atol=1e-3, rtol=0)
-    assert GainMargin.of(env, rests, 0.3).ends(params(0.1, 0.2)).along is None
 
 
 def test_a_one_sided_input_stays_one_sided_whatever_its_strength(inverted):
     """A pump of 0 to 12 V holds by a tenth of it: 20 % stronger it would draw 0.24 V where it is off."""
     env, rests = inverted()
-    whole = GainMargin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
-    assert whole.limits is None
+    whole, down = InputStrength.of(env, rests, 0.2).ends(3), params(*[-0.15] * 3)
+    (rest,) = whole.rest(down, torch.zeros(1, 3, 1))
+    assert not whole.limits.isfinite().any()
     # The weakest, that of the model and the strongest, in turn.
     wanted = [part * 4 / 6 * math.sin(0.15) for part in (0.2, 0.0, -0.2)]
-    assert whole.acting(torch.zeros(3, 1)).flatten().tolist() == pytest.approx(wanted, abs=1e-4)
+    assert whole.acting(torch.zeros(3, 1), rest).flatten().tolist() == pytest.approx(wanted, abs=1e-4)
     env.task = env.task.with_input_limits([[0.0], [1.0]])
-    pump = GainMargin.of(env, rests, 0.2).ends(params(*[-0.15] * 3))
-    assert float(pump.rest[0]) == pytest.approx(4 / 6 * math.sin(0.15), abs=1e-3)
-    assert float(pump.acting(torch.zeros(3, 1)).min()) == 0.0
+    pump = InputStrength.of(env, rests, 0.2).ends(3)
+    (rest,) = pump.rest(down, torch.zeros(1, 3, 1))
+    assert float(rest[0]) == pytest.approx(4 / 6 * math.sin(0.15), abs=1e-3)
+    assert float(pump.acting(torch.zeros(3, 1), rest).min()) == 0.0
     # A plant that is more sensitive to the whole of its input is as likely as before.
-    stronger = float(pump.rest[0]) + 1.2 * (1 - float(pump.rest[0]))
-    assert float(pump.acting(torch.ones(3, 1)).max()) == pytest.approx(stronger)
+    stronger = float(rest[0]) + 1.2 * (1 - float(rest[0]))
+    assert float(pump.acting(torch.ones(3, 1), rest).max()) == pytest.approx(stronger)
 
 
 def test_no_strength_goes_beyond_an_actuator_that_ends():
     """A pump that cannot draw gives nothing where it would; by what it does not give nothing changes."""
     limits = torch.tensor([[0.0, -torch.inf], [torch.inf, 0.8]])
-    strength = InputStrength(torch.full((3, 2), 1.5), torch.full((3, 2), 0.4), limits)
+    rest = torch.full((3, 2), 0.4)
+    strength = InputStrength(0.5, lambda *_: rest.unsqueeze(0), limits, torch.full((3, 2), 1.5))
     u = torch.tensor([[0.0, 0.0], [0.2, 0.9], [1.0, 0.6]], requires_grad=True)
-    acting = strength.acting(u)
+    acting = strength.acting(u, rest)
     expected = torch.tensor([[0.0, -0.2], [0.1, 0.8], [1.3, 0.7]])
     torch.testing.assert_close(acting.detach(), expected)
     slopes = torch.autograd.grad(acting.sum(), u)[0]
     assert slopes.tolist() == strength.slope(acting).tolist() == [[0.0, 1.5], [1.5, 0.0], [1.5, 1.5]]
-    assert torch.equal(strength.where(torch.tensor([True, False, False]), strength).acting(u), acting)

@@ -61,8 +61,8 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits, per
     expected = unrolled(
         env, network, rows, 0.0 if late is None else late, factor, rest, limits or (-math.inf, math.inf)
     )
-    ends = None if limits is None else torch.tensor(limits).unsqueeze(-1).expand(2, 2)
-    rows.strength = InputStrength(factor, rest, ends) if strong else None
+    ends = torch.tensor(limits or (-math.inf, math.inf)).unsqueeze(-1).expand(2, 2)
+    rows.strength = InputStrength(0.3, lambda *_: rest.unsqueeze(0), ends, factor) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
     window = imagine(env, env.system, network, rows, STEPS)

@@ -17,7 +17,7 @@ typedef struct {
     float *room;
     const float *slope;                                /* of the observations by the states, (n_o, n_x) */
     const float *late;                                 /* share of each action that acts a period later; or NULL */
-    const float *factor, *rest, *weakest, *strongest; /* how strong inputs are and their limits; or NULL */
+    const float *rest, *factor, *limits;              /* how strong inputs are, about what, and their ends; or NULL */
 } Rollout;
 
 /* Numbers that the layers of a period take; `turn` reads up to a multiple of LANES units. */
@@ -95,12 +95,9 @@ void imagine(const Rollout *r, const Network *policy, const float *held, const f
         for (long i = 0; i < r->rows * n_u; i++) {
             float v = r->late ? u[i] + r->late[i / n_u] * (held[i] - u[i]) : u[i];
             if (r->factor) {
-                float rest = r->rest[k * r->rest_jump + i];
+                float rest = r->rest[k * r->rest_jump + i], low = r->limits[i % n_u], high = r->limits[n_u + i % n_u];
                 v = rest + r->factor[i] * (v - rest);
-            }
-            if (r->weakest) {
-                v = v < r->weakest[i % n_u] ? r->weakest[i % n_u] : v;
-                v = v > r->strongest[i % n_u] ? r->strongest[i % n_u] : v;
+                v = v < low ? low : v > high ? high : v;
             }
             entering[i] = v;
         }
