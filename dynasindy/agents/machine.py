@@ -104,7 +104,7 @@ class _MachineSteps(GradientSteps):
         return all(one is other for one, other in zip(self._now(), self._listed, strict=True))
 
     def _now(self) -> list[object]:
-        """Return what lists the tensors; a list or a dictionary of its own takes the place of one whose tensors move."""
+        """Return the lists and dictionaries of the tensors; others take their place when tensors are replaced."""
         return [self.loss.actor_layers, self.loss.critic_layers, *(each.state for each in self.optimizers)]
 
     def critics(self, batch: TensorDictBase, check: Check) -> tuple[Tensor, Tensor]:

@@ -313,7 +313,7 @@ class MachineRollout:
         policy: The perceptron.
         rows: Where the rollouts begin.
         steps: Control periods T of the window.
-        rest: Inputs about which the rows' strengths act in each period, or in all, `(T or 1, rows, n_u)`; None for none.
+        rest: Inputs about which the rows' strengths act in each period, or in all, `(T or 1, rows, n_u)`, if any.
     """
 
     def __init__(
