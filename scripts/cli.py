@@ -9,7 +9,6 @@ import argparse
 import ast
 import os
 import re
-import select
 import shutil
 import signal
 import sys
@@ -20,7 +19,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, wraps
 from importlib import import_module
-from io import UnsupportedOperation
 from pathlib import Path
 from tempfile import TemporaryFile
 from types import FrameType
@@ -31,7 +29,7 @@ COMMANDS = ("train", "identify", "evaluate", "check", "export", "rig", "ablation
 SCRIPTS = Path(__file__).resolve().parent
 CONF = SCRIPTS.parent / "conf"
 IN_CLONE = (SCRIPTS.parent / "pyproject.toml").is_file()
-HELP, COMPLETION = ("-h", "--help"), ("-sc", "--shell-completion")
+HELP = ("-h", "--help")
 WIDEST = 110
 """Columns that a line of help takes at most, also where the terminal is wider."""
 
@@ -84,29 +82,16 @@ def pipe_guard() -> Iterator[None]:
         yield
     except (SystemExit, BrokenPipeError) as error:
         end = error
-    if not getattr(end, "code", None) and _reader_left():
+    try:
+        print(end="\n" * isinstance(end, BrokenPipeError), flush=True)  # what broke may be another pipe
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter flushes at its end
         sys.exit(141)
-    if end is not None:  # also where another pipe broke, as that of a worker that died
+    if end is not None:
         raise end
 
 
-def _reader_left() -> bool:
-    """Write what is left of the output; return whether nobody reads it, and then let it go nowhere."""
-    try:
-        sys.stdout.flush()
-        poll = select.poll()
-        poll.register(sys.stdout.fileno(), 0)
-        left = any(event & select.POLLERR for _, event in poll.poll(0))
-    except BrokenPipeError:
-        left = True
-    except (UnsupportedOperation, AttributeError):  # no file, as under pytest; no poll, as on Windows
-        return False
-    if left:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter flushes at its end
-    return left
-
-
-def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any], float | None]], Callable[[], None]]:
+def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any], None]], Callable[[], None]]:
     """Make a function of a config a command, which is composed by Hydra; see `command.run`.
 
     Args:
@@ -114,7 +99,7 @@ def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any]
         progress: Whether what is under way is shown; a thread that draws would disturb one that keeps a clock.
     """
 
-    def decorate(task: Callable[[Any], float | None]) -> Callable[[], None]:
+    def decorate(task: Callable[[Any], None]) -> Callable[[], None]:
         @wraps(task)
         def start() -> None:
             with pipe_guard():
@@ -133,7 +118,7 @@ def command(config_name: str, progress: bool = True) -> Callable[[Callable[[Any]
 def main() -> None:
     """Run the command that the first word names, with the words after it."""
     sys.argv[0] = "dynasindy"
-    name, *rest = _answer_shell(sys.argv[1:]) or ["--help"]
+    name, *rest = sys.argv[1:] or ["--help"]
     if name in HELP or name == "--version":
         import dynasindy
 
@@ -191,32 +176,8 @@ def overview() -> str:
             *lines,
             "",
             "What a command makes goes into the folder in which it is called.",
-            "Tab completion in bash, in other shells as Hydra has it:",
-            '  eval "$(dynasindy -sc install=bash)"',
         ]
     )
-
-
-def _answer_shell(words: list[str]) -> list[str]:
-    """Return the words that answer a shell's question of how a line goes on; those of other lines as they are.
-
-    A shell asks `dynasindy -sc query=bash`, and the line stands in COMP_LINE. Hydra knows what a command takes, and is
-    asked as if the command were a program of its own. What the commands are it does not know.
-    """
-    if not words or words[0] not in COMPLETION:
-        return words
-    line = os.environ.get("COMP_LINE", "").lstrip()
-    typed = line.split()
-    if not any(word.startswith("query=") for word in words) or not typed:
-        return [COMMANDS[0], *words]  # what a shell has to know of any of them
-    if len(typed) - (not line.endswith(" ")) <= 1:
-        print(*(name for name in COMMANDS if name.startswith("".join(typed[1:]))))
-        sys.exit(0)
-    name, *rest = line.split(maxsplit=2)[1:]
-    if not (CONF / f"{name}.yaml").is_file():
-        sys.exit(0)  # the shell goes on with names of files
-    os.environ["COMP_LINE"] = " ".join(["dynasindy", *rest]) if rest else "dynasindy "
-    return [name, *words]
 
 
 def config_dir(words: Sequence[str]) -> str | None:

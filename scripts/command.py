@@ -43,10 +43,8 @@ PROGRESS = ExitStack()
 """What shows the work of the command."""
 
 
-def run(config_name: str, task: Callable[[DictConfig], float | None], progress: bool = True) -> None:
+def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = True) -> None:
     """Run a command: a bad setting or file costs one line and exit code 2.
-
-    What the task returns is the score of a job, by which a sweeper such as Optuna chooses the next ones.
 
     A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A finished run stays
     as it is: a sweep leaves the line beside its folder. A job of a sweep that fails does not end the others. Set
@@ -58,7 +56,7 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
         progress: Whether what is under way is shown.
     """
 
-    def job(cfg: DictConfig) -> float | None:
+    def job(cfg: DictConfig) -> None:
         if Sweep.here and progress:
             show()
         elif not Sweep.here:
@@ -77,10 +75,9 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
                     _refusal_file(output).unlink(missing_ok=True)
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
-                score = task(cfg)
+                task(cfg)
                 if swept:
                     note_job_end(None)
-                return score
             except KeyboardInterrupt as end:
                 line, folder = str(end), cfg.get("folder")
                 if line in ("", "stopped"):
@@ -91,7 +88,6 @@ def run(config_name: str, task: Callable[[DictConfig], float | None], progress: 
             finally:
                 for folder in () if swept else (output, cfg.get("folder"), cfg.get("output")):
                     remove_empty(folder)
-        return None  # a job of a sweep that failed
 
     # The jobs of a sweep run in processes of their own, which have to find the modules beside this one; joblib's
     # bookkeeper counts, line by line, what workers that were stopped no longer tidied.

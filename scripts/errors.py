@@ -28,10 +28,10 @@ MENDABLE = (
     *(HydraException, OmegaConfBaseException),
 )
 EXTRAS = {
-    **{"joblib": "sweep", "submitit": "slurm", "ray": "ray", "optuna": "tune", "tensorboard": "tensorboard"},
+    **{"joblib": "sweep", "submitit": "slurm", "ray": "ray", "tensorboard": "tensorboard"},
     **{"casadi": "export", "control": "export", "onnx": "export"},
 }
-"""Optional packages by the first word of a launcher, sweeper or module, and the extra of ours that installs them."""
+"""Optional packages by the first word of a launcher or module, and the extra of ours that installs them."""
 MISSPELT = re.compile(r"(?:Could not override|An item is already at) '([^']+)'")
 """What Hydra says of a key that is misspelt, or given with a + and there."""
 
@@ -135,7 +135,7 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
 
 def _missing_package(error: BaseException) -> str:
     """Return how to install what an error misses, nothing if it misses no optional package."""
-    engine = re.search(r"Could not find '(hydra/(?:launcher|sweeper))/((\w+?)(_\w+)?)'", str(error))
+    engine = re.search(r"Could not find '(hydra/launcher)/((\w+?)(_\w+)?)'", str(error))
     name = engine[3] if engine else str(getattr(error, "name", None)).partition(".")[0]
     if name not in EXTRAS:
         return ""

@@ -65,8 +65,8 @@ def prepare(cfg: DictConfig) -> Prepared:
     return planning, source, parts, in_words(source.signature, targets), findings
 
 
-def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
-    """Identify, plan and forecast, write the folder, print what came of it, and return what is forecast."""
+def plan_from_log(cfg: DictConfig) -> bool:
+    """Identify, plan and forecast, write the folder, print what came of it, and return whether it is controlled."""
     planning, source, parts, targets, findings = prepare(cfg)
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     figures = output_folder(folder, "figures")
@@ -118,7 +118,7 @@ def plan_from_log(cfg: DictConfig) -> dict[str, Any]:
     if not swept:
         steps = next_steps(*run_steps(folder, "check", "export"))
         say(steps if prediction.controlled else improvements(folder, words))
-    return prediction.record()
+    return prediction.controlled
 
 
 def _digests(cfg: DictConfig) -> dict[str, str]:
@@ -129,16 +129,15 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
     return {file: hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in found}
 
 
-def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return what a job of the same settings has forecast of the same files, as in a sweep that goes on."""
+def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> bool | None:
+    """Return whether a finished job of the same settings and files is controlled by its forecast, None without one."""
     kept, origin, metrics = (folder / name for name in ("config.yaml", "origin.json", "metrics.json"))
     if not (all(file.is_file() for file in (kept, origin, metrics)) and kept.read_text() == settings):
         return None
     if read_json(origin).get("read") != read["read"]:
         return None
     with reading(metrics):
-        found: dict[str, Any] = read_json(metrics)["prediction"]
-        return {name: found[name] for name in ("controlled", "score")}
+        return bool(read_json(metrics)["prediction"]["controlled"])
 
 
 def _planning_settings(cfg: DictConfig) -> dict[str, object]:

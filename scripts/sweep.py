@@ -17,7 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 
 from dynasindy.progress import report_progress, say
 from dynasindy.safe_io import LinkError
@@ -50,17 +50,10 @@ class Sweep(Callback):
         Sweep.running = str(folder)
         for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
             logging.getLogger(name).setLevel(logging.WARNING)
-        if needs_score(config.hydra):  # why a trial failed stands in its own line
-            logging.getLogger("hydra_plugins.hydra_optuna_sweeper").setLevel(logging.CRITICAL)
-            with suppress(ImportError):  # it need not be installed, and another sweeper may want scores, too
-                import optuna  # first, as its import sets what it says
-
-                optuna.logging.set_verbosity(optuna.logging.WARNING)
         show()
         with one_line(config.hydra.job.config_name):
-            for file in (folder / "multirun.yaml", folder / "optimization_results.yaml"):
-                if file.is_symlink():  # Hydra and Optuna would write through it
-                    raise LinkError(file)
+            if (file := folder / "multirun.yaml").is_symlink():  # Hydra would write through it
+                raise LinkError(file)
             _check(config.copy())
         jobs, different = jobs_of(config.hydra)
         os.environ[JOBS], os.environ[SWEPT] = str(jobs), " ".join(different)
@@ -83,13 +76,6 @@ class Sweep(Callback):
         if LIST in os.environ:
             Path(os.environ.pop(LIST)).unlink(missing_ok=True)
         print(f"Sweep: {folder}")
-        if (found := folder / "optimization_results.yaml").is_file():
-            best = OmegaConf.load(found)
-            if "best_params" in best:  # a search with several objectives has no best trial
-                short = {name: f"{v:.4g}" if isinstance(v, float) else v for name, v in best.best_params.items()}
-                values = " ".join(f"{name}={value}" for name, value in short.items())
-                score = f"{best.best_value:.4g}"
-                print(f"Best trial: {values}, score {score}; plan with these words, and judge on another log")
         if done and config.hydra.job.get("config_name") == "train":
             say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
 
@@ -140,23 +126,16 @@ def _watch() -> None:
         time.sleep(1.0)
 
 
-def needs_score(hydra: DictConfig) -> bool:
-    """Return whether the sweeper chooses its next jobs by the score of those before, as Optuna does."""
-    return "n_trials" in hydra.sweeper
-
-
 def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
     """Return how many jobs a sweep has, and the names of the settings in which they differ.
 
-    The sweeper's own settings come first, and the last word on each counts. A sweeper that proposes the jobs one by one
-    says how many in `n_trials`.
+    The sweeper's own settings come first, and the last word on each counts.
     """
     words = [f"{name}={value}" for name, value in (hydra.sweeper.get("params") or {}).items()]
     overrides = OverridesParser.create().parse_overrides([*words, *hydra.overrides.task])
     last = {override.get_key_element(): override for override in overrides}
     different = [name for name, override in last.items() if override.is_sweep_override()]
-    jobs = range(hydra.sweeper.n_trials) if needs_score(hydra) else BasicSweeper.split_arguments(overrides, None)[0]
-    return len(jobs), different
+    return len(BasicSweeper.split_arguments(overrides, None)[0]), different
 
 
 def _check(config: DictConfig) -> None:
@@ -173,8 +152,6 @@ def _check(config: DictConfig) -> None:
     if not jobs:
         raise ValueError("the sweep has no job, as a range in it is empty; give values, such as 'seed=range(0,5)'")
     different = {word.lstrip("+~").partition(".")[0].partition("@")[0] for word in swept}
-    if needs_score(hydra) and not (different or any(map(hydra.sweeper.get, ("search_space", "custom_search_space")))):
-        raise ValueError("nothing is searched; give a range, such as 'planning.lr=interval(0.002,0.03)'")
     with open_dict(config):
         config.folder = ""  # each job has its own
         del config.hydra
@@ -187,14 +164,7 @@ def _check(config: DictConfig) -> None:
 
             prepare(config)
     elif None not in map(config.get, ("system", "task")) and config.resume is None and not different & TASK:
-        task = instantiate(config.task, _convert_="all")(
-            signature=instantiate(config.system, _convert_="all").signature
-        )
-        if needs_score(hydra) and task.n_r == 0:
-            raise ValueError(
-                "the task has no targets, so its jobs have no score by which the sweeper could choose the next; take "
-                "one that tracks plant.outputs, such as task=random_step, or hydra/sweeper=basic"
-            )
+        instantiate(config.task, _convert_="all")(signature=instantiate(config.system, _convert_="all").signature)
     if "level" in config:
         from dynasindy.evaluation.ablation import read_tables
 

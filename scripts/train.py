@@ -1,6 +1,5 @@
 """Train a controller: `python scripts/train.py [system=xi] [-m seed=0,1]`, or from a log alone: `data=csv`."""
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,8 @@ from cli import command
 
 
 @command("train")
-def main(cfg: Any) -> float:
-    """Build the experiment, run it, draw its figures, print what came of it and return its score."""
+def main(cfg: Any) -> None:
+    """Build the experiment, run it, draw its figures and print what came of it."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
@@ -18,10 +17,10 @@ def main(cfg: Any) -> float:
     if cfg.get("data") is not None or cfg.model is not None:
         from logged import plan_from_log
 
-        found = plan_from_log(cfg)
-        if not (found["controlled"] or swept) and cfg.evaluation.get("must_control"):
+        controlled = plan_from_log(cfg)
+        if not (controlled or swept) and cfg.evaluation.get("must_control"):
             sys.exit(1)
-        return _score(found["score"])
+        return
     from job import plugins_of, run_job
     from next_steps import improvements, next_steps, run_steps
 
@@ -32,21 +31,15 @@ def main(cfg: Any) -> float:
 
     folder = Path(cfg.folder)
     cfg, recipe, metrics, before = run_job(cfg)
-    score = max((_score(share) for share in metrics.get("held", {}).get("share", {}).values()), default=math.inf)
     if before and swept:
         print(f"finished before: {folder}")
-        return score
+        return
     from dynasindy.viz.run import draw_run  # Matplotlib, when there is something to draw
 
-    draw_run(
-        folder,
-        recipe.system.signature,
-        tuple(cfg.get("formats", ("png",))),
-        name_by_planning(cfg.planning),
-    )
+    draw_run(folder, recipe.system.signature, tuple(cfg.get("formats", ("png",))), name_by_planning(cfg.planning))
     say(run_report(metrics, folder))
     if swept:
-        return score
+        return
     controlled = metrics["verdict"].get("controlled") is not False
     written = (folder / NAME).is_file()  # a task without targets leaves no controller to check or to export
     if controlled:
@@ -57,12 +50,6 @@ def main(cfg: Any) -> float:
     wanted = cfg.evaluation
     if (wanted.must_improve and not metrics["verdict"]["usable"]) or (wanted.get("must_control") and not controlled):
         sys.exit(1)
-    return score
-
-
-def _score(error: float | None) -> float:
-    """Return an error by which jobs compare; what ran away has none, and is the worst."""
-    return math.inf if error is None else float(error)
 
 
 if __name__ == "__main__":

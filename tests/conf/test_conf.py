@@ -40,8 +40,7 @@ def build(*overrides):
     return cfg, Recipe(**parts, seed=cfg.seed).build()
 
 
-# What needs Optuna is composed by tests/scripts/test_tune.py, where that is installed; what has no equations by none.
-@pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged", "system=black_box", "experiment=tune"}))
+@pytest.mark.parametrize("option", sorted(set(OPTIONS) - {"system=logged", "system=black_box"}))  # without equations
 def test_every_option_is_built(option):
     build(option)
 

@@ -1,4 +1,4 @@
-"""The commands of `dynasindy`: which there are, what they say of themselves, and what a shell is told."""
+"""The commands of `dynasindy`: which there are, and what they say of themselves."""
 
 import os
 import re
@@ -24,10 +24,6 @@ def cli(monkeypatch):
 def dynasindy(*words, cwd, **environment):
     command = [sys.executable, "-m", "dynasindy", *words]
     return forked.run(command, cwd=cwd, env={**os.environ, **environment})
-
-
-def completed(line, cwd):
-    return dynasindy("-sc", "query=bash", cwd=cwd, COMP_LINE=line).stdout.split()
 
 
 def test_every_command_is_a_script_with_a_main_and_every_config_belongs_to_one(cli):
@@ -71,29 +67,6 @@ def test_a_wrong_key_is_found_before_torch_is_imported(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment)
     assert done.returncode == 2 and "'seed'" in done.stderr
     assert not HEAVY & set(done.stdout.split())
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("dynasindy re", ["report"]),
-        ("dynasindy train system=t", ["system=tras", "system=trms33"]),
-        ("/home/train/bin/dynasindy train planning=none checkpoint.", ["checkpoint.every="]),
-        ("dynasindy nothing ", []),
-    ],
-)
-def test_a_shell_is_told_how_a_line_goes_on(line, words, tmp_path):
-    assert completed(line, tmp_path) == words
-
-
-def test_completion_imports_nothing_that_takes_seconds_either(tmp_path):
-    code = (
-        "import os, sys\nfrom dynasindy.__main__ import main\nsys.argv = ['dynasindy', '-sc', 'query=bash']\n"
-        "os.environ['COMP_LINE'] = 'dynasindy train see'\nmain()\nprint(*sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    first, modules = done.stdout.splitlines()
-    assert first == "seed=" and "hydra" in modules.split() and not HEAVY & set(modules.split())
 
 
 @pytest.mark.slow

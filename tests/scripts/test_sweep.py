@@ -27,10 +27,7 @@ os.environ[LIST] = sys.argv[2] + "/.jobs"
 note_job_end(None)
 note_job_end(Path(sys.argv[2]) / "1" / "error.txt")
 print(ended_jobs())
-try:
-    Sweep().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": sys.argv[2]}, "job": {}}}))
-except Exception:
-    print("it failed")
+Sweep().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": sys.argv[2]}, "job": {}}}))
 print(Sweep.errors)
 """
 
@@ -41,7 +38,6 @@ print(Sweep.errors)
         ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['setting=a,b', system=xi]}}", "10 seed setting"),
         ("{sweeper: {params: {seed: range(5)}}, overrides: {task: ['+x=a,b', seed=3]}}", "2 +x"),  # the last counts
         ("{sweeper: {params: null}, overrides: {task: ['data.path=[1,2]']}}", "1"),  # a list is one value
-        ("{sweeper: {n_trials: 7, params: {lr: 'interval(0,1)'}}, overrides: {task: ['seed=1,2']}}", "7 lr seed"),
     ],
 )
 def test_the_jobs_of_a_sweep_are_counted_and_what_they_differ_in_is_named(config, jobs):
@@ -49,25 +45,10 @@ def test_the_jobs_of_a_sweep_are_counted_and_what_they_differ_in_is_named(config
     assert (done.stdout, done.stderr) == (f"{jobs}\n", "")
 
 
-@pytest.mark.parametrize(
-    ("found", "said"),
-    [
-        (
-            "{best_params: {planning.lr: 0.0123456, planning.width: 12345, agent: td3}, best_value: 0.0456789}",
-            "Best trial: planning.lr=0.01235 planning.width=12345 agent=td3, score 0.04568; plan with these words, "
-            "and judge on another log\n",
-        ),
-        ("{solutions: [{params: {seed: 1}, values: [0.1, 0.2]}]}", ""),  # two objectives
-        ("{best_params: {seed: 1}}", "it failed\n"),
-        ("", ""),  # nothing was found
-    ],
-)
-def test_the_end_of_a_sweep_tells_the_best_trial_and_knows_the_failed_jobs(tmp_path, found, said):
-    (tmp_path / "optimization_results.yaml").write_text(found)
+def test_the_end_of_a_sweep_knows_the_failed_jobs(tmp_path):
     done = forked.run([sys.executable, "-c", END, SCRIPTS, tmp_path])
     reason = f"{tmp_path}/1/error.txt"
-    counted, first, *rest = done.stdout.splitlines()
+    counted, first, last = done.stdout.splitlines()
     assert (counted, first, done.stderr) == (f"(1, ['{reason}'])", f"Sweep: {tmp_path}", "")
-    assert "".join(f"{line}\n" for line in rest[:-1]) == said
-    assert rest[-1].startswith("['1 jobs failed") and reason in rest[-1]
+    assert last.startswith("['1 jobs failed") and reason in last
     assert not (tmp_path / ".jobs").exists()
