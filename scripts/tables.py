@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from dynasindy.safe_io import write_text
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- table: (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
-AXES = ("azimuth", "pitch")
+AXES = ["azimuth", "pitch"]
 ROLLOUTS = ("rollouts_800", "rollouts_400", "rollouts_0")
 LABORATORY = 12
 """Plants known by logs that stand in a laboratory; those behind them are out of textbooks."""
@@ -95,38 +95,27 @@ def pair(values: Iterable[float]) -> str:
     return " / ".join(map(mrad, values))
 
 
-def middle(found: pd.DataFrame) -> str:
-    """Return the mean over seeds on each axis."""
-    return pair(numbers(found, axis).mean() for axis in AXES)
+def axes(found: pd.DataFrame, over: str = "max") -> str:
+    """Return the worst seed on each axis, or the mean over seeds."""
+    return pair(found[AXES].astype(float).agg(over))
 
 
-def worst(found: pd.DataFrame) -> str:
-    """Return the worst seed on each axis."""
-    return pair(numbers(found, axis).max() for axis in AXES)
+def score(file: str, metric: str) -> str:
+    """Return a metric on each axis of an evaluation that was kept."""
+    found = json.loads((RESULTS / file).read_text())
+    return pair(found.get("evaluation", found)[f"{metric}/{axis}"] for axis in ("alpha_a", "alpha_p"))
 
 
-def seeds(values: Iterable[float]) -> str:
-    """Return the interquartile mean over seeds and its interval."""
-    return over_seeds([*values], 3, "never").replace("never [never, never]", "never")
-
-
-def runs(plant: str, setting: str, experiment: str = "dyna") -> pd.DataFrame:
+def runs(plant: str, setting: str) -> pd.DataFrame:
     """Return the rows of a setting of the ablation, one per seed."""
-    return rows("ablation.csv", system=plant, experiment=experiment, setting=setting)
-
-
-def worse_axis(plant: str, setting: str, experiment: str, episode: int) -> pd.Series[float]:
-    """Return the error of the worse axis of each seed after an episode."""
-    found = rows("ablation_curves.csv", system=plant, experiment=experiment, setting=setting, episode=episode)
-    return found.filter(like="evaluated_steady_state_error").astype(float).max(axis=1)
+    return rows("ablation.csv", system=plant, experiment="dyna", setting=setting)
 
 
 @table("plant | data | error, azimuth / pitch [mrad] | CPU time")
 def main_job() -> Rows:
-    """Yield the errors of the main job after 10 s of data, of the worst of ten seeds."""
     for plant in ("tras", "xi"):
         found = rows("gradient.csv", case="step", plant=plant, plant_seconds=10.0)
-        yield f"`{plant}`", "10 s", worst(found), f"{numbers(found, 'cpu_seconds').max():.0f} s"
+        yield f"`{plant}`", "10 s", axes(found), f"{numbers(found, 'cpu_seconds').max():.0f} s"
 
 
 NEEDS = {
@@ -150,25 +139,23 @@ NEEDS = {
 )
 def controllers() -> Rows:
     """Yield controllers of `tras` beside the policy, whose times are 1."""
-    ours = rows("baselines.csv", plant="tras", controller="planning by gradient", model="identified", scenario="step")
-    for name in NEEDS:
-        who, needs = NEEDS[name]
+    step = read("baselines.csv").query("plant == 'tras' and model == 'identified' and scenario == 'step'")
+    pace = step.assign(ms=numbers(step, "ms_per_action")).groupby("controller").ms.mean()
+    for name, (who, needs) in NEEDS.items():
         if name.startswith("sb3"):
             found = runs("tras", name)
             seconds = numbers(rows("ablation_curves.csv", system="tras", setting=name), "plant_seconds").max()
             error = pair(numbers(found, f"steady_state_error/{axis}").mean() for axis in ("alpha_a", "alpha_p"))
             yield who, f"{seconds:.0f} s", error, "", "", needs
-        elif " " in name and "planning" not in name:
-            (own,) = (of for _, of in rows("peers.csv", peer=name).groupby("commit"))
+        elif name in pace:
+            error = axes(step.query("controller == @name and metric == 'steady_state_error'"), "mean")
+            made = "1" if name.startswith("planning") else ""
+            yield who, "10 s", error, made, f"{pace[name] / pace['planning by gradient']:.2g}", needs
+        else:
+            own = rows("peers.csv", peer=name)
             beside = rows("peers.csv", peer="ours", case=own.case.iloc[0], commit=own.commit.iloc[0])
             times = (numbers(own, key).max() / numbers(beside, key).max() for key in ("cpu_seconds", "ms_per_action"))
             yield who, "10 s", pair(numbers(own, "value")[:2]), *(f"{share:.2g}" for share in times), needs
-        else:
-            found = rows("baselines.csv", plant="tras", controller=name, model="identified", scenario="step")
-            pace = numbers(found, "ms_per_action").mean() / numbers(ours, "ms_per_action").mean()
-            error = middle(found[found.metric == "steady_state_error"])
-            made = "1" if name.startswith("planning") else ""
-            yield who, "10 s", error, made, f"{pace:.2g}", needs
 
 
 @table("controller | `tras`, sine | `tras`, square | `xi`, step | `xi`, sine | `xi`, square")
@@ -177,29 +164,25 @@ def baselines() -> Rows:
     for name in ("planning by gradient", "planning by gradient, integral action", "LQI", "MPC", "PID"):
         cells = []
         for plant, scenario in (("tras", "sine"), ("tras", "square"), ("xi", "step"), ("xi", "sine"), ("xi", "square")):
+            case = {"controller": name, "plant": plant, "scenario": scenario, "model": "identified"}
             metric = "steady_state_error" if scenario == "step" else "rmse"
-            found = rows("baselines.csv", controller=name, plant=plant, scenario=scenario, metric=metric)
-            cells.append(middle(found[found.model == "identified"]))
+            cells.append(axes(rows("baselines.csv", **case, metric=metric), "mean"))
         yield NEEDS[name][0], *cells
 
 
 @table("policy | data | error, azimuth / pitch [mrad] | RMSE, azimuth / pitch [mrad]")
 def policies() -> Rows:
-    """Yield the scores of the controllers that lie in the repository."""
     for plant in ("tras", "xi"):
-        file = RESULTS / "policies" / plant / "origin.json"
-        score = json.loads(file.read_text())["evaluation"]
-        errors = (_score(score, metric) for metric in ("steady_state_error", "rmse"))
-        yield f"[`{plant}`](policies/{plant}/origin.json)", "30 s", *errors
+        file = f"policies/{plant}/origin.json"
+        yield f"[`{plant}`]({file})", "30 s", score(file, "steady_state_error"), score(file, "rmse")
 
 
 @table("scenario | RMSE [mrad] | error at the end [mrad] | return")
 def scenarios() -> Rows:
-    """Yield what the policy of the main job makes of each scenario."""
     for name in ("step", "sine", "square", "wind", "noise", "delay", "detuned"):
-        score = json.loads((RESULTS / f"runs/tras_gradient/evaluation/{name}.json").read_text())
-        errors = (_score(score, metric) for metric in ("rmse", "steady_state_error"))
-        yield f"`{name}`", *errors, f"{score['return']:.1f}"
+        file = f"runs/tras_gradient/evaluation/{name}.json"
+        earned = json.loads((RESULTS / file).read_text())["return"]
+        yield f"`{name}`", score(file, "rmse"), score(file, "steady_state_error"), f"{earned:.1f}"
 
 
 CASE_WORDS = {
@@ -225,7 +208,7 @@ def gradient() -> Rows:
     """Yield the worst of ten seeds in each case of planning by gradient, after 10 s of data."""
     for (case, scenario), words in CASE_WORDS.items():
         found = rows("gradient.csv", case=case, scenario=scenario, plant_seconds=10.0)
-        own = {plant: worst(of) for plant, of in found.groupby("plant")}
+        own = {plant: axes(of) for plant, of in found.groupby("plant")}
         cpu = f"{numbers(found, 'cpu_seconds').max():.0f} s"
         yield f"{words} (`{case}`)", own.get("tras") or own.get("trms33"), own.get("xi", ""), cpu
 
@@ -235,8 +218,6 @@ MODELS = {
     **{"pysindy": "PySINDy", "last value held": "last value held"},
 }
 """Models of every rig, and what they are called in the table."""
-
-
 SHOWN = {
     **{"tanks": "test simulated, RMSE", "emps": "test simulated, RMSE", "qube": "both angles 0.2 s ahead, RMSE"},
     **{"silverbox": "test simulated, RMSE", "ball_beam": "position 2 s ahead, RMSE"},
@@ -257,45 +238,60 @@ def rig_models() -> Rows:
         yield rig, f"{metric} [{own.unit.iloc[0]}]", *(cells.get(name, "") for name in MODELS), another
 
 
+def _plants(behind_bench: bool) -> Rows:
+    found = read("plants.csv")
+    found = found[(found.error_percent != "") & (found.plant.str.endswith("_bench") == behind_bench)]
+    for plant, own in found.groupby("plant", sort=False):
+        controlled = own[own.verdict == "CONTROLLED"].seed.nunique()
+        error, seconds = (numbers(own, column).max() for column in ("error_percent", "plant_seconds"))
+        yield f"`{plant}`", f"{controlled} of {own.seed.nunique()}", f"{error:.3g} %", f"{seconds:g} s"
+
+
 @table("plant | held to 1 % | error of the worst seed | data")
 def plants() -> Rows:
-    """Yield the plants that were given as equations."""
     return _plants(behind_bench=False)
 
 
 @table("plant | held to 1 % | error of the worst seed | data")
 def bench_plants() -> Rows:
-    """Yield the plants behind the sensors of a bench."""
     return _plants(behind_bench=True)
+
+
+def _logged_plants() -> list[tuple[str, str]]:
+    """Return the plants of the benchmark of logs, each with its title."""
+    found = yaml.safe_load((Path(__file__).with_name("benchmarks") / "logged_plants.yaml").read_text())
+    return [(plant, facts["title"]) for plant, facts in found.items()]
+
+
+def _percent(found: pd.DataFrame) -> str:
+    error = numbers(found, "error_percent").max()
+    return f"{error:.3g} %" if error < 100 else "lost"
 
 
 @table("plant, what is measured | promised | held to 1 % | error of the worst seed")
 def logs() -> Rows:
-    """Yield the plants that are known by a log alone."""
-    for plant, facts in [*_logged_plants().items()][:LABORATORY]:
+    for plant, title in _logged_plants()[:LABORATORY]:
         found = rows("logs.csv", plant=plant)
         promised = found[found.foretold == "CONTROLLED"].seed.nunique()
         missed = found[numbers(found, "error_percent") > 1].seed.nunique()
         of = found.seed.nunique()
-        yield facts["title"], f"{promised} of {of}", f"{of - missed} of {of}", _percent(found)
+        yield title, f"{promised} of {of}", f"{of - missed} of {of}", _percent(found)
 
 
 @table("plant, what is measured | at first | error at first | since | error since")
 def textbook_logs() -> Rows:
-    """Yield the plants out of textbooks, at first and since."""
     words = {"CONTROLLED": "promised", "NOT promised": "not promised", "no controller": "no controller"}
-    for plant, facts in [*_logged_plants().items()][LABORATORY:]:
+    for plant, title in _logged_plants()[LABORATORY:]:
         cells = []
         for file in ("logs_first.csv", "logs.csv"):
             found = read(file).query("plant == @plant and seed == '0'")
             ended = "not ended" if (file, plant) == ("logs.csv", "cylinder") else "not run"
             cells += [ended, "none"] if found.empty else [words[found.foretold.iloc[0]], _percent(found)]
-        yield facts["title"], *cells
+        yield title, *cells
 
 
 @table("plant | model | error on the test log, simulated | CPU time")
 def peers() -> Rows:
-    """Yield models of ours beside those of other packages."""
     for row in rows("peers.csv", case="model, test log simulated").itertuples():
         unit = row.measure.removeprefix("RMSE, ")
         yield f"`{row.plant}`", f"{row.peer} {row.version}", f"{row.value} {unit}", f"{row.cpu_seconds} s"
@@ -311,8 +307,9 @@ def identification() -> Rows:
 
 @table(" | `rollouts_800` | `rollouts_400` | `rollouts_0` (as many updates, no model)")
 def rollouts() -> Rows:
-    """Yield 800, 400 and no rollouts with our settings."""
+    """Yield 800, 400 and no rollouts with our settings: the interquartile mean over seeds and its interval."""
     measures = {
+        "real episodes to the level": "episodes_to_level",
         "plant time to the level [s]": "plant_seconds_to_level",
         "final error [rad]": "steady_state_error",
         "area under the curve": "area_under_curve",
@@ -320,10 +317,11 @@ def rollouts() -> Rows:
     }
     for plant in ("xi", "tras"):
         found = [runs(plant, setting) for setting in ROLLOUTS]
-        level = [f"{seeds(numbers(own, 'episodes_to_level'))} ({_reached(own)} seeds)" for own in found]
-        yield f"`{plant}`, real episodes to the level", *level
+        reached = [f" ({(own.episodes_to_level != '').sum()}/{len(own)} seeds)" for own in found]
         for words, column in measures.items():
-            yield f"`{plant}`, {words}", *(seeds(numbers(own, column)) for own in found)
+            means = [over_seeds([*numbers(own, column)], 3, "never") for own in found]
+            ends = reached if column == "episodes_to_level" else [""] * len(found)
+            yield f"`{plant}`, {words}", *(m.replace("never [never, never]", "never") + e for m, e in zip(means, ends))
 
 
 @table("agent without a model | `xi` | `tras`")
@@ -338,58 +336,29 @@ def model_free() -> Rows:
     }
     for setting, name in words.items():
         cells = []
-        for plant in ("xi", "tras"):
-            found = runs(plant, setting)
+        for found in (runs(plant, setting) for plant in ("xi", "tras")):
             reached = sorted(numbers(found[found.episodes_to_level != ""], "episodes_to_level"))
             never = f"{len(found) - len(reached)} of {len(found)} not within {found.episodes.max()}"
-            cells.append(
-                "; ".join(filter(None, [", ".join(f"{k:g}" for k in reached), never * (len(reached) < len(found))]))
-            )
+            ended = [", ".join(f"{k:g}" for k in reached), never * (len(reached) < len(found))]
+            cells.append("; ".join(filter(None, ended)))
         yield name, *cells
 
 
 @table("runs | rollouts | after 60 episodes | after 180 | after 600 | after 1200")
 def paper_errors() -> Rows:
     """Yield the error of the worse axis [mrad] of each seed of the paper's experiment on `xi` along its episodes."""
-    full = read("paper_in_full.csv")
-    for name in ROLLOUTS:
-        label = "none" if name == "rollouts_0" else name.removeprefix("rollouts_")
-        cells = [worse_axis("xi", name, "paper", episode) for episode in (60, 180, 600)]
-        yield "600 episodes", label, *(", ".join(f"{1000 * error:.0f}" for error in errors) for errors in cells), ""
-    for name in ROLLOUTS:
-        label = "none" if name == "rollouts_0" else name.removeprefix("rollouts_")
-        own = full[(full.system == "xi") & (full.setting == name)]
-        cells = [
-            own[own.episode == str(k)][["azimuth", "pitch"]].astype(float).max(axis=1) for k in (60, 180, 600, 1200)
-        ]
-        yield "1200 episodes", label, *(", ".join(f"{1000 * error:.0f}" for error in errors) for errors in cells)
-
-
-def _score(score: Mapping[str, float], metric: str) -> str:
-    return pair(score[f"{metric}/{axis}"] for axis in ("alpha_a", "alpha_p"))
-
-
-def _logged_plants() -> dict[str, dict[str, str]]:
-    """Return what is known of each plant of the benchmark of logs."""
-    return yaml.safe_load(Path(__file__).with_name("benchmarks").joinpath("logged_plants.yaml").read_text())
-
-
-def _plants(behind_bench: bool) -> Rows:
-    found = read("plants.csv")
-    found = found[(found.error_percent != "") & (found.plant.str.endswith("_bench") == behind_bench)]
-    for plant, own in found.groupby("plant", sort=False):
-        controlled = own[own.verdict == "CONTROLLED"].seed.nunique()
-        error, seconds = (numbers(own, column).max() for column in ("error_percent", "plant_seconds"))
-        yield f"`{plant}`", f"{controlled} of {own.seed.nunique()}", f"{error:.3g} %", f"{seconds:g} s"
-
-
-def _percent(found: pd.DataFrame) -> str:
-    error = numbers(found, "error_percent").max()
-    return f"{error:.3g} %" if error < 100 else "lost"
-
-
-def _reached(found: pd.DataFrame) -> str:
-    return f"{(found.episodes_to_level != '').sum()}/{len(found)}"
+    short = read("ablation_curves.csv").query("system == 'xi' and experiment == 'paper'")
+    for runs, found, episodes in (
+        ("600 episodes", short, (60, 180, 600)),
+        ("1200 episodes", read("paper_in_full.csv").query("system == 'xi'"), (60, 180, 600, 1200)),
+    ):
+        for name in ROLLOUTS:
+            cells = [""] * 4
+            for place, episode in enumerate(map(str, episodes)):
+                own = found[(found.setting == name) & (found.episode == episode)]
+                errors = own.filter(regex="evaluated_steady_state_error|^azimuth$|^pitch$").astype(float).max(axis=1)
+                cells[place] = ", ".join(f"{1000 * error:.0f}" for error in errors)
+            yield runs, "none" if name == "rollouts_0" else name.removeprefix("rollouts_"), *cells
 
 
 if __name__ == "__main__":
