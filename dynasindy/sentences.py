@@ -656,8 +656,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.guessed_inputs": "{inputs:list} are taken as inputs, for they move in steps and all others in most rows; no "
     "heading says so: if they are not, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
-    "log.differentiated": "{state} was reconstructed from {of}",
-    "log.short_stretches": "{count} samples in stretches under {least} samples have no rate; they were skipped",
     "log.converted": lambda units, kept: (
         f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}. Targets and "
         "limits are to be given in these units, and a controller reads them so; "
@@ -783,7 +781,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"the inputs act {f'{1e3 * seconds:.3g} ms' if seconds < 1 else format_duration(seconds)} late"
     ),
     "model.dry_friction": "{state}' has dry friction",
-    "model.spring": "{state}' has a spring in {of}",
     "model.input_nonlinearity": _bend,
     "model.lag_state": lambda signal, seconds, is_input, state: (
         (

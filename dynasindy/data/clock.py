@@ -126,14 +126,9 @@ def _possible_ticks(column: Array, unit: float) -> Iterator[_Ticks]:
 
 
 def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
-    """Return the number of each row on an even clock, `(rows,)`, and how often the clock was set anew.
+    """Return the number of each row on an even clock whose stamps stay within a strip, and how often it was set anew.
 
-    A row that comes later than its number says is behind rows that were lost.
-
-    Args:
-        at: Stamps [ticks].
-        period: Time between two even times [ticks].
-        within: Width of the strip about even times in which stamps stay [ticks].
+    All are in ticks. A row that comes later than its number says is behind rows that were lost.
     """
     rows = np.arange(len(at), dtype=np.float64)
     off = at - period * rows
@@ -155,11 +150,7 @@ def _numbered(at: Array, period: float, within: float) -> tuple[Array, int]:
 def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: float) -> tuple[float, float] | None:
     """Return the shortest and the longest period [ticks] of an even clock that gives such stamps, if any does.
 
-    Args:
-        at: Stamps [ticks].
-        low: The smaller number of ticks from row to row; the period is between it and the next one.
-        starts: First rows of stretches that are taken apart.
-        within: Width of the strip about even times in which the stamps of a stretch stay [ticks].
+    It lies between `low` and one more; from each start on stamps stay in a strip of their own about even times.
     """
     rows = np.arange(len(at))
 
@@ -209,18 +200,7 @@ def _even_times(
 
     An even clock of period dt that is rounded to ticks writes steps of two neighbouring numbers of ticks, in the rhythm
     that keeps t_k - k dt within one tick. Any two stamps of it bound dt: it is within a tick of their difference, over
-    the rows between them. Times that have no such rhythm are returned as they are: a clock that is late now and then,
-    or one that lost rows.
-
-    Args:
-        path: The file, for messages.
-        t: Times of the rows [s], `(rows,)`.
-        column: The same as they are in the file.
-        unit: Unit of the column [s].
-        dt: Sampling time that was given [s].
-
-    Raises:
-        ValueError: The rows have a rhythm, but it does not tell the sampling time.
+    the rows between them. Times that have no such rhythm, of a clock that is late now and then, stay as they are.
     """
     if len(t) < 3 or not (np.diff(t) >= 0).all():
         return t, None
@@ -296,14 +276,7 @@ def _unix_unit(values: Array) -> str:
 
 
 def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
-    """Return times that go on where a counter overflowed, or where a recording begins anew, and what was found.
-
-    Args:
-        values: Times as they are in the file, `(rows,)`.
-        table: Rows of the file, for their lines.
-        unit: Unit of the times [s].
-        dt: Sampling time that was given [s].
-    """
+    """Return times that go on where a counter overflowed, or where a recording begins anew, and what was found."""
     steps = np.diff(values)
     drops = np.flatnonzero(steps < 0)
     if not len(drops) or len(drops) > 1 + len(values) // FEWEST:

@@ -36,11 +36,10 @@ class Column:
     """Say where a state or an input stands in the file.
 
     Attributes:
-        name: heading of the column; empty for a state that has none. Without `derivative_of` no sensor sees it: its
-            samples are NaN, and a fit estimates them with the model.
+        name: heading of the column; empty for a state that no sensor sees: its samples are NaN, and a fit estimates
+            them with the model.
         unit: unit of the state or input after scaling.
         scale: factor from the file's unit to this one, e.g. 0.0174533 from degrees to rad.
-        derivative_of: state that this one is reconstructed from, as its derivative.
         low: lower end of an input's actuator after scaling; with `high`.
         high: its upper end.
         rest: what becomes 0 of an input, with both ends; zero if omitted, or the end next to zero.
@@ -49,7 +48,6 @@ class Column:
     name: str = ""
     unit: str = "-"
     scale: float = 1.0
-    derivative_of: str = ""
     low: float | None = None
     high: float | None = None
     rest: float | None = None
@@ -81,8 +79,6 @@ def with_units(
         unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
         if unit and column.scale == 1 and column.unit in ("-", unit):
             found[name] = replace(column, unit=unit, scale=factor)
-        elif not column.name and in_radians(inside.get(column.derivative_of, ""), False)[1] != 1:
-            found[name] = replace(column, unit=in_radians(column.unit)[0])  # the slope of what is in rad
     return found
 
 
@@ -97,7 +93,6 @@ def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[
     for name, column in columns.items():
         heading, inside = split_unit(column.name)[0], units.get(column.name) or "-"
         keys: dict[str, Any] = {"name": heading} if column.name else {}
-        keys |= {"derivative_of": column.derivative_of} if column.derivative_of else {}
         read = in_radians(inside, turns=False) if column.low is None else (inside, 1.0)
         if not column.name or (column.unit, column.scale) != read:
             keys |= {"unit": column.unit} if column.unit != "-" else {}
@@ -147,11 +142,7 @@ def _stem(name: str) -> str:
 def _stepping(columns: Mapping[str, Array]) -> list[str]:
     """Return the columns that are inputs by how they move: in steps, where all others move in most rows.
 
-    There is none where that is no clear matter: where one may be a label, where several are no array of the same, or
-    where what would be a state stands still, too.
-
-    Args:
-        columns: Numbers of the columns that move, by name.
+    There is none where one may be a label, several are no array of the same, or what would be a state stands, too.
     """
     standing = {name: _standing(column) for name, column in columns.items()}
     found = [name for name, share in standing.items() if share > HELD and not _is_label(columns[name])]
@@ -294,17 +285,7 @@ LEADS, AWAY = 4, 0.7
 
 
 def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
-    """Return the columns of some names or headings.
-
-    Args:
-        columns: all columns, by name.
-        names: which of them, with or without their units.
-        path: the file.
-        key: the setting that names them.
-
-    Raises:
-        ValueError: there is no such column.
-    """
+    """Return the columns of some names or headings, of which a setting names one that there may not be."""
     named = {name: find_names(name, columns) for name in names}
     if absent := [split_unit(name)[0] for name, found in named.items() if not found]:
         raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
@@ -316,29 +297,18 @@ def columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
 
     Args:
         group: A heading, the keys of a column or a column, by name.
-        states: Whether they are states, which may do without a heading, as rates of others and states that no sensor
-            sees; inputs alone have ends.
+        states: Whether they are states, of which some may do without a heading; inputs alone have ends.
 
     Raises:
         ValueError: One is no column, has no heading and needs one, or is a state with ends.
     """
     made = {name: _column(given) for name, given in group.items()}
-    logged = [name for name, column in made.items() if column.name] if states else []
+    logged = states and any(column.name for column in made.values())
     for name, column in made.items():
-        if column.derivative_of and (not states or column.derivative_of == name):
-            raise ValueError(
-                f"{name} has derivative_of: {column.derivative_of}; allowed are states, with the name of another: "
-                f"{correct_map()}"
-            )
         if states and column.low is not None:
             raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
-        unmeasured = states and logged and not column.derivative_of
-        if not column.name and column.derivative_of not in logged and not unmeasured:
-            rates = f", or to be the derivative of a logged state ({', '.join(logged)})" if states else ""
-            raise ValueError(
-                f"{name} has no column and is the derivative of {column.derivative_of or 'nothing'!r}; allowed is a "
-                f"column name{rates}: {correct_map()}"
-            )
+        if not (column.name or logged):
+            raise ValueError(f"{name} has no column; allowed is the name of one: {correct_map()}")
     return made
 
 
@@ -351,19 +321,19 @@ def _column(given: object) -> Column:
     if column is None or not _is_valid(column):
         raise ValueError(
             f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
-            f"derivative_of, and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
+            f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
         )
     return column
 
 
 def _is_valid(column: Column) -> bool:
-    words: list[object] = [column.name, column.unit, column.derivative_of]
     low, high = column.low, column.high
     numbers: list[object] = [column.scale, *(v for v in (low, high, column.rest) if v is not None)]
     if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers):
         return False
     ends = low is not None and high is not None and low < high
-    return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
+    words = isinstance(column.name, str) and isinstance(column.unit, str)
+    return words and column.scale != 0 and (ends or len(numbers) == 1)
 
 
 def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) -> str:

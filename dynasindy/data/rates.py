@@ -199,9 +199,8 @@ def _may_be(state: str, rate: str, signature: Signature) -> bool:
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     """Return the slope of a state over a rate, and their correlation.
 
-    What the state moves by over a window is compared with the integral of the rate, by the trapezoidal rule: noise
-    counts the less the longer the window is, so that the one is taken over which they go together best. A window has
-    the state at both ends and the rate all along.
+    What the state moves by over a window is compared with the trapezoidal integral of the rate, over the window in
+    which they go together best: noise counts the less the longer it is.
     """
     steps = _increments(data, rate)
     lost = torch.cat([torch.zeros(1, dtype=torch.int32), (~steps.isfinite()).cumsum(0, dtype=torch.int32)])

@@ -21,14 +21,13 @@ from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import Column, as_map, columns_of, find_clock, infer, with_units
 from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
-from dynasindy.data.resampling import EVEN, resample, stretches
+from dynasindy.data.resampling import EVEN, resample
 from dynasindy.data.table import Table, correct_map, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
 from dynasindy.systems.actuator_scaling import actuator_units
 from dynasindy.systems.base import Signature
-from dynasindy.systems.smoothing import local_cubic, slopes_beside_gaps
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
@@ -55,8 +54,8 @@ LONG = 10
 """Usual distances between two samples of a state from which on what lies between them is a gap."""
 STOP = 5
 """Samples with one value at the end of its range from which on it may be a stop."""
-SMOOTH = 7
-"""Samples under the local cubic that gives a rate."""
+SHORT = 7
+"""Samples below which nothing is told of spikes."""
 
 
 @dataclass(frozen=True)
@@ -177,8 +176,8 @@ class LogReader:
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: a column is missing, time does not increase, an input is constant or leaves its ends, a state
-                has ends, one that is differentiated is not logged, there are too few samples, files differ in their
-                units or sampling times, or a known rate is in other units than its state.
+                has ends, there are too few samples, files differ in their units or sampling times, or a known rate is
+                in other units than its state.
         """
         left_out, after = list[Finding](), list[Finding]()
         time, states, inputs = self._columns(plant, left_out)
@@ -205,11 +204,8 @@ class LogReader:
         findings += _conversions(states, headings)
         usable = _usable_rows(x, parts)
         findings += [*after, *(each for part in parts for each in self._findings_of(part))]
-        full = _with_rates(x, states, segment, dt, findings)
-        short = np.bincount(segment)[segment] < SMOOTH
-        if short.any() and any(c.derivative_of and not c.name for c in states.values()):
-            findings.append(note("log.short_stretches", count=int(short.sum()), least=SMOOTH))
-            usable &= ~short
+        findings += (note("log.unmeasured", state=name) for name in states if name not in x)
+        full = np.stack([x.get(name, np.full(len(segment), np.nan)) for name in states], -1)
         data = _transitions(full, _joined([part.u for part in parts]), segment, usable, dt)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
@@ -375,7 +371,7 @@ def _without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: lis
     """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes."""
     measured = np.isfinite(x)
     known = x if measured.all() else x[measured]
-    if len(known) < SMOOTH:
+    if len(known) < SHORT:
         return x
     before, value, after = known[:-2], known[1:-1], known[2:]
     off = np.abs(value - 0.5 * (before + after))
@@ -574,29 +570,6 @@ def _is_stop(value: Array, first: int, last: int) -> bool:
     step = steps[steps > 1e-9 * np.ptp(value)].min()  # others are of rounding
     neighbours = [k for k in (first - beside, last - 1 + beside) if 0 <= k < len(value)]
     return any(abs(value[k] - value[first]) > 2.5 * step for k in neighbours)
-
-
-def _with_rates(
-    x: dict[str, Array], states: dict[str, Column], segment: NDArray[np.int64], dt: float, findings: list[Finding]
-) -> Array:
-    """Reconstruct rates that were not logged by a local cubic over the neighbouring samples."""
-    full = dict(x)
-    for name, column in states.items():
-        if column.name:
-            continue
-        rate = full[name] = np.full(len(segment), np.nan)
-        if not column.derivative_of:
-            findings.append(note("log.unmeasured", state=name))
-            continue
-        for rows in stretches(segment):
-            samples = x[column.derivative_of][rows]
-            if len(samples) < SMOOTH:
-                continue
-            whole = bool(np.isfinite(samples).all())
-            rate[rows] = local_cubic(samples, SMOOTH, dt, 1) if whole else slopes_beside_gaps(samples, SMOOTH, dt)
-        rate *= column.scale
-        findings.append(note("log.differentiated", state=name, of=column.derivative_of))
-    return np.stack([full[name] for name in states], -1)
 
 
 def _transitions(x: Array, u: Array, segment: NDArray[np.int64], usable: NDArray[np.bool_], dt: float) -> Transitions:

@@ -1,4 +1,4 @@
-"""What fitted equations hold: delay, dry friction, springs, dead zones, saturations, idle states."""
+"""What fitted equations hold: delay, dry friction, dead zones, saturations, idle states."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from dynasindy.findings import Finding, note, weak
 from dynasindy.sindy import FitReport, SindyModel
-from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature
 from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.transitions import Transitions
@@ -25,8 +24,7 @@ TOLD = 0.02
 def _nonlinearity(model: SindyModel, state: int, name: str) -> tuple[str, float, float] | None:
     """Return the dead zone or the saturation of an input, or of a state that stands for it, in an equation, with ends.
 
-    A saturation may lack either end, which is infinite then. The equation is piecewise linear in the input: it bends at
-    `edges`; `slopes` are below the first, between them, and above the last one.
+    One that a saturation lacks is infinite. `slopes` are below the first of `edges`, between them, and above the last.
     """
     edges: dict[float, float] = {}
     slope = 0.0
@@ -52,22 +50,20 @@ def _nonlinearity(model: SindyModel, state: int, name: str) -> tuple[str, float,
 
 
 def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
-    """Return what of delay, dry friction, springs, dead zones and saturations is in the equations.
+    """Return what of delay, dry friction, dead zones and saturations is in the equations.
 
     Args:
         model: a fitted model.
         report: of its fit, which tells what the data do not: a delay that is the longest that was tried is none, and
-            functions whose coefficients the data do not tell are no friction and no spring.
+            functions whose coefficients the data do not tell are no friction.
     """
     names, findings = model.signature.state_names, []
     resolved = None if report is None else report.told_apart()
     if model.delay and not (report is not None and report.delay_at_end):
         findings.append(note("model.delay", seconds=model.delay))
-    of_rate = rate_states(model.library, model.constraints)
     for i in range(len(names)):
         clear = model.coefficients[:, i] != 0
         used = (clear if resolved is None else clear & (resolved[:, i] > TOLD)).nonzero().flatten().tolist()
-        terms = [model.library.features[k] for k in used]
         size = model.signature.x_scale[i]
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             findings.append(note("model.dry_friction", state=names[i]))
@@ -75,8 +71,6 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
             bend = _nonlinearity(model, i, name)
             if bend is not None and (found := _bend(name, *bend, model)) not in findings:
                 findings.append(found)
-        if i in of_rate and any(_is_spring(f, names[of_rate[i]]) for f in terms):
-            findings.append(note("model.spring", state=names[i], of=names[of_rate[i]]))
     return findings
 
 
@@ -127,21 +121,8 @@ def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
 
 
 def _is_dry(feature: Feature, rate: str, size: float) -> bool:
-    """Tell what opposes a rate alike at any speed but the lowest; of the other sign it would drive.
-
-    Args:
-        feature: the function.
-        rate: name of the rate.
-        size: its range; a function that bends only there is a drag.
-    """
+    """Tell what opposes a rate alike at any speed but the lowest; what bends only at the range of it is a drag."""
     return any(
         factor.function == "tanh" and rate in factor.variables and factor.frequency * size >= FULL
         for factor in feature.factors
-    )
-
-
-def _is_spring(feature: Feature, angle: str) -> bool:
-    """Tell the angle itself, whatever inertia it is divided by."""
-    return any(f.function == "id" and f.power == 1 and f.variables == (angle,) for f in feature.factors) and all(
-        f.function in ("id", *QUOTIENTS) and (f.function != "id" or f.variables == (angle,)) for f in feature.factors
     )

@@ -275,14 +275,7 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     """Return on how many samples before a start its states are to be estimated, so that predictions are best.
 
     The more there are, the more of the noise is averaged. But what the model lacks, what pushes the plant and what
-    grows in an unstable one spoil an estimate the more, the longer it takes. The number is doubled as long as that
-    helps, on the data of the fit.
-
-    Args:
-        model: a fitted model.
-        data: what it was fitted to.
-        longest: most samples.
-        steps: horizons over which predictions are to be good [samples].
+    grows in an unstable one spoil an estimate the more, the longer it takes. The number is doubled while that helps.
     """
     lengths = [longest >> k for k in range(longest.bit_length()) if not k or longest >> k >= SHORTEST_FIT]
     starts, _ = start_rows(data, longest, steps[0])

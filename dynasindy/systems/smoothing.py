@@ -11,9 +11,6 @@ LENGTHS = (5, 7, 9, 13, 17, 25, 35, 51, 71, 101)
 """Samples under a local cubic that are tried."""
 AS_GOOD = 1.1
 """Factor on the smallest error of prediction up to which the longer cubic is taken: rates want a longer one."""
-RATED = 5
-"""Samples under a local cubic, of those that it would have, from which on it gives a rate."""
-
 MANY, STRETCHES = 100_000, 10
 """Samples that tell as much of a sensor as more would, and stretches in which they lie of a longer recording."""
 
@@ -76,26 +73,3 @@ def _cubic(length: int, derivative: int) -> Array:
         else np.stack([np.polynomial.Legendre.basis(k).deriv()(place) * step for k in range(4)], -1)
     )
     return np.asarray(at @ np.linalg.pinv(values))
-
-
-def slopes_beside_gaps(column: Array, length: int, dt: float) -> Array:
-    """Return slopes of local cubics over `length` samples, `(n,)`, NaN where too few of these were measured.
-
-    Args:
-        column: Samples, NaN where one is lost, `(n,)`, n at least `length`.
-        length: Samples under a cubic, an odd number.
-        dt: Time between two samples.
-    """
-    n = len(column)
-    first = np.clip(np.arange(n) - length // 2, 0, n - length)
-    windows = column[first[:, None] + np.arange(length)]
-    seen, here = np.isfinite(windows), (np.arange(n) - first - length // 2).astype(float)
-    powers = np.arange(-(length // 2), length // 2 + 1.0)[:, None] ** np.arange(4)
-    weighed = seen[..., None] * powers
-    normal, right = weighed.mT @ powers, (weighed * np.nan_to_num(windows)[..., None]).sum(1)
-    enough = seen.sum(1) >= RATED
-    cubic = np.linalg.solve(normal[enough], right[enough][..., None])[..., 0]
-    rates = np.full(n, np.nan)
-    at = here[enough]
-    rates[enough] = (cubic[:, 1] + 2 * cubic[:, 2] * at + 3 * cubic[:, 3] * at**2) / dt
-    return rates

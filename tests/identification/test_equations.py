@@ -1,4 +1,4 @@
-"""What equations hold: delay, friction, springs, and states that take no part in them."""
+"""What equations hold: delay, friction, and states that take no part in them."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
 
-def test_delay_friction_and_springs_of_a_model_are_found():
+def test_delay_and_friction_of_a_model_are_found():
     model = SindyModel(Tras().signature, "rotor_rig", known={"alpha_a": "Omega_a", "alpha_p": "Omega_p"})
     assert equation_findings(model) == []
     coefficients, model.delay = model.coefficients.clone(), 0.0123
@@ -23,12 +23,12 @@ def test_delay_friction_and_springs_of_a_model_are_found():
     for name, state in (("alpha_a /(1 + 3 cos(alpha_p)^2)", "Omega_a"), ("tanh(10 Omega_p)", "Omega_p")):
         coefficients[model.library.index(name), rates[state]] = -1.0
     model.set_coefficients(coefficients)
-    late, spring = note("model.delay", seconds=0.0123), note("model.spring", state="Omega_a", of="alpha_a")
-    assert equation_findings(model) == [late, spring, note("model.dry_friction", state="Omega_p")]
+    late = note("model.delay", seconds=0.0123)
+    assert equation_findings(model) == [late, note("model.dry_friction", state="Omega_p")]
     # What drives a rate the more, the faster it is, is no friction.
     coefficients[model.library.index("tanh(10 Omega_p)"), rates["Omega_p"]] = 1.0
     model.set_coefficients(coefficients)
-    assert equation_findings(model) == [late, spring]
+    assert equation_findings(model) == [late]
 
 
 def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tell():
