@@ -332,8 +332,8 @@ def _is_valid(column: Column) -> bool:
     if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers):
         return False
     ends = low is not None and high is not None and low < high
-    words = isinstance(column.name, str) and isinstance(column.unit, str)
-    return words and column.scale != 0 and (ends or len(numbers) == 1)
+    words: list[object] = [column.name, column.unit]
+    return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
 
 
 def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) -> str:
