@@ -26,7 +26,7 @@ def main(cfg: Any) -> None:
     settings = {name: OmegaConf.to_container(config) for name, config in configs.items()}
     saved = Results(results, settings)
     files = build(saved, Path(cfg.output))
-    print(f"{files[0]} and {files[1]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
+    print(f"{files[0]}, from {len(settings)} saved run{'s' * (len(settings) != 1)}")
     for name in kept:
         if name not in saved.requested:
             read = ", ".join(sorted(saved.requested))

@@ -35,7 +35,7 @@ def test_a_run_is_evaluated_saved_and_shown(trained: Path, tmp_path: Path) -> No
     assert str(tmp_path) not in (kept / "config.yaml").read_text()
     text = " ".join((tmp_path / "docs" / "report" / "report.md").read_text().split())
     assert f"`{origin['command']}`" in text and "![" in text
-    assert "docs/report/report.html" in done.stdout and "note:" not in done.stdout
+    assert "docs/report/report.md" in done.stdout and "note:" not in done.stdout
 
 
 def test_one_run_is_saved_under_a_name(trained: Path, tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from dynasindy.viz.report.document import (
     Section,
     TextTable,
     Verdict,
-    render_html,
     render_markdown,
 )
 from dynasindy.viz.report.paper import CLAIMS, EPISODES, THRESHOLDS
@@ -35,20 +34,19 @@ MEANINGS = {
 
 
 def build(results: Results, folder: Path) -> list[Path]:
-    """Write `report.html`, which needs no other file, and `report.md` with `figures/`, and return the files.
+    """Write `report.md` with `figures/`, and return the files.
 
     Raises:
         DamagedFileError: A saved file is not what a section expects.
     """
     page = pages(results)
-    html, markdown = folder / "report.html", folder / "report.md"
-    write_text(html, render_html(TITLE, page))
-    write_text(markdown, render_markdown(TITLE, page, html.name))
-    figures = [part for section in page for part in section.parts if isinstance(part, Picture)]
-    files = [folder / "figures" / f"{picture.name}.svg" for picture in figures]
-    for picture, file in zip(figures, files, strict=True):
-        write_text(file, picture.svg + "\n")
-    return [html, markdown, *files]
+    files = {folder / "report.md": render_markdown(TITLE, page)}
+    for part in (part for section in page for part in section.parts):
+        if isinstance(part, Picture):
+            files[folder / "figures" / f"{part.name}.svg"] = part.svg() + "\n"
+    for file, text in files.items():
+        write_text(file, text)
+    return [*files]
 
 
 def pages(results: Results) -> list[Section]:

@@ -1,4 +1,4 @@
-"""A page of words, tables, figures and findings, written as Markdown beside its figures and as one HTML file.
+"""A page of words, tables, figures and findings, written as Markdown beside its figures.
 
 Words may hold `code` and **bold**; all else is shown as it stands, and is neither HTML nor a link.
 """
@@ -11,13 +11,9 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import jinja2
 import matplotlib
-from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from dynasindy.safe_io import escape_markdown, file_name
@@ -35,15 +31,6 @@ class Verdict(Enum):
     SAME = "no difference"
     SHORT = "not reached"
     UNKNOWN = "not measured"
-
-
-COLOURS = {
-    Verdict.HOLDS.value: "good",
-    Verdict.SHORT.value: "short",
-    Verdict.SAME.value: "part",
-    "in part": "part",
-}
-"""Class of a cell that begins with a verdict."""
 
 
 class Statement(NamedTuple):
@@ -90,9 +77,8 @@ class Picture:
     def __post_init__(self) -> None:
         file_name(self.name, "figure")
 
-    @cached_property
     def svg(self) -> str:
-        """The figure as an SVG element on one line, without metadata, names of groups and digits below 0.1 pt."""
+        """Return an SVG element on one line, without metadata, names of groups and digits below 0.1 pt."""
         file = io.StringIO()
         with matplotlib.rc_context({**STYLE, **SVG, "svg.hashsalt": self.name}):  # ids differ from other figures'
             self.figure.savefig(file, format="svg", metadata={"Date": None})
@@ -127,12 +113,12 @@ class Section:
         return [*([self.words] if self.words else []), *table, *self.parts]
 
 
-def render_markdown(title: str, sections: Sequence[Section], html: str = "") -> str:
-    """Return a page as Markdown, whose figures are `figures/NAME.svg`; `html` is the same page as a file beside it.
+def render_markdown(title: str, sections: Sequence[Section]) -> str:
+    """Return a page as Markdown, whose figures are `figures/NAME.svg`.
 
     What figures and tables come from stands once, in a numbered list at the end of the page.
     """
-    blocks = [f"# {title}"] + [f"[The same as one HTML file]({html}) needs no other file."] * bool(html)
+    blocks = [f"# {title}"]
     sources: dict[str, int] = {}
     for section in sections:
         blocks += [f"## {section.title}", *(_markdown(part, sources) for part in section.content)]
@@ -141,29 +127,9 @@ def render_markdown(title: str, sections: Sequence[Section], html: str = "") -> 
     return "\n\n".join(blocks) + "\n"
 
 
-def render_html(title: str, sections: Sequence[Section]) -> str:
-    """Return a page as HTML that needs no other file and no network, its figures inline."""
-    loader = jinja2.FileSystemLoader(Path(__file__).parent)
-    page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    page.filters |= {"inline": _inline, "anchor": _anchor}
-    page.filters["colour"] = lambda cell: COLOURS.get(cell.partition(" (")[0], "")
-    return page.get_template("template.html").render(title=title, sections=sections)
-
-
-def _anchor(title: str) -> str:
-    """Return the name of a heading that links use, the one that GitHub gives it."""
-    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
-
-
 def _round_digits(outline: str) -> str:
     short = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), outline)
     return re.sub(r"\s*([MLQCz])\s*", r"\1", short).replace(' "', '"')
-
-
-def _inline(words: str) -> Markup:
-    """Return words with their `code` and **bold** as HTML."""
-    code = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(words)))
-    return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", code))
 
 
 def _markdown(part: Part, sources: dict[str, int]) -> str:
@@ -182,4 +148,7 @@ def _markdown(part: Part, sources: dict[str, int]) -> str:
 
 def _cell(cell: str | Link) -> str:
     words = escape_markdown(cell.words if isinstance(cell, Link) else cell).replace("|", r"\|")
-    return f"[{words}](#{_anchor(cell.title)})" if isinstance(cell, Link) else words
+    if isinstance(cell, str):
+        return words
+    anchor = re.sub(r"[^a-z0-9]+", "-", cell.title.lower()).strip("-")  # which GitHub gives a heading
+    return f"[{words}](#{anchor})"
