@@ -1,6 +1,6 @@
-"""Pictures of a controlled plant: its tracked outputs and, of the twin rotor, the beam in space.
+"""Pictures of a controlled plant: the twin rotor's beam in space, of other plants the tracked outputs.
 
-An angle is a dial, and any other output a number with its unit. The beam's shadow on the floor shows its azimuth. The
+The beam's shadow on the floor shows its azimuth. An angle is a dial, and any other output a number with its unit. The
 plant is blue; the reference is dashed and black, as in every figure.
 
 Drawn with Pillow at twice the size and scaled down, which smooths the edges.
@@ -16,7 +16,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dynasindy.systems import Signature
 from dynasindy.systems.base import turn_of
-from dynasindy.text import duration_unit
 
 Vector = NDArray[np.float64]
 Frame = NDArray[np.uint8]
@@ -28,10 +27,15 @@ _ZOOM = 2
 _INK, _GHOST = (30, 30, 30, 255), (0, 0, 0, 255)
 _PLANT, _MAIN, _TAIL, _FAINT = (0, 114, 178, 255), (230, 159, 0), (0, 158, 115), (215, 215, 215, 255)
 _FLOOR, _SHADOW = (244, 244, 244, 255), (190, 190, 190, 255)
-_VIEW = (
-    math.radians(-90.0),
-    math.radians(28.0),
-)  # the camera's azimuth and elevation: a level beam looks level
+_AZIMUTH, _ELEVATION = math.radians(-90.0), math.radians(28.0)
+_CAMERA = np.array(
+    [
+        [-math.sin(_AZIMUTH), math.cos(_AZIMUTH), 0.0],
+        [-math.sin(_ELEVATION) * math.cos(_AZIMUTH), -math.sin(_ELEVATION) * math.sin(_AZIMUTH), math.cos(_ELEVATION)],
+        [math.cos(_ELEVATION) * math.cos(_AZIMUTH), math.cos(_ELEVATION) * math.sin(_AZIMUTH), math.sin(_ELEVATION)],
+    ]
+)
+"""Unit vectors to the right, upwards and towards the camera, which stands where a level beam looks level."""
 _HANGING = ("theta", "Omega")
 """States of the pendulum, which hangs down at rest."""
 
@@ -41,60 +45,35 @@ def draw(
     x: Sequence[float],
     reference: Sequence[float],
     outputs: Sequence[int],
-    time: float | None = None,
-    longest: float | None = None,
+    words: str = "",
+    turned: Sequence[float] = (0.0, 0.0),
 ) -> Frame:
-    """Draw one state of a plant.
+    """Draw one state of a plant: the beam of the twin rotor with a key to its colours, the outputs of others.
 
     Args:
         signature: Names and units of the states.
         x: `(n_x,)` state.
         reference: `(n_r,)` reference of each tracked output; drawn dashed and black.
         outputs: Indices of the tracked outputs in `x`.
-        time: Time to write into the corner [s].
-        longest: Length of the run, in whose unit the time is written [s]; if omitted it is as for a clock that runs on.
+        words: Written into the corner.
+        turned: Angles of the blades of tail and main rotor [rad].
 
     Returns:
         Colours, uint8 `(height, width, 3)`.
     """
     beam = is_beam(signature)
-    image = _canvas((HEIGHT if beam else 0) + HEIGHT // 2 * max(1, 1 if beam else len(outputs)))
+    size = (_ZOOM * (HEIGHT if beam else HEIGHT // 2 * max(1, len(outputs))), _ZOOM * HEIGHT)
+    image = Image.new("RGB", size, "white")
     if beam:
-        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), (0.0, 0.0))
-    for k, index in enumerate(outputs):
-        corner = (HEIGHT, k * HEIGHT // 2) if beam else (k * HEIGHT // 2, HEIGHT // 4)
-        name, unit, value = signature.state_names[index], signature.state_units[index], float(x[index])
-        _write(image, (corner[0] + 8, corner[1] + 4), name)
-        if turn_of(unit) < math.inf:
-            zero = -0.5 * math.pi if signature.state_names == _HANGING else 0.0
-            _draw_dial(image, corner, unit, (value, float(reference[k])), zero)
-        _write(image, (corner[0] + 8, corner[1] + 152), f"{value:+z.3f} {unit}", _PLANT)
-        _write(image, (corner[0] + 94, corner[1] + 152), f"{float(reference[k]):+z.3f}", _GHOST)
-    if time is not None:
-        clock = duration_unit(time, running=True) if longest is None else duration_unit(longest)
-        _write(image, (10, 8), f"t = {time / clock.seconds:.2f} {clock.name}")
-    return _finished(image)
-
-
-def draw_beam(x: Sequence[float], reference: Sequence[float], turned: Sequence[float], words: str) -> Frame:
-    """Draw the twin rotor alone, with a key to its colours.
-
-    Args:
-        x: `(6,)` state.
-        reference: `(2,)` azimuth and pitch that are wanted [rad].
-        turned: Angles of the blades of tail and main rotor [rad].
-        words: Written into the corner.
-
-    Returns:
-        Colours, uint8 `(height, height, 3)`.
-    """
-    image = _canvas(HEIGHT)
-    _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), turned)
+        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), turned)
+        keys = {"- - reference": _GHOST, "plant": _PLANT, "main rotor": (*_MAIN, 255), "tail rotor": (*_TAIL, 255)}
+        for (name, colour), left in zip(keys.items(), (10, 110, 160, 240), strict=True):
+            _write(image, (left, 338), name, colour)
+    else:
+        for k, index in enumerate(outputs):
+            _draw_output(image, k * HEIGHT // 2, signature, index, float(x[index]), float(reference[k]))
     _write(image, (10, 8), words)
-    keys = {"- - reference": _GHOST, "plant": _PLANT, "main rotor": (*_MAIN, 255), "tail rotor": (*_TAIL, 255)}
-    for (name, colour), left in zip(keys.items(), (10, 110, 160, 240), strict=True):
-        _write(image, (left, 338), name, colour)
-    return _finished(image)
+    return np.asarray(image.resize((image.width // _ZOOM, HEIGHT), Image.Resampling.LANCZOS))
 
 
 def is_beam(signature: Signature) -> bool:
@@ -102,28 +81,24 @@ def is_beam(signature: Signature) -> bool:
     return signature.state_names[:2] == ("alpha_a", "alpha_p")
 
 
-def _canvas(width: int) -> Image.Image:
-    return Image.new("RGB", (_ZOOM * width, _ZOOM * HEIGHT), "white")
-
-
-def _finished(image: Image.Image) -> Frame:
-    size = (image.width // _ZOOM, image.height // _ZOOM)
-    return np.asarray(image.resize(size, Image.Resampling.LANCZOS))
-
-
-def _draw_dial(
-    image: Image.Image, corner: tuple[int, int], unit: str, angles: tuple[float, float], zero: float
+def _draw_output(
+    image: Image.Image, left: int, signature: Signature, index: int, value: float, reference: float
 ) -> None:
-    """Draw an angle as a needle, counter-clockwise from the right by `zero` and itself, and its reference behind it."""
-    pen = ImageDraw.Draw(image, "RGBA")
-    centre, radius = (corner[0] + 90, corner[1] + 86), 56
-    box = [_ZOOM * (c + s * radius) for s in (-1, 1) for c in centre]
-    pen.ellipse(box, outline=_FAINT, width=2 * _ZOOM)
-    value, reference = angles
-    for angle, line in ((value, partial(pen.line, fill=_PLANT, width=4 * _ZOOM)), (reference, partial(_dashed, pen))):
-        turned = angle * 2 * math.pi / turn_of(unit) + zero
-        tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
-        line([(_ZOOM * u, _ZOOM * v) for u, v in (centre, tip)])
+    """Draw an output as numbers; an angle as a needle, too, counter-clockwise from the right, before its reference."""
+    name, unit, turn = signature.state_names[index], signature.state_units[index], turn_of(signature.state_units[index])
+    _write(image, (left + 8, HEIGHT // 4 + 4), name)
+    if turn < math.inf:
+        pen = ImageDraw.Draw(image, "RGBA")
+        centre, radius = (left + 90, HEIGHT // 4 + 86), 56
+        pen.ellipse([_ZOOM * (c + s * radius) for s in (-1, 1) for c in centre], outline=_FAINT, width=2 * _ZOOM)
+        zero = -0.5 * math.pi if signature.state_names == _HANGING else 0.0
+        needle = partial(pen.line, fill=_PLANT, width=4 * _ZOOM)
+        for angle, line in ((value, needle), (reference, partial(_dashed, pen))):
+            turned = angle * 2 * math.pi / turn + zero
+            tip = (centre[0] + radius * math.cos(turned), centre[1] - radius * math.sin(turned))
+            line([(_ZOOM * u, _ZOOM * v) for u, v in (centre, tip)])
+    _write(image, (left + 8, HEIGHT // 4 + 152), f"{value:+z.3f} {unit}", _PLANT)
+    _write(image, (left + 94, HEIGHT // 4 + 152), f"{reference:+z.3f}", _GHOST)
 
 
 def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: Sequence[float]) -> None:
@@ -139,7 +114,7 @@ def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: S
         (np.zeros(3), lambda: _draw_beam(pen, along, up)),
     ]
     # The farthest part first, so that nearer ones cover it.
-    for _, part in sorted(parts, key=lambda item: _depth(item[0])):
+    for _, part in sorted(parts, key=lambda item: float(item[0] @ _CAMERA[2])):
         part()
     # The reference lies over the beam and reaches beyond it, so that it is seen when they coincide.
     _dashed(pen, _points([-1.25 * ghost, 1.25 * ghost]))
@@ -200,28 +175,9 @@ def _circle(centre: Vector, radius: float, e1: Sequence[float] | Vector, e2: Seq
 
 def _points(positions: Sequence[Sequence[float] | Vector] | Vector) -> list[tuple[float, float]]:
     """Project positions orthographically onto the picture [pixels of the enlarged image]."""
-    azimuth, elevation = _VIEW
-    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-    above = np.array(
-        [
-            -math.sin(elevation) * math.cos(azimuth),
-            -math.sin(elevation) * math.sin(azimuth),
-            math.cos(elevation),
-        ]
-    )
-    space = np.asarray(positions, dtype=np.float64)
     scale, middle = 0.32 * HEIGHT * _ZOOM, 0.5 * HEIGHT * _ZOOM
-    return [(float(middle + scale * u), float(0.9 * middle - scale * v)) for u, v in zip(space @ right, space @ above)]
-
-
-def _depth(position: Vector) -> float:
-    azimuth, elevation = _VIEW
-    towards = [
-        math.cos(elevation) * math.cos(azimuth),
-        math.cos(elevation) * math.sin(azimuth),
-        math.sin(elevation),
-    ]
-    return float(position @ np.array(towards))
+    seen = np.asarray(positions, dtype=np.float64) @ _CAMERA[:2].T
+    return [(float(middle + scale * u), float(0.9 * middle - scale * v)) for u, v in seen]
 
 
 def _opacity(speed: float, full: float) -> int:

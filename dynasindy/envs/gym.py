@@ -17,6 +17,7 @@ from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.text import duration_unit
 
 PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}
 Array = NDArray[np.float32]
@@ -93,9 +94,9 @@ class _GymControl(gymnasium.Env[Array, Array]):
         if self.render_mode is None or self._steps is None:
             return None
         reference = self._task.reference(self._params, self._t).tolist()
-        signature, time = self.env.system.signature, float(self._t)
-        longest = self._task.max_steps * self.env.dt
-        return draw(signature, self._x.tolist(), reference, self._task.outputs, time, longest)
+        unit = duration_unit(self._task.max_steps * self.env.dt)
+        words = f"t = {float(self._t) / unit.seconds:.2f} {unit.name}"
+        return draw(self.env.system.signature, self._x.tolist(), reference, self._task.outputs, words)
 
     def _observed(self) -> tuple[Array, dict[str, Any]]:
         observation = self._task.observation(self._x, self._params, self._t).float().numpy()

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from dynasindy.envs.drawing import HEIGHT, Frame, draw, draw_beam, is_beam
+from dynasindy.envs.drawing import HEIGHT, Frame, draw, is_beam
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.progress import track
@@ -41,7 +41,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
         [*evaluation.units.values()],
     )
     speed = every * RATE * float(time[1] - time[0])
-    fast = f", {speed:.3g} times as fast" if speed > 1.01 else ""
+    fast = f"\n{speed:.3g} times as fast" if speed > 1.01 else ""
     turned, unit = [0.0, 0.0], duration_unit(evaluation.seconds)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(HEIGHT / 100, HEIGHT / 100), dpi=100)
@@ -56,10 +56,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
         words = f"t = {time[k] / unit.seconds:.1f} {unit.name}{fast}"
         if is_beam(evaluation.signature):
             turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
-            scene = draw_beam(x[k], r[k].tolist(), turned, words)
-        else:
-            of_run = float(time[k]), evaluation.seconds
-            scene = draw(evaluation.signature, x[k], r[k].tolist(), evaluation.columns, *of_run)
+        scene = draw(evaluation.signature, x[k], r[k].tolist(), evaluation.columns, words, turned)
         for n, (axis, (past, now)) in enumerate(zip(axes, curves, strict=True)):
             past.set_data(time[: k + 1], y[: k + 1, n])
             now.set_data(time[[k]], y[[k], n])

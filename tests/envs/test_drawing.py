@@ -13,16 +13,16 @@ BEAM = np.array([0, 114, 178])
 
 
 def beam_ends(pitch: float) -> tuple[float, float]:
-    """Mean heights of the beam's colour left and right of the post, in pixels above the frame's bottom."""
+    """Mean heights of the beam left and right of the post, above the key, in pixels above the frame's bottom."""
     frame = draw(Tras().signature, [0.0, pitch, 0, 0, 0, 0], [0.0, 0.0], [0, 1]).astype(int)
-    rows, columns = np.nonzero(np.abs(frame[:, :HEIGHT] - BEAM).max(-1) < 12)
+    rows, columns = np.nonzero(np.abs(frame[:320] - BEAM).max(-1) < 12)
     right, left = columns > 0.65 * HEIGHT, columns < 0.35 * HEIGHT
     return HEIGHT - rows[left].mean(), HEIGHT - rows[right].mean()
 
 
 def test_frames_are_pictures_of_a_fixed_size() -> None:
-    frame = draw(Tras().signature, LEVEL, [0.4, 0.25], [0, 1], time=1.25)
-    assert frame.shape == (360, 540, 3)
+    frame = draw(Tras().signature, LEVEL, [0.4, 0.25], [0, 1], "t = 1.25 s")
+    assert frame.shape == (360, 360, 3)
     assert frame.dtype == np.uint8
     assert draw(Pendulum().signature, [0.1, 0.0], [0.5], [0]).shape == (360, 180, 3)
 
@@ -41,7 +41,7 @@ def test_time_reference_and_speeds_change_the_picture() -> None:
     plain = draw(signature, LEVEL, [0.0, 0.0], [0, 1])
     assert (draw(signature, LEVEL, [0.4, 0.0], [0, 1]) != plain).any()
     assert (draw(signature, [*LEVEL[:5], 3000.0], [0.0, 0.0], [0, 1]) != plain).any()
-    assert (draw(signature, LEVEL, [0.0, 0.0], [0, 1], time=1.0) != plain).any()
+    assert (draw(signature, LEVEL, [0.0, 0.0], [0, 1], "t = 1 s") != plain).any()
 
 
 def test_a_pendulum_at_rest_hangs() -> None:

@@ -105,7 +105,7 @@ def test_pictures_show_the_present_and_are_made_only_when_asked_for() -> None:
     env.reset(seed=0)
     for _ in range(3):
         _, _, _, _, info = env.step(np.array([1.0, 0.5], dtype=np.float32))
-    expected = draw(Tras().signature, info["state"].tolist(), info["reference"].tolist(), [0, 1], 3 * 0.05)
+    expected = draw(Tras().signature, info["state"].tolist(), info["reference"].tolist(), [0, 1], "t = 0.15 s")
     np.testing.assert_array_equal(env.render(), expected)
     silent = twin_rotor()
     silent.reset(seed=0)

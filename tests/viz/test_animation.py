@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.drawing import draw_beam
+from dynasindy.envs.drawing import draw
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.systems import Pendulum, Tras
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -28,7 +28,7 @@ def test_pictures_are_of_the_shown_row_and_sample(evaluation: Evaluation) -> Non
     assert len(pictures) == 5
     state = evaluation.trajectory["state"][1, 4]
     turned = (evaluation.trajectory["state"][1, :5:2, 4:] / torch.tensor(FULL)).sum(0)
-    scene = draw_beam(state.tolist(), [0.1, 0.1], turned.tolist(), "t = 0.2 s")
+    scene = draw(evaluation.signature, state.tolist(), [0.1, 0.1], (0, 1), "t = 0.2 s", turned.tolist())
     np.testing.assert_array_equal(pictures[2][:, :360], scene)
 
 
