@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
-from importlib import resources
+import textwrap
+from collections.abc import Iterable
 
+import jinja2
 import numpy as np
 from torch import Tensor
 
@@ -97,32 +98,29 @@ def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
     return "\n".join(indent + text for text in [*lines, line.rstrip().rstrip(",")])
 
 
-def fill(name: str, words: Mapping[str, object], flags: Collection[str] = ()) -> str:
-    """Return the text of a template with its gaps filled.
+def block(lines: Iterable[str]) -> str:
+    """Return lines of any words as lines within a comment of C."""
+    wrapped = [
+        part
+        for line in lines
+        for part in textwrap.wrap(comment(line), 110, subsequent_indent="      ", break_on_hyphens=False) or [""]
+    ]
+    return "\n".join(f" * {line}".rstrip() for line in wrapped)
 
-    `@word@` is replaced, and lines between `@if flag` and `@end` stay where the flag is set. What is filled in is not
-    looked at again, so that words of a file cannot open gaps of their own.
 
-    Args:
-        name: File in `dynasindy/export/c`.
-        words: What stands for each `@word@`.
-        flags: Which `@if` are true; `@if !flag` is true where the flag is not set.
+def fill(template: str, /, **words: object) -> str:
+    """Return the text of a template of Jinja in `dynasindy/export/c`, whose statements are lines that begin with `@`.
 
-    Raises:
-        KeyError: A gap has no word.
+    What is filled in is not looked at again, so that words of a file cannot open gaps of their own.
     """
-    text = resources.files("dynasindy.export").joinpath("c", name).read_text(encoding="utf-8")
-    kept: list[str] = []
-    shown = [True]
-    for line in text.splitlines():
-        if line.startswith("@if "):
-            flag = line.split()[1]
-            shown.append(shown[-1] and (flag.lstrip("!") in flags) != flag.startswith("!"))
-        elif line == "@end":
-            shown.pop()
-        elif shown[-1]:
-            kept.append(re.sub(r"@(\w+)@", lambda gap: str(words[gap[1]]), line))
-    return "\n".join(kept) + "\n"
+    loader = jinja2.PackageLoader("dynasindy.export", "c")
+    made = jinja2.Environment(
+        loader=loader, undefined=jinja2.StrictUndefined, line_statement_prefix="@", keep_trailing_newline=True
+    )
+    made.filters |= {"number": number, "c_number": c_number, "comment": comment, "block": block}
+    made.filters["numbers"] = lambda values: ", ".join(map(number, values))
+    made.filters["floats"] = lambda values: rows(map(single, values.tolist()))
+    return made.get_template(template).render(words)
 
 
 def formulas(model: SindyModel) -> Program:

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.export.c_code import controller_sources, enumerators, field, stop_words
+from dynasindy.export.c_code import controller_sources, stop_ends
 from dynasindy.export.expressions import fill, formulas, number
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
@@ -102,15 +102,15 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
         *(_Variable(f"rate_{state}", f"{units[state]}/s") for state in controller.outputs),
         *(_Variable(f"u_{word}", "1", True) for word in signature.input_names),
     )
-    words = {
-        "name": name,
-        "dt": number(controller.dt),
-        "m": len(seen),
-        "measured": ", ".join(str(signature.state_index(state)) for state in seen),
-        "inputs": len(variables) - signature.n_u,
-        "values": len(variables),
-    }
-    text = fill("fmu_controller.c", words) + _interface(version)
+    text = fill(
+        "fmu_controller.c",
+        name=name,
+        dt=number(controller.dt),
+        measured=[signature.state_index(state) for state in seen],
+        inputs=len(variables) - signature.n_u,
+        values=len(variables),
+    )
+    text += _interface(version)
     return _write(_Unit(name, controller.dt, variables, {**sources.files(), f"{name}_fmi.c": text}), path, version)
 
 
@@ -132,20 +132,12 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
     Raises:
         ValueError: The model cannot be written in C, has no inputs, or the version is another.
     """
-    name, signature, found = "plant", model.signature, formulas(model)
+    name, signature = "plant", model.signature
     if not signature.n_u:
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
-    stopped, n_stops = stop_words(stops, signature.n_x)
-    step = model.step or step
-    flags = {*(["stops"] if n_stops else []), *(["late"] if model.delay else [])}
-    flags |= {"difference"} if model.step is not None else set()
-    sizes = {"NX": signature.n_x, "NU": signature.n_u, "N": signature.n_x, "VALUES": signature.n_x + signature.n_u}
-    sizes |= {"PAST": PAST} if model.delay else {}
-    words = {**stopped, "pushes_word": "", "step": number(step), "delay": number(model.delay)}
-    headers = ("math", "stdbool", "stddef", "stdint", "stdlib", "string")
-    text = "/* The plant as its model knows it, as an FMU. */\n"
-    text += "".join(f"#include <{header}.h>\n" for header in headers) + "\n" + enumerators(sizes) + "\n"
-    text += field(model, found) + fill("flow.c", words, flags) + fill("fmu_plant.c", words, flags) + _interface(version)
+    step, ends = model.step or step, stop_ends(stops, signature.n_x)
+    words = {"model": model, "found": formulas(model), "stops": ends, "past": PAST}
+    text = fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
     units = zip(signature.state_names, signature.state_units, strict=True)
     variables = (
         *(_Variable(f"u_{word}", "1") for word in signature.input_names),
@@ -158,7 +150,7 @@ def _interface(version: int) -> str:
     if version not in REFERENCES:
         raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
     words = {"version": version, "reference": REFERENCES[version], "token": _GAP, "answers": answers(version)}
-    return fill("fmi.c", words) + fill(f"fmi{version}.c", words)
+    return fill("fmi.c", **words) + fill(f"fmi{version}.c")
 
 
 def _write(unit: _Unit, path: Path, version: int) -> bool:

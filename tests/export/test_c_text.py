@@ -2,8 +2,8 @@
 
 import math
 import re
-from importlib import resources
 
+import jinja2
 import pytest
 
 from dynasindy.export.expressions import c_number, comment, fill, identifiers, module_name, number
@@ -44,16 +44,8 @@ def test_what_begins_no_name_of_c_is_refused(name):
         module_name(name)
 
 
-@pytest.fixture
-def template(monkeypatch, tmp_path):
-    (tmp_path / "c").mkdir()
-    monkeypatch.setattr(resources, "files", lambda package: tmp_path)
-    return tmp_path / "c" / "t.c"
-
-
-def test_lines_stay_where_their_flags_are_set(template):
-    template.write_text("a\n@if x\nb\n@if y\nc\n@end\n@end\n@if !x\nd\n@if y\ne\n@end\n@end\nf\n")
-    assert fill("t.c", {}).split() == ["a", "d", "f"]
-    assert fill("t.c", {}, {"x"}).split() == ["a", "b", "f"]
-    assert fill("t.c", {}, {"x", "y"}).split() == ["a", "b", "c", "f"]
-    assert fill("t.c", {}, {"y"}).split() == ["a", "d", "e", "f"]
+def test_what_is_filled_in_is_not_looked_at_again():
+    with pytest.raises(jinja2.UndefinedError):
+        fill("model.h", name="m")
+    text = fill("model.h", name="m", kind="{{ 1 + 1 }}", about=["@ if x"], places=["m_x_a = 0"], head="void f(void)")
+    assert "{{ 1 + 1 }}" in text and " * @ if x\n" in text

@@ -70,7 +70,7 @@ def test_without_an_observer_the_plant_keeps_its_stops_and_its_steps(
     write.write(what, tmp_path / "out", ["fmu"])
     with zipfile.ZipFile(tmp_path / "out" / "plant.fmu") as packed:
         text = packed.read("sources/plant.c").decode()
-    assert "{(-0.6)}" in text and "{0.25}" in text
+    assert "stop(&x[0], &x[1], (-0.6), 0.25);" in text
 
 
 def test_a_package_that_is_missing_is_named_and_the_rest_is_written(pendulum, tmp_path, monkeypatch):

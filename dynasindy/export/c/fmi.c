@@ -1,5 +1,5 @@
 
-/* ---- FMI @version@.0, co-simulation; value references are the places in `values`, plus 1 ---- */
+/* ---- FMI {{ version }}.0, co-simulation; value references are the places in `values`, plus 1 ---- */
 
 #ifdef _WIN32
 #define EXPORT __declspec(dllexport)
@@ -8,12 +8,12 @@
 #endif
 
 enum { OK = 0, ERROR = 3 };
-typedef @reference@ reference;
+typedef {{ reference }} reference;
 
 static void *made(const char *token, int allowed)
 {
     component *c;
-    if (!token || strcmp(token, "@token@") != 0 || !allowed)
+    if (!token || strcmp(token, "{{ token }}") != 0 || !allowed)
         return NULL;
     c = (component *)malloc(sizeof *c);
     if (c)
@@ -36,17 +36,17 @@ static int exchanged(component *c, const reference *places, size_t n, double *to
     return OK;
 }
 
-EXPORT const char *fmi@version@GetVersion(void)
+EXPORT const char *fmi{{ version }}GetVersion(void)
 {
-    return "@version@.0";
+    return "{{ version }}.0";
 }
 
-EXPORT void fmi@version@FreeInstance(void *instance)
+EXPORT void fmi{{ version }}FreeInstance(void *instance)
 {
     free(instance);
 }
 
-EXPORT int fmi@version@Reset(void *instance)
+EXPORT int fmi{{ version }}Reset(void *instance)
 {
     begin((component *)instance);
     return OK;
@@ -59,4 +59,4 @@ EXPORT int fmi@version@Reset(void *instance)
         (void)instance; \
         return status; \
     }
-@answers@
+{{ answers }}

@@ -1,58 +1,54 @@
-
-/* ---- The observer: an extended Kalman filter on the model ---- */
+/* ---- The observer: an extended Kalman filter on the model{{ ", and on constant pushes behind its states" if pushed else "" }} ---- */
 
 /* of the central differences */
-static const double step[N] = {@step@};
+static const double step[N] = { {{- (nudge * size) | numbers -}} };
 /* Q: variance by which a state leaves the model in a period */
-static const double strays[N] = {@strays@};
+static const double strays[N] = { {{- strays | numbers -}} };
 /* variance of what is not measured when it begins, and by which a state is doubted */
-static const double unknown[N] = {@unknown@};
+static const double unknown[N] = { {{- unknown | numbers -}} };
 /* places of the states that are measured */
-static const int sensed[M] = {@sensed@};
+static const int sensed[M] = { {{- sensed | join(", ") -}} };
 /* R: variance of their measurements */
-static const double variance[M] = {@variance@};
+static const double variance[M] = { {{- observer.variance[sensed] | numbers -}} };
 /* least variance of which the bound of an innovation is a multiple */
-static const double narrowest[M] = {@narrowest@};
-/* Move states on by the period whose measurement has just arrived; inputs act @late_words@ later. */
-static void period(double x[N], double inputs[MEMORY][NU])
-{
-@if part
-    flow(x, inputs[MEMORY - LATE - 2], @part@ / @part_steps@, @part_steps@);
-@end
-    flow(x, inputs[MEMORY - LATE - 1], @rest@ / @rest_steps@, @rest_steps@);
-}
+static const double narrowest[M] = { {{- narrowest | numbers -}} };
 
 /* x = the estimate at rest from the first measurement, P = diag of its variances. */
-static void begin(@name@_state *s, const double y[NX])
+static void begin({{ name }}_state *s, const double y[NX])
 {
-    int i, j;
-    for (i = 0; i < N; i++) {
-        s->x[i] = 0.0;
-        for (j = 0; j < N; j++)
-            s->p[i][j] = 0.0;
+    int i;
+    memset(s->x, 0, sizeof s->x);
+    memset(s->p, 0, sizeof s->p);
+    for (i = 0; i < N; i++)
         s->p[i][i] = unknown[i];
-    }
     for (i = 0; i < M; i++)
-        if (y[sensed[i]] * y[sensed[i]] <= @far@ * unknown[sensed[i]]) {
+        if (y[sensed[i]] * y[sensed[i]] <= {{ far }} * unknown[sensed[i]]) {
             s->x[sensed[i]] = y[sensed[i]];
             s->p[sensed[i]][sensed[i]] = variance[i];
         }
-@if followers
-@followers@ /* it follows that state, and is equal to it at rest */
-@end
+@ for follower, state in model.followers.items()
+    s->x[{{ follower }}] = s->x[{{ state }}]; /* it follows that state, and is equal to it at rest */
+@ endfor
+}
+
+/* Move states on by the period whose measurement has just arrived. */
+static void period(double x[N], double inputs[MEMORY][NU])
+{
+@ for age, h, steps in period
+    flow(x, inputs[MEMORY - {{ age }}], {{ h | number }}, {{ steps }});
+@ endfor
 }
 
 /* x+ = f(x, u), P+ = F P F' + Q, with F = dx+/dx by central differences. */
-static void advance(@name@_state *s)
+static void advance({{ name }}_state *s)
 {
     double f[N][N], p[N][N], mean[N], forth[N], back[N];
     int i, j, k, sound = 1;
-    for (i = 0; i < N; i++)
-        mean[i] = s->x[i];
+    memcpy(mean, s->x, sizeof mean);
     period(mean, s->inputs);
     for (j = 0; j < N; j++) {
-        for (i = 0; i < N; i++)
-            forth[i] = back[i] = s->x[i];
+        memcpy(forth, s->x, sizeof forth);
+        memcpy(back, s->x, sizeof back);
         forth[j] += step[j];
         back[j] -= step[j];
         period(forth, s->inputs);
@@ -74,76 +70,108 @@ static void advance(@name@_state *s)
             sound = sound && isfinite(p[i][j]);
         }
     }
-    if (!sound) { /* A model that explodes is no ground to lose an estimate; it is doubted instead. */
+    if (sound) {
+        memcpy(s->x, mean, sizeof mean);
+        for (i = 0; i < N; i++)
+            memcpy(s->p[i], p[i], sizeof p[i]);
+    } else /* A model that explodes is no ground to lose an estimate; it is doubted instead. */
         for (i = 0; i < N; i++)
             s->p[i][i] += unknown[i];
-        return;
-    }
-    for (i = 0; i < N; i++) {
-        s->x[i] = mean[i];
-        for (j = 0; j < N; j++)
-            s->p[i][j] = p[i][j];
-    }
 }
 
-/* K = P C' (C P C' + R)^-1, x += K (y - C x), P = (I - K C) P (I - K C)' + K R K'; C picks what was measured. What no
- * plant can do counts as lost, and that state is doubted. Returns 0 where there is no K. */
-static int correct(@name@_state *s, const double y[NX])
+/* K = P C' / (C P C' + R), x += K (y - C x), P = (I - K C) P (I - K C)' + K R K' for one sensor after the other, as
+ * their errors are independent; C picks its state. What no plant can do counts as lost, and that state is doubted. */
+static void correct({{ name }}_state *s, const double y[NX])
 {
-    double spread[M][M], gain[M][N], left[N][N], innovation[M], r[M]; /* the gain transposed */
+    double gain[N], row[N];
     int seen[M], i, j, k;
     for (i = 0; i < M; i++) {
-        const double own = s->p[sensed[i]][sensed[i]] + variance[i];
-        innovation[i] = y[sensed[i]] - s->x[sensed[i]];
-        seen[i] = innovation[i] * innovation[i] <= @far@ * (own < narrowest[i] ? narrowest[i] : own);
-        if (!seen[i])
-            innovation[i] = 0.0;
+        const double off = y[sensed[i]] - s->x[sensed[i]], own = s->p[sensed[i]][sensed[i]] + variance[i];
+        seen[i] = off * off <= {{ far }} * (own < narrowest[i] ? narrowest[i] : own);
     }
     for (i = 0; i < M; i++) {
-        r[i] = seen[i] ? variance[i] : 0.0;
+        const int c = sensed[i];
+        const double off = y[c] - s->x[c], spread = s->p[c][c] + variance[i];
+        memcpy(row, s->p[c], sizeof row);
         for (j = 0; j < N; j++)
-            gain[i][j] = seen[i] ? s->p[j][sensed[i]] : 0.0;
-        for (j = 0; j < M; j++)
-            spread[i][j] = seen[i] && seen[j] ? s->p[sensed[i]][sensed[j]] : 0.0;
-        spread[i][i] += seen[i] ? variance[i] : 1.0;
-    }
-    if (!solve(&spread[0][0], &gain[0][0], M, N))
-        return 0;
-    for (i = 0; i < N; i++)
-        for (j = 0; j < N; j++) {
-            left[i][j] = s->p[i][j];
-            for (k = 0; k < M; k++)
-                left[i][j] -= gain[k][i] * s->p[sensed[k]][j];
+            gain[j] = s->p[j][c] / spread;
+        for (j = 0; j < N && seen[i]; j++) {
+            double left;
+            for (k = 0; k < N; k++)
+                s->p[j][k] -= gain[j] * row[k];
+            left = s->p[j][c];
+            for (k = 0; k < N; k++)
+                s->p[j][k] += gain[k] * (gain[j] * variance[i] - left);
+            s->x[j] += gain[j] * off;
         }
-    for (i = 0; i < N; i++) {
-        for (j = 0; j < N; j++) {
-            s->p[i][j] = left[i][j];
-            for (k = 0; k < M; k++)
-                s->p[i][j] += gain[k][j] * (gain[k][i] * r[k] - left[i][sensed[k]]);
-        }
-        for (k = 0; k < M; k++)
-            s->x[i] += gain[k][i] * innovation[k];
     }
     for (i = 0; i < M; i++)
         if (!seen[i] && isfinite(y[sensed[i]]))
             s->p[sensed[i]][sensed[i]] += unknown[sensed[i]];
-    return 1;
 }
 
 /* Predict the state at the time at which the next input arrives at the plant. */
-static void ahead(@name@_state *s, double x[N])
+static void ahead({{ name }}_state *s, double x[N])
 {
-    int i@late_index@;
-    for (i = 0; i < N; i++)
-        x[i] = s->x[i];
-@if part
-    flow(x, s->inputs[MEMORY - LATE - 1], @part@ / @part_steps@, @part_steps@);
-@end
-@if late
-    for (k = LATE; k > 0; k--)
-        flow(x, s->inputs[MEMORY - k], @dt@ / @substeps@, @substeps@);
-@end
+    int i;
+    memcpy(x, s->x, sizeof s->x);
+@ for age, h, steps in ahead
+    flow(x, s->inputs[MEMORY - {{ age }}], {{ h | number }}, {{ steps }});
+@ endfor
     for (i = 0; i < N; i++)
         if (!isfinite(x[i]))
             x[i] = s->x[i];
 }
+
+@ if pushed
+/* Offset-free control: find dx and du with f(x - dx, u - du) = f(x, u) + push and C dx = 0, by two damped Gauss-Newton
+ * steps. */
+static void counteract({{ name }}_state *s, const double x[N])
+{
+    enum { NZ = NX + NU };
+    static const double range[NZ] = { {{- range | numbers -}} }; /* of states and inputs */
+    double slopes[NX][NZ], normal[NZ][NZ + 1], z[N + NU], wanted[N], forth[N], back[N];
+    const double *u = s->inputs[MEMORY - 1];
+    int i, j, k, turn, sound = 1;
+    memset(z, 0, sizeof z); /* states, pushes, which are none, and inputs */
+    rates(x, u, wanted);
+    for (turn = 0; turn < 2; turn++) {
+        for (j = 0; j < NZ; j++)
+            z[j < NX ? j : j + N - NX] = (j < NX ? x[j] : u[j - NX]) - s->shift[j];
+        for (j = 0; j < NZ; j++) {
+            double *point = &z[j < NX ? j : j + N - NX];
+            const double kept = *point, nudge = 1e-4 * range[j];
+            *point = kept + nudge;
+            rates(z, z + N, forth);
+            *point = kept - nudge;
+            rates(z, z + N, back);
+            *point = kept;
+            for (i = 0; i < NX; i++)
+                slopes[i][j] = (forth[i] - back[i]) / (2e-4 * range[i]);
+        }
+        rates(z, z + N, forth);
+        for (j = 0; j < NZ; j++)
+            for (k = 0; k <= NZ; k++) { /* the right side behind the matrix */
+                normal[j][k] = j == k ? 1e-4 : 0.0;
+                for (i = 0; i < NX; i++)
+                    normal[j][k] += slopes[i][j] * (k < NZ ? slopes[i][k] : (forth[i] - wanted[i]) / range[i]);
+            }
+        for (i = 0; i < NR; i++) {
+            normal[output[i]][output[i]] += 1.0;
+            normal[output[i]][NZ] -= s->shift[output[i]] / range[output[i]];
+        }
+        for (i = 0; i < NZ; i++) /* elimination by Gauss and Jordan; the matrix is positive definite */
+            for (j = 0; j < NZ; j++) {
+                const double factor = i == j ? 0.0 : normal[j][i] / normal[i][i];
+                for (k = i; k <= NZ; k++)
+                    normal[j][k] -= factor * normal[i][k];
+            }
+        for (j = 0; j < NZ; j++)
+            s->shift[j] += normal[j][NZ] / normal[j][j] * range[j];
+    }
+    for (j = 0; j < NZ; j++)
+        sound = sound && isfinite(s->shift[j]);
+    if (!sound)
+        memset(s->shift, 0, sizeof s->shift);
+}
+@ endif
