@@ -15,7 +15,7 @@ from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates, require_plant, shapes
 from dynasindy.systems.ranges import require_start_within
-from dynasindy.systems.steps import steps_of
+from dynasindy.systems.steps import steps_of, time_step_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.base import constants
 
@@ -177,8 +177,8 @@ class ControlEnv(EnvBase):
                 moves in steps has another control period or samples within it, or episodes begin outside of the bounds.
         """
         self._require_start_within()
-        if self.system.step is not None:
-            steps_of(self.system.step, self.dt, 1, f"the plant {type(self.system).__name__}")
+        if (step := time_step_of(self.system)) is not None:
+            steps_of(step, self.dt, 1, f"the plant {type(self.system).__name__}")
             if self.substeps > 1:
                 raise ValueError(
                     f"env.substeps={self.substeps}: the plant moves in steps and has no samples within them; give 1"

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from dynasindy.systems.machine import Machine
-from dynasindy.systems.steps import Stops, require_step, taken
+from dynasindy.systems.steps import Stops
 from dynasindy.systems.tracing import program
 from dynasindy.text import did_you_mean
 
@@ -179,9 +179,6 @@ class System(nn.Module, ABC):
     Args:
         signature: Names, units and ranges of states and inputs.
         stops: Mechanical stops of the plant, if any.
-
-    Raises:
-        TypeError: The class has a `step` of its own, which is no step of a difference equation.
     """
 
     known: bool = True
@@ -192,8 +189,6 @@ class System(nn.Module, ABC):
 
     def __init__(self, signature: Signature, stops: Stops | None = None) -> None:
         super().__init__()
-        if not isinstance(own := type(self).step, property):
-            require_step(own, type(self).__name__)
         self.signature = signature
         self.stops = stops
         self._machines: dict[torch.dtype, Machine | None] = {}
@@ -269,13 +264,7 @@ class System(nn.Module, ABC):
         return super().__getattr__(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; machine code that another value was read into is forgotten.
-
-        Raises:
-            TypeError: It is `step`, which is a word of `System`.
-        """
-        if name == "step" and isinstance(own := type(self).step, property) and own.fset is None:
-            raise TypeError(taken(type(self).__name__, f"a {type(value).__name__}"))
+        """Set an attribute; machine code that another value was read into is forgotten."""
         super().__setattr__(name, value)
         if not name.startswith("_") and name != "training":
             self.__dict__["_machines"] = {}

@@ -97,19 +97,8 @@ def integrate(
     Raises:
         ValueError: The period is not made of whole steps of a difference equation.
     """
-    if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u)) is not None:
-        samples, touched = code.flight(x, u.unsqueeze(0), dt, substeps, stops)
-        return _sampled(samples.squeeze(0), f.step, substeps), touched.squeeze(0)
-    touched = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device)
-    ends = []
-    h, count, difference = steps_of(time_step_of(f), dt, substeps)
-    for _ in range(count):
-        x = _stepped(f, x, u, h, difference)
-        if stops is not None:
-            x, stopped = stops.apply(x)
-            touched = touched | stopped
-        ends.append(x)
-    return _sampled(torch.stack(ends, -2), time_step_of(f), substeps), touched
+    samples, touched = simulate(f, x, u.unsqueeze(0), dt, substeps, stops)
+    return samples.squeeze(0), touched.squeeze(0)
 
 
 def simulate(
@@ -134,10 +123,25 @@ def simulate(
     Raises:
         ValueError: The period is not made of whole steps of a difference equation.
     """
+    h, count, difference = steps_of(time_step_of(f), dt, substeps)
+
+    def _period(x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        touched, ends = torch.zeros(x.shape[:-1], dtype=torch.bool, device=x.device), []
+        for _ in range(count):
+            x = _stepped(f, x, u, h, difference)
+            if stops is not None:
+                x, stopped = stops.apply(x)
+                touched = touched | stopped
+            ends.append(x)
+        return torch.stack(ends, -2), touched
+
     if isinstance(f, System) and plain(x, u) and (code := f.compiled(x, u[0])) is not None:
         samples, touched = code.flight(x, u, dt, substeps, stops)
-        return _sampled(samples, f.step, substeps), touched
-    return repeat_steps(lambda x, u: integrate(f, x, u, dt, substeps, stops), x, u)
+    else:
+        samples, touched = repeat_steps(_period, x, u)
+    if difference and not samples.shape[-2] == substeps == 1:  # the samples are all from the end of the period
+        samples = samples[..., -1:, :].repeat_interleave(substeps, -2)
+    return samples, touched
 
 
 def trajectory(
@@ -190,13 +194,6 @@ def repeat_steps(
         samples.append(moved_on)
         touched.append(hit)
     return torch.stack(samples), torch.stack(touched)
-
-
-def _sampled(samples: Tensor, step: float | None, substeps: int) -> Tensor:
-    """Return as many samples of a period as are asked for, those of a difference equation all from its end."""
-    if step is None or samples.shape[-2] == substeps == 1:
-        return samples
-    return samples[..., -1:, :].repeat_interleave(substeps, -2)
 
 
 def steps_needed(

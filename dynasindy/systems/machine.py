@@ -35,8 +35,6 @@ WIDTH = 32
 """Rows that are handled at once, of which rollouts have hundreds."""
 MANY = 512
 """Derivatives of so many states by state and input are handled for several rows at once, as they stay in a cache."""
-STACK = 3 << 17
-"""Bytes of arrays up to which they are on the stack, of which a thread may have half a MiB; more are on the heap."""
 FREE = Stops((), (), (), ())
 _CALLED = re.compile(rf"\b({'|'.join(SINGLE)})\(")
 _STATE = re.compile(r"\b([xu])\[(\d+)\]")
@@ -99,9 +97,9 @@ class Machine:
         single = dtype == torch.float32
         source = _source(replace(program, constants=()), WIDTH if single else 1, single)
         self._code = load_library(source, ("advance", "sensitivities"), fast=single)
-        self._room = _arrays(program.n_x, program.n_u, WIDTH if single else 1)
-        self._large = self._room * ctypes.sizeof(self._real) > STACK
-        self._kept: Tensor | None = None
+        n_x, n_u = program.n_x, program.n_u
+        self._size = (6 * n_x + n_u + 5 * n_x * (n_x + n_u)) * _rows(n_x, n_u, WIDTH if single else 1)
+        self._room = torch.empty(self._size, dtype=dtype)
         self._ends: dict[Stops, tuple[Any, ...]] = {}
 
     def fits(self, x: Tensor, u: Tensor) -> bool:
@@ -136,7 +134,7 @@ class Machine:
         samples = x.new_empty(*u.shape[:-1], count, self.n_x)
         touched, ends = torch.empty(u.shape[:-1], dtype=torch.bool), self._in_memory(stops)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
-        room = self._heap(x)
+        room = x.new_empty(self._size)
         h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched, room)
         self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
         return samples, touched
@@ -154,12 +152,9 @@ class Machine:
         """
         stops = stops or FREE
         length, count, _ = steps_of(self.step, dt, substeps)
-        if self._large and self._kept is None:
-            self._kept = torch.empty(self._room, dtype=self.dtype)
-        room = None if self._kept is None else ctypes.c_void_p(self._kept.data_ptr())
-        places = (ctypes.cast(each, ctypes.c_void_p) for each in (self._constants, *self._in_memory(stops)))
-        advance = ctypes.cast(self._code.advance, ctypes.c_void_p)
-        return int(count), len(stops.positions), length, advance, *places, room
+        places = (self._code.advance, self._constants, *self._in_memory(stops))
+        read = (ctypes.cast(each, ctypes.c_void_p) for each in places)
+        return int(count), len(stops.positions), length, *read, *_data(self._room)
 
     def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
         """Return dx_next/dx, `(*batch, n_x, n_x)`, and dx_next/du, `(*batch, n_x, n_u)`, of a period without stops.
@@ -177,13 +172,9 @@ class Machine:
         length, count, _ = steps_of(self.step, dt, substeps)
         a, b = x.new_empty(*x.shape, self.n_x), x.new_empty(*x.shape, self.n_u)
         rows, h = ctypes.c_long(x.numel() // self.n_x), self._real(length)
-        room = self._heap(x)
+        room = x.new_empty(self._size)
         self._code.sensitivities(rows, *_data(x, u), self._constants, h, int(count), *_data(a, b, room))
         return a, b
-
-    def _heap(self, x: Tensor) -> Tensor:
-        """Return memory for arrays that are too large for the stack."""
-        return x.new_empty(self._room) if self._large else x
 
     def _in_memory(self, stops: Stops) -> tuple[Any, ...]:
         """Return stops as the code reads them; they are kept, as to write them costs as much as a control period."""
@@ -206,11 +197,6 @@ def _rows(n_x: int, n_u: int, width: int) -> int:
     return width if n_x * (n_x + n_u) <= MANY else 1
 
 
-def _arrays(n_x: int, n_u: int, width: int) -> int:
-    """Return the most numbers that the arrays of a function of `c/period.c` hold."""
-    return (6 * n_x + n_u + 5 * n_x * (n_x + n_u)) * _rows(n_x, n_u, width)
-
-
 @lru_cache(maxsize=128)
 def _source(program: Program, width: int, single: bool) -> str:
     """Return the C text of a program, its constants left out; every word of it is one that `Tangents` knows."""
@@ -228,7 +214,6 @@ def _source(program: Program, width: int, single: bool) -> str:
         "real": "float" if single else "double",
         "single": int(single),
         "width": _rows(program.n_x, program.n_u, width),
-        "large": int(_arrays(program.n_x, program.n_u, width) * (4 if single else 8) > STACK),
         "n_x": program.n_x,
         "n_u": program.n_u,
         "n_slopes": len(entries),

@@ -61,29 +61,12 @@ def time_step_of(f: object) -> float | None:
     Raises:
         TypeError: its attribute `step` is something else.
     """
-    return require_step(getattr(f, "step", None), type(f).__name__)
-
-
-def require_step(step: object, name: str) -> float | None:
-    """Return what is a step [s] or None.
-
-    Args:
-        step: what is an attribute `step`.
-        name: the class that it is of.
-
-    Raises:
-        TypeError: it is neither.
-    """
+    step = getattr(f, "step", None)
     if step is None or (isinstance(step, int | float) and not isinstance(step, bool)):
         return step
-    raise TypeError(taken(name, f"a {type(step).__name__}"))
-
-
-def taken(name: str, own: str) -> str:
-    """Say that a class gives the word `step` another meaning."""
-    return (
-        f"system {name} has a 'step' of its own, {own}; step is a word of System: it is the step of a difference "
-        "equation [s], and None of a plant dx/dt = f(x, u): name yours otherwise"
+    raise TypeError(
+        f"system {type(f).__name__} has a 'step' of its own, a {type(step).__name__}; step is a word of System: it is "
+        "the step of a difference equation [s], and None of a plant dx/dt = f(x, u): name yours otherwise"
     )
 
 

@@ -33,12 +33,8 @@ def test_a_function_is_of_a_difference_equation_where_it_says_so():
 
 
 class Tank(System):
-    """A tank, whose class may give `step` a meaning of its own."""
-
-    def __init__(self, own=None):
+    def __init__(self):
         super().__init__(Signature(("h",), ("m",), ("pump",), (1.0,)))
-        if own is not None:
-            self.step = own
 
     def forward(self, x, u):
         return u - x
@@ -50,3 +46,5 @@ class Sampled(Tank):
 
 def test_a_plant_is_a_difference_equation_where_its_class_has_a_number():
     assert time_step_of(Sampled()) == 0.1 and time_step_of(Tank()) is None
+    with pytest.raises(TypeError, match="Stepped"):
+        time_step_of(type("Stepped", (Tank,), {"step": lambda self: None})())

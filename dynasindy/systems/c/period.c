@@ -11,12 +11,8 @@ static inline real exceeds(real a, real b) { return a > b ? 1 : 0; }
 static inline real sign(real v) { return (real)((v > 0) - (v < 0)); }
 static inline real magnitude(real v) { return v < 0 ? -v : v; }
 
-/* An array of n numbers: on the stack, or where they are many in `room`, from the caller's heap. */
-#if @large@
+/* An array of n numbers, in the caller's `room`: of many states they are more than a stack has. */
 #define ARRAY(name, n) real *restrict name = room; room += (n)
-#else
-#define ARRAY(name, n) real name[n]
-#endif
 
 #if @single@
 static inline int is_odd(real whole) { return whole != 2 * rintf((real)0.5 * whole); } /* without an int, which may overflow */
