@@ -17,7 +17,7 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -134,9 +134,6 @@ class TD3:
         device: torch.device | str = "cpu",
         **settings: Annotated[Any, Hyperparameters],
     ) -> None:
-        allowed = {field.name for field in fields(Hyperparameters)}
-        if unknown := set(settings) - allowed:
-            raise TypeError(f"TD3 has no setting {_words(unknown)}; the settings are {_words(allowed)}.")
         self.settings = s = Hyperparameters(**settings)
         widths = [n_obs + n_u, *s.hidden, n_u]
         check_memory(  # weights, targets, gradients and both moments of Adam, in float32
@@ -264,7 +261,3 @@ class TD3:
     def _average(self) -> None:
         averaged, latest = list(self.deployed.parameters()), list(self.policy.parameters())
         torch._foreach_lerp_(averaged, [p.detach() for p in latest], self.settings.policy_average)
-
-
-def _words(names: set[str]) -> str:
-    return ", ".join(sorted(names))

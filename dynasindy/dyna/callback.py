@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -122,29 +121,3 @@ class Callback:
 
     def reached(self, place: Place) -> None:
         """Hear that a place is reached at which a run can be left and resumed."""
-
-
-class Callbacks(Callback):
-    """Several callbacks, called in order.
-
-    Args:
-        callbacks: The callbacks.
-    """
-
-    def __init__(self, callbacks: Sequence[Callback]) -> None:
-        self.callbacks = list(callbacks)
-
-    def fitted(self, report: object, excited: TensorDict, cost: Cost) -> None:
-        """Pass the first fit on."""
-        for callback in self.callbacks:
-            callback.fitted(report, excited, cost)
-
-    def episode(self, episode: Episode, cost: Cost) -> None:
-        """Pass a finished episode on."""
-        for callback in self.callbacks:
-            callback.episode(episode, cost)
-
-    def reached(self, place: Place) -> None:
-        """Pass on that a place is reached."""
-        for callback in self.callbacks:
-            callback.reached(place)

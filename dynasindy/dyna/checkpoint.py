@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from dynasindy.dyna.callback import Callback, Place
+from dynasindy.dyna.callback import Place
 from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import remove_leftovers, replace_file
 
@@ -77,7 +77,7 @@ class Checkpoints:
         return sorted(self.folder.glob("[0-9]*.pt"))
 
 
-class Saver(Callback):
+class Saver:
     """Save the state of a run at the ends of its phases.
 
     Args:

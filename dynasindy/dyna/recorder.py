@@ -21,7 +21,8 @@ from torchrl.record.loggers import Logger
 from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
-from dynasindy.dyna.callback import Callback, Cost, Episode
+from dynasindy.dyna.callback import Callback, Cost, Episode, Place
+from dynasindy.dyna.checkpoint import Saver
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.verdict import distrusted, judge_run
@@ -85,6 +86,9 @@ class Recorder(Callback):
     gate's decisions and what became of each refit, `data/` what the figures are drawn from, `tensorboard/` the scalars
     once more, if that is asked.
 
+    Attributes:
+        saver: Saves the state of the run where it can be left; None for no checkpoints.
+
     Args:
         folder: Run folder; made if missing.
         parts: What the run works on.
@@ -100,6 +104,7 @@ class Recorder(Callback):
             import_module("tensorboard")  # TorchRL would complain without its name, and only when the run begins
         self.folder, self.parts, self.plant = folder, parts, parts.plant
         self.evaluating, self.episodes = evaluating, episodes
+        self.saver: Saver | None = None
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[list[float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
@@ -175,6 +180,11 @@ class Recorder(Callback):
             self._write_prediction(f"prediction_{when}_episode", episode)
         if episode.number == 1 and episode.refit is not None and len(episode.refit.error.windows):
             self._write_windows(episode.refit.error.windows)
+
+    def reached(self, place: Place) -> None:
+        """Save the state, if it is due."""
+        if self.saver is not None:
+            self.saver.reached(place)
 
     def finish(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Evaluate the final policy and write `metrics.json`, the policy, the model and the step response.

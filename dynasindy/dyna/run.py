@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from dynasindy.dyna import Stopped
-from dynasindy.dyna.callback import Callbacks, Place
+from dynasindy.dyna.callback import Place
 from dynasindy.dyna.checkpoint import Checkpoints, Saver
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
@@ -78,6 +78,7 @@ def run(
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
         saver = Saver(checkpoints, checkpoint_every, lambda: {name: p.state_dict() for name, p in kept.items()}, again)
+        recorder.saver = saver
         with _left_in_order(saver, recorder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
             if state is None and finish:
@@ -94,7 +95,7 @@ def run(
             with Progress() if progress else nullcontext():
                 if not finish:
                     recorder.progress(place.episodes)
-                    train(parts, recipe.train, Callbacks([recorder, saver]), place)
+                    train(parts, recipe.train, recorder, place)
                 facts = {"seed": recipe.seed, "system": type(recipe.system).__name__.lower()}
                 metrics = recorder.finish({**facts, "checkpoint": {"bytes": saver.bytes, "seconds": saver.seconds}})
         (folder / "error.txt").unlink(missing_ok=True)  # of a process that was refused meanwhile

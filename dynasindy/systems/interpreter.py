@@ -56,7 +56,7 @@ def simulate_program(
         ValueError: a formula holds something that is none.
         FileNotFoundError: there is no compiler.
     """
-    listing = _listing(replace(program, constants=(), step=None), len(program.constants), None)
+    listing = _Listing(replace(program, constants=(), step=None), len(program.constants), None)
     units, steps = torch.eye(program.n_x, dtype=torch.float64), steps_of(program.step, dt, substeps)
     return _simulated(listing, program, units, None, x, u, u_end, steps, update)[0]
 
@@ -94,7 +94,7 @@ class Slopes:
     def __init__(self, functions: Program, shapes: Sequence[int | None] = ()) -> None:
         self.program = functions
         _library()
-        self._listing = _listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
+        self._listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
 
     def rates_by_state(self, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Return the derivatives of the rates by the states, `(B, n_x, n_x)`."""
@@ -192,30 +192,6 @@ def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tenso
     return (torch.stack([to, place[each]]).int(), xi[function[each], state]), places
 
 
-class _Listing(NamedTuple):
-    """Hold the instructions of functions and of their slopes.
-
-    Attributes:
-        code: operation, operands and result of each, `(N, 4)` int32.
-        first: how many of them compute the functions; the others compute slopes.
-        functions: where each function is, `(n_functions,)`.
-        by_state: function, state and place of each slope that is not zero, `(3, n)`.
-        by_shape: the same by the numbers inside functions.
-        shapes: how many of these there are.
-        numbers: what stands in the formulas, behind the constants of the program.
-        values: how many values there are.
-    """
-
-    code: Tensor
-    first: int
-    functions: Tensor
-    by_state: Tensor
-    by_shape: Tensor
-    shapes: int
-    numbers: tuple[float, ...]
-    values: int
-
-
 @cache
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
@@ -223,69 +199,56 @@ def _library() -> ctypes.CDLL:
 
 
 @lru_cache(maxsize=512)
-def _listing(program: Program, constants: int, shapes: tuple[int | None, ...] | None) -> _Listing:
-    """Return the instructions of functions, their constants left out, and of their slopes, unless these are None."""
-    n_x, n_functions, values, inner, slopes = program.n_x, len(program.results), [*program.lines], [], []
-    results = [*program.results]
-    if shapes is not None:
-        numbered = {f"x[{i}]": i for i in range(n_x)}
-        numbered |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
-        tangents = Tangents(numbered, [f"u[{j}]" for j in range(program.n_u)])
-        for name, formula in program.lines:
-            tangents.line(name, formula)
-        found = [tangents.last(result) for result in program.results]
-        names, results = {name for name, _ in program.lines}, [text for text, _ in found]
-        values = [line for line in tangents.lines if line[0] in names]
-        inner = [line for line in tangents.lines if line[0] not in names]
-        slopes = [(k, variable, text) for k, (_, row) in enumerate(found) for variable, text in sorted(row.items())]
-    values += [("", text) for text in results]
-    writer = _Instructions(program, constants, [*values, *inner, *(("", text) for *_, text in slopes)])
-    places = writer.places[len(values) + len(inner) :]
-    table = torch.tensor([(k, v, place) for (k, v, _), place in zip(slopes, places, strict=True)]).reshape(-1, 3).long()
-    return _Listing(
-        writer.listed(),
-        writer.counts[len(values) - 1],
-        torch.tensor(writer.places[len(values) - n_functions : len(values)]),
-        table[table[:, 1] < n_x].mT,
-        (table[table[:, 1] >= n_x] - torch.tensor([0, n_x, 0])).mT,
-        len(shapes or ()),
-        writer.numbers,
-        writer.values,
-    )
-
-
-class _Instructions:
-    """Write formulas as instructions, each value once.
+class _Listing:
+    """Instructions of functions and of their slopes, each value once; those of the slopes stand last.
 
     Args:
-        program: the states, inputs and constants.
+        program: the functions, its constants left out.
         constants: how many there are.
-        lines: name, if it has one, and formula of each value.
+        shapes: see `Slopes`; None for no slopes at all.
 
     Attributes:
-        places: where the value of each line is.
-        counts: how many instructions there are after each line.
-        numbers: what stands in the formulas; it comes behind the constants.
+        code: operation, operands and result of each, `(N, 4)` int32.
+        first: how many of them compute the functions.
+        functions: where each function is, `(n_functions,)` int64.
+        by_state: function, state and place of each slope that is not zero, `(3, n)`.
+        by_shape: the same by the numbers inside functions.
+        shapes: how many of these there are.
+        numbers: what stands in the formulas, behind the constants of the program.
         values: how many values there are.
     """
 
-    def __init__(self, program: Program, constants: int, lines: Sequence[tuple[str, str]]) -> None:
-        trees = [parsed(formula) for _, formula in lines]
-        found = (number for tree in trees for n in ast.walk(tree) if (number := _number(n)) is not None)
-        self.numbers = tuple(dict.fromkeys(found))
-        names = [f"x[{i}]" for i in range(program.n_x)] + [f"u[{j}]" for j in range(program.n_u)]
-        names += [*(f"k[{k}]" for k in range(constants)), *map(repr, self.numbers)]
-        self._place_of = {name: place for place, name in enumerate(names)}
-        self._code: list[tuple[int, int, int, int]] = []
-        self.values, self.places, self.counts = len(names), list[int](), list[int]()
-        for (name, _), tree in zip(lines, trees, strict=True):
-            self.places.append(self._place(tree))
-            self.counts.append(len(self._code))
-            self._place_of |= {name: self.places[-1]} if name else {}
-
-    def listed(self) -> Tensor:
-        """Return operation, operands and result of each instruction, `(N, 4)` int32."""
-        return torch.tensor(self._code, dtype=torch.int32).reshape(-1, 4)
+    def __init__(self, program: Program, constants: int, shapes: tuple[int | None, ...] | None) -> None:
+        n_x, names, lines = program.n_x, {name for name, _ in program.lines}, program.lines
+        results, rows = list(program.results), list[dict[int, str]]()
+        if shapes is not None:
+            numbered = {f"x[{i}]": i for i in range(n_x)}
+            numbered |= {f"k[{k}]": n_x + s for s, k in enumerate(shapes) if k is not None}
+            tangents = Tangents(numbered, [f"u[{j}]" for j in range(program.n_u)])
+            for name, formula in lines:
+                tangents.line(name, formula)
+            results, rows = map(list, zip(*(tangents.last(result) for result in program.results), strict=True))
+            lines = tuple(tangents.lines)
+        slopes = [(k, variable, parsed(text)) for k, row in enumerate(rows) for variable, text in sorted(row.items())]
+        values = [parsed(text) for text in results]
+        trees = [(name, parsed(formula)) for name, formula in lines]
+        whole = [*(tree for _, tree in trees), *values, *(tree for *_, tree in slopes)]
+        found = (number for tree in whole for n in ast.walk(tree) if (number := _number(n)) is not None)
+        self.numbers, self._code = tuple(dict.fromkeys(found)), list[tuple[int, int, int, int]]()
+        known = [f"x[{i}]" for i in range(n_x)] + [f"u[{j}]" for j in range(program.n_u)]
+        known += [*(f"k[{k}]" for k in range(constants)), *map(repr, self.numbers)]
+        self._place_of, self.values = {name: place for place, name in enumerate(known)}, len(known)
+        for own in (True, False):  # the values of the functions, the functions, then what slopes are made of
+            for name, tree in trees:
+                if (name in names) == own:
+                    self._place_of[name] = self._place(tree)
+            if own:
+                self.functions = torch.tensor([self._place(tree) for tree in values])
+                self.first = len(self._code)
+        table = torch.tensor([(k, v, self._place(tree)) for k, v, tree in slopes]).reshape(-1, 3).long()
+        self.by_state = table[table[:, 1] < n_x].mT
+        self.by_shape = (table[table[:, 1] >= n_x] - torch.tensor([0, n_x, 0])).mT
+        self.shapes, self.code = len(shapes or ()), torch.tensor(self._code, dtype=torch.int32).reshape(-1, 4)
 
     def _place(self, node: ast.expr) -> int:
         """Return where a formula's value is, once what computes it is in the list."""
