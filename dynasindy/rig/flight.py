@@ -177,16 +177,19 @@ def run_flight(
     guard.require(wiring)
     fault: Fault | None = None
     with Log(path, wiring) as log:
-        loop = FlightLoop(rig, wiring, guard, clock)
+        loop = _FlightLoop(rig, wiring, guard, clock)
         try:
             loop.run(act, periods, log)
         except Fault as error:
             fault = error
         except OSError as error:
-            fault = connection_fault(error)
-        finally:
-            loop.end()  # before anything else, the closing of the log included
-    return FlightResult(loop.flown, fault, np.array(loop.computing), np.array(loop.jitter), loop.lost)
+            fault = Fault("connection", f"{type(error).__name__}: {error}")
+        finally:  # before anything else, the closing of the log included
+            try:
+                rig.rest()
+            finally:
+                loop.watchdog.close()
+    return FlightResult(log.rows, fault, np.array(loop.computing), np.array(loop.jitter), loop.lost)
 
 
 ROUNDING = 1e-6
@@ -195,97 +198,47 @@ FIRST = 10
 """Times longer that the first sample may take: a rig has to begin."""
 
 
-def connection_fault(error: OSError) -> Fault:
-    """Return the fault that an error of the connection is."""
-    return Fault("connection", f"{type(error).__name__}: {error}")
+class _FlightLoop:
+    """The control periods of one flight, each of which raises a `Fault` with which it does not go on."""
 
-
-class FlightLoop:
-    """The periods of one flight: `begin`, then `read`, `sample`, `apply` and `write_down` once each, then `end`.
-
-    Args:
-        rig: The plant.
-        wiring: What is measured, and how often.
-        guard: What it goes on with.
-        clock: Tells the time, and waits for the next period of a rig that is asked.
-    """
-
-    def __init__(self, rig: Rig, wiring: Wiring, guard: Guard, clock: RigClock = time) -> None:
+    def __init__(self, rig: Rig, wiring: Wiring, guard: Guard, clock: RigClock) -> None:
         self.rig, self.wiring, self.guard, self.dt, self.clock = rig, wiring, guard, wiring.dt, clock
         self.computing: list[float] = []
         self.jitter: list[float] = []
-        self.flown = self.missed = self.lost = 0
+        self.missed = self.lost = 0
         self.heard = False  # whether any sample has come
         self.watchdog = _Watchdog(rig.rest, clock)
 
     def run(self, act: Act, periods: int, log: Log) -> None:
-        """Fly so many periods.
-
-        Raises:
-            Fault: Something is wrong.
-            OSError: The connection is broken.
-        """
-        self.begin()
-        k, u = 0, np.zeros(self.wiring.signature.n_u)
+        """Fly so many periods."""
+        self.rig.begin()
+        self.start = self.begun = self.clock.monotonic()
+        k, u, nothing = 0, np.zeros(self.wiring.signature.n_u), np.full(self.wiring.signature.n_x, np.nan)
         while k < periods:
-            y = self.read(k)
+            y = self._read(k)
             if y is not None and self.rig.number is not None:
                 for gone in range(k, min(self.rig.number, periods)):  # samples that never came
-                    self.sample(None)
-                    self.write_down(log, gone, None, u)
+                    self._check(None)
+                    self._write_down(log, gone, nothing, u)
                 k = max(k, self.rig.number)
             if k >= periods:
                 return
-            u = self.apply(self._asked(act, self.sample(y), k * self.dt))
-            self.write_down(log, k, y, u)
+            self._check(y)
+            y = nothing if y is None else y
+            try:
+                given = act(y, k * self.dt)
+            except Exception as error:  # any: whatever the controller does, it costs one line and the rig comes to rest
+                why = " ".join(str(error).split())
+                raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error
+            u = self._apply(given)
+            self._write_down(log, k, y, u)
             k += 1
 
-    def begin(self) -> None:
-        """Start the clock.
-
-        Raises:
-            OSError: The connection is broken.
-        """
-        self.rig.begin()
-        self.start = self.begun = self.clock.monotonic()
-
-    def end(self) -> None:
-        """Ask the rig for its safe input, then stop watching it."""
-        try:
-            self.rig.rest()
-        finally:
-            self.watchdog.close()
-
-    def apply(self, given: Any) -> Array:
-        """Apply inputs to the sample that was read last, and return them, `(n_u,)`.
-
-        Raises:
-            Fault: They are no inputs, or too late.
-            OSError: The connection is broken.
-        """
-        took = self.clock.monotonic() - self.begun
-        self.computing.append(took)  # those that came too late, too: the line about the flight names the slowest
-        self._on_time(took)
-        u = self._inputs(given)
-        self.rig.write(u)
-        self._on_time(took)  # the watchdog may have barked meanwhile, and its safe input been overruled
-        self.watchdog.within(2 * self.patience)  # what follows, the log too, is not what the rig waits for
-        return u
-
-    @property
-    def patience(self) -> float:
-        """Time within which the next sample has to come [s]."""
-        return (1 + self.guard.late) * self.dt
-
-    def read(self, k: int) -> Array | None:
-        """Return the sample of a period, None if it is lost, and note when it came.
-
-        Raises:
-            OSError: The connection is broken.
-        """
+    def _read(self, k: int) -> Array | None:
+        """Return the sample of a period, None if it is lost, and note when it came."""
         if not self.rig.streams:
             self.clock.sleep(max(0.0, self.start + k * self.dt - self.clock.monotonic()))
-        allowed = self.patience if k else FIRST * self.patience
+        allowed = (1 + self.guard.late) * self.dt * (1 if k else FIRST)
         self.watchdog.within(2 * allowed)  # the rig may hang in a call that does not keep to its time
         end = self.clock.monotonic() + allowed
         y = self.rig.read(allowed)
@@ -302,89 +255,61 @@ class FlightLoop:
         self.begun = arrived
         return y
 
-    def write_down(self, log: Log, k: int, y: Array | None, u: Array) -> None:
-        """Log a period: its sample and its inputs.
-
-        Raises:
-            Fault: The log cannot be written.
-        """
-        try:
-            log.add(k * self.dt, np.full(self.wiring.signature.n_x, np.nan) if y is None else y, u)
-        except OSError as error:
-            raise Fault("log", f"the log cannot be written: {error.strerror or error}") from error
-        self.flown += 1
-
-    def sample(self, y: Array | None) -> Array:
-        """Return what the controller is shown of a sample, `(n_x,)`.
-
-        Raises:
-            Fault: Too many were lost, or it is none with which a flight goes on.
-        """
-        if y is None:
-            self.missed, self.lost = self.missed + 1, self.lost + 1
-            if self.missed > self.guard.lost or not self.heard:  # nobody knows where a flight would begin
-                raise Fault("lost", self._lost())
-            return np.full(self.wiring.signature.n_x, np.nan)
-        self.missed, self.heard = 0, True
-        if np.shape(y) != (self.wiring.signature.n_x,):
-            raise Fault(
-                "invalid", f"a sample has the shape {np.shape(y)}, the plant {self.wiring.signature.n_x} states"
-            )
-        self.guard.check(y, self.wiring)
-        return y
-
-    def _lost(self) -> str:
-        """Say how many samples are missing, how many may be, and what came in their place."""
+    def _check(self, y: Array | None) -> None:
+        """Look at a sample, None if it was lost."""
+        n_x = self.wiring.signature.n_x
+        if y is not None:
+            self.missed, self.heard = 0, True
+            if np.shape(y) != (n_x,):
+                raise Fault("invalid", f"a sample has the shape {np.shape(y)}, the plant {n_x} states")
+            self.guard.check(y, self.wiring)
+            return
+        self.missed, self.lost = self.missed + 1, self.lost + 1
+        if self.heard and self.missed <= self.guard.lost:
+            return
         many = f"{self.missed} samples" if self.missed > 1 else "1 sample"
         told = f"{many} in a row did not come, and guard.lost={self.guard.lost} is allowed"
-        if not self.heard:
+        if not self.heard:  # nobody knows where a flight would begin
             told = "no sample came to begin with; see that the rig is on and sends one per period to this computer"
         strange = getattr(self.rig, "strange", "")  # of a rig that tells what came in place of samples
-        return f"{told}; {strange}" if strange else told
+        raise Fault("lost", f"{told}; {strange}" if strange else told)
 
-    def _asked(self, act: Act, y: Array, t: float) -> Any:
-        try:
-            return act(y, t)
-        except Exception as error:  # any: whatever the controller does, it costs one line and the rig comes to rest
-            why = " ".join(str(error).split())
-            raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error
-
-    def _inputs(self, given: Any) -> Array:
+    def _apply(self, given: Any) -> Array:
+        """Apply inputs to the sample that was read last, and return them, `(n_u,)`."""
+        took = self.clock.monotonic() - self.begun
+        self.computing.append(took)  # those that came too late, too: the line about the flight names the slowest
+        self._require_in_time(took)
         u, signature = np.asarray(given, dtype=np.float64), self.wiring.signature
         limits = signature.input_limits or (WHOLE,) * signature.n_u
         low, high = np.array(limits).T
         if u.shape != (signature.n_u,) or not ((low - ROUNDING <= u) & (u <= high + ROUNDING)).all():
             allowed = ", ".join(f"[{least:.6g}, {most:.6g}]" for least, most in dict.fromkeys(limits))
             raise Fault("controller", f"it gave {u.tolist()}, not {signature.n_u} numbers in {allowed}")
+        self.rig.write(u)
+        self._require_in_time(took)  # the watchdog may have barked meanwhile, and its safe input been overruled
+        self.watchdog.within(2 * (1 + self.guard.late) * self.dt)  # the log, too, is not what the rig waits for
         return u
 
-    def _on_time(self, took: float) -> None:
+    def _require_in_time(self, took: float) -> None:
         allowed = self.guard.late * self.dt
-        if self.watchdog.barked:
-            raise Fault("late", f"controller and rig did not come round within {1e3 * allowed:.1f} ms; {self._busy}")
-        if took > allowed:
-            raise Fault("late", f"inputs took {1e3 * took:.1f} ms, {1e3 * allowed:.1f} ms are allowed; {self._busy}")
+        if self.watchdog.barked or took > allowed:
+            told = f"inputs took {1e3 * took:.1f} ms, {1e3 * allowed:.1f} ms are allowed"
+            if self.watchdog.barked:
+                told = f"controller and rig did not come round within {1e3 * allowed:.1f} ms"
+            mend = f"end what else this computer does, or give more than guard.late={self.guard.late:g} of a period"
+            raise Fault("late", f"{told}; {mend}")
 
-    @property
-    def _busy(self) -> str:
-        """What to do where inputs come too late."""
-        return f"end what else this computer does, or give more than guard.late={self.guard.late:g} of a period"
+    def _write_down(self, log: Log, k: int, y: Array, u: Array) -> None:
+        try:
+            log.add(k * self.dt, y, u)
+        except OSError as error:
+            raise Fault("log", f"the log cannot be written: {error.strerror or error}") from error
 
 
 class _Watchdog:
-    """Call a function whenever a deadline has passed that was not renewed.
+    """Call a function whenever a deadline has passed that was not renewed: a loop may hang, this thread does not."""
 
-    The loop that it watches may hang in a computation or in a call to the system: the thread does not.
-
-    Attributes:
-        barked: Whether a deadline has passed.
-
-    Args:
-        bark: What to call; an error of it is taken for an answer that did not come.
-        clock: Tells the time; the computer's own if omitted.
-    """
-
-    def __init__(self, bark: Callable[[], None], clock: RigClock = time) -> None:
+    def __init__(self, bark: Callable[[], None], clock: RigClock) -> None:
         self.bark, self.barked, self.clock = bark, False, clock
         self._deadline: float | None = None
         self._changed = threading.Condition()
