@@ -11,10 +11,9 @@ import sys
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import Any, NamedTuple
 
 from dynasindy import __version__
 from dynasindy.control import Controller
@@ -59,23 +58,12 @@ ABSENT = {
 """Those that answer with an error."""
 
 
-@dataclass(frozen=True)
-class _Variable:
+class _Variable(NamedTuple):
     """A variable of an FMU: its name, its unit, and whether it is an output, or an input."""
 
     name: str
     unit: str
     output: bool = False
-
-
-@dataclass(frozen=True)
-class _Unit:
-    """What an FMU is made of: its name, its period or step [s], its variables in order, its sources by name."""
-
-    name: str
-    step: float
-    variables: tuple[_Variable, ...]
-    sources: Mapping[str, str]
 
 
 def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool:
@@ -111,7 +99,7 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
         values=len(variables),
     )
     text += _interface(version)
-    return _write(_Unit(name, controller.dt, variables, {**sources.files(), f"{name}_fmi.c": text}), path, version)
+    return _write(name, controller.dt, variables, {**sources.files(), f"{name}_fmi.c": text}, path, version)
 
 
 def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = None, version: int = 3) -> bool:
@@ -143,7 +131,7 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
         *(_Variable(f"u_{word}", "1") for word in signature.input_names),
         *(_Variable(f"x_{state}", unit, True) for state, unit in units),
     )
-    return _write(_Unit(name, step, variables, {f"{name}.c": text}), path, version)
+    return _write(name, step, variables, {f"{name}.c": text}, path, version)
 
 
 def _interface(version: int) -> str:
@@ -153,21 +141,27 @@ def _interface(version: int) -> str:
     return fill("fmi.c", **words) + fill(f"fmi{version}.c")
 
 
-def _write(unit: _Unit, path: Path, version: int) -> bool:
-    """Write the archive."""
-    digest = hashlib.sha256("".join(unit.sources.values()).encode()).hexdigest()
+def _write(
+    name: str, step: float, variables: Sequence[_Variable], texts: Mapping[str, str], path: Path, version: int
+) -> bool:
+    """Write the archive of an FMU of a name, a period or step [s], variables in their order, and sources."""
+    digest = hashlib.sha256("".join(texts.values()).encode()).hexdigest()
     token = "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, digest)) + "}"
-    sources = {name: text.replace(_GAP, token) for name, text in unit.sources.items()}
-    files = {"modelDescription.xml": _described(unit, token, version)}
-    files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
+    sources = {file: text.replace(_GAP, token) for file, text in texts.items()}
+    words: dict[str, Any] = {"name": name, "files": [file for file in sources if file.endswith(".c")]}
+    about = {"step": repr(step), "variables": variables, "units": sorted({variable.unit for variable in variables})}
+    more = {"version": version, "release": __version__, "token": token}
+    described = fill("modelDescription.xml", **words, **about, **more)
+    files = {"modelDescription.xml": described.encode()}
+    files |= {f"sources/{file}": text.encode() for file, text in sources.items()}
     if version == 3:
-        files["sources/buildDescription.xml"] = _built(unit)
+        files["sources/buildDescription.xml"] = fill("buildDescription.xml", **words).encode()
     built = compiler() is not None
     if built:
-        files[f"binaries/{_platform(version)}/{unit.name}{SUFFIX}"] = _compiled(sources)
+        files[f"binaries/{_platform(version)}/{name}{SUFFIX}"] = _compiled(sources)
     with replace_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in files.items():
-            archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
+        for member, content in files.items():
+            archive.writestr(zipfile.ZipInfo(member, (2000, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return built
 
 
@@ -186,67 +180,6 @@ def _platform(version: int) -> str:
         return f"{system.replace('dows', '')}64"
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
     return f"{machine}-{system}"
-
-
-def _described(unit: _Unit, token: str, version: int) -> bytes:
-    """Return the description of the model."""
-    root = ElementTree.Element("fmiModelDescription", fmiVersion=f"{version}.0", modelName=unit.name)
-    root.set("instantiationToken" if version == 3 else "guid", token)
-    root.set("generationTool", f"dynasindy {__version__}")
-    root.set("variableNamingConvention", "flat")
-    simulation = ElementTree.SubElement(root, "CoSimulation", modelIdentifier=unit.name)
-    simulation.set("canHandleVariableCommunicationStepSize", "true")
-    if version == 2:
-        simulation.set("canNotUseMemoryManagementFunctions", "true")
-        listed = ElementTree.SubElement(simulation, "SourceFiles")
-        for name in (n for n in unit.sources if n.endswith(".c")):
-            ElementTree.SubElement(listed, "File", name=name)
-    units = ElementTree.SubElement(root, "UnitDefinitions")
-    for name in sorted({variable.unit for variable in unit.variables}):
-        ElementTree.SubElement(units, "Unit", name=name)
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=repr(unit.step))
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    if version == 3:
-        time = ElementTree.SubElement(variables, "Float64", name="time", valueReference="0", causality="independent")
-        time.set("variability", "continuous")
-    else:
-        structure = ElementTree.SubElement(structure, "Outputs")
-    for place, variable in enumerate(unit.variables, 1):
-        _variable(variables, variable, place, version)
-        if variable.output and version == 3:
-            ElementTree.SubElement(structure, "Output", valueReference=str(place))
-        elif variable.output:
-            ElementTree.SubElement(structure, "Unknown", index=str(place))
-    return _xml(root)
-
-
-def _variable(parent: ElementTree.Element, variable: _Variable, place: int, version: int) -> None:
-    tag = "Float64" if version == 3 else "ScalarVariable"
-    element = ElementTree.SubElement(parent, tag, name=variable.name, valueReference=str(place))
-    element.set("causality", "output" if variable.output else "input")
-    element.set("variability", "continuous")
-    if variable.output:
-        element.set("initial", "exact")
-    typed = element if version == 3 else ElementTree.SubElement(element, "Real")
-    typed.set("start", "0.0")
-    typed.set("unit", variable.unit)
-
-
-def _built(unit: _Unit) -> bytes:
-    """Return the description of how the sources are compiled."""
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=unit.name)
-    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in (n for n in unit.sources if n.endswith(".c")):
-        ElementTree.SubElement(files, "SourceFile", name=name)
-    ElementTree.SubElement(configuration, "Library", name="m", external="true")
-    return _xml(root)
-
-
-def _xml(root: ElementTree.Element) -> bytes:
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
 
 
 def answers(version: int) -> str:

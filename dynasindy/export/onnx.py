@@ -34,7 +34,7 @@ from dynasindy.control.files import network, require_sparse
 from dynasindy.export.formats import field_of
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
-from dynasindy.systems import System
+from dynasindy.systems import Altered
 
 OPSET, FORMAT = 17, 8
 """Versions of the operators and of the file, which runtimes since 2022 read."""
@@ -140,28 +140,18 @@ class _ControlStep(nn.Module):
         return torch.where(sound, u, before), torch.where(sound, whole, state)
 
 
-class _Written(System):
-    """The equations of a model as plain operations; its own code keeps tensors, which would be those of a trace.
-
-    Args:
-        model: A sparse model.
-    """
+class _Written(Altered):
+    """The equations of a sparse model as plain operations: its own code keeps tensors, which a trace would hold."""
 
     def __init__(self, model: SindyModel) -> None:
-        super().__init__(model.signature)
+        super().__init__(model)
         self.field = field_of(model, CALLS)
-        self.found = model.followers, model.step
         self.delay = model.delay
 
     @property
     def followers(self) -> dict[int, int]:
         """Those of the model."""
-        return self.found[0]
-
-    @property
-    def step(self) -> float | None:
-        """That of the model."""
-        return self.found[1]
+        return self.system.followers
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Compute rates of change, `(*batch, n_x)`."""
