@@ -165,14 +165,13 @@ def _possible_periods(at: Array, low: float, starts: NDArray[np.int64], within: 
     middle = 0.5 * (first + last)
     if width(middle) > within:
         return None
-    ends = []
-    for outer in (low, low + 1.0):
-        inner = middle
-        for _ in range(40):
-            between = 0.5 * (inner + outer)
-            inner, outer = (between, outer) if width(between) <= within else (inner, between)
-        ends.append(inner)
-    return ends[0], ends[1]
+    from scipy.optimize import brentq  # half a second of imports that most logs do without
+
+    first, last = (
+        end if width(end) <= within else brentq(lambda period: width(period) - within, middle, end)
+        for end in (low, low + 1.0)
+    )
+    return first, last
 
 
 def _is_single(column: Array) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
 from collections.abc import Collection, Mapping, Sequence
@@ -153,19 +152,16 @@ def _with_one_clock(table: Table) -> Table:
 
     A column that is held for most of the time keeps its last value; others are on straight lines between two samples.
     """
-    found = {h: CLOCK_OF_ITS_OWN.fullmatch(split_unit(h)[0]) for h in table.headings}
-    clocks = {
-        match[1]: heading
-        for heading, match in found.items()
-        if match and grows(table.column(heading)) and heading not in table.dated
-    }
+    clocks = dict[str, str]()
+    for heading in table.headings:
+        match = CLOCK_OF_ITS_OWN.fullmatch(split_unit(heading)[0])
+        if match and heading not in table.dated and grows(table.column(heading)):
+            clocks[match[1]] = heading
     if len(clocks) < 2 or any(map(is_clock, table.headings)):
         return table
-    first, *others = clocks.values()
+    (_, first), *others = clocks.items()
     values, moved, now = table.values.copy(), [], table.column(first)
-    for begin, heading in clocks.items():
-        if heading == first:
-            continue
+    for begin, heading in others:
         then = table.column(heading)
         for k, name in enumerate(table.headings):
             if name.startswith(begin) and name != heading:
@@ -173,9 +169,9 @@ def _with_one_clock(table: Table) -> Table:
                 at = np.clip(np.searchsorted(then, now, side="right") - 1, 0, len(then) - 1)
                 values[:, k] = values[at, k] if held else np.interp(now, then, values[:, k])
                 moved.append(name)
-    unit = split_unit(first)[1]
-    second = note("log.second_clock", columns=moved, clocks=others, first=first)
-    edited = table.edit(values, others, {first: f"time [{unit}]" if unit else "time"})
+    unit, left = split_unit(first)[1], [heading for _, heading in others]
+    second = note("log.second_clock", columns=moved, clocks=left, first=first)
+    edited = table.edit(values, left, {first: f"time [{unit}]" if unit else "time"})
     return replace(edited, findings=(*table.findings, second))
 
 
@@ -211,8 +207,10 @@ def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words 
     if not worded.any():
         return numbers, None, False
     first = int(np.flatnonzero(worded)[0])
-    words = Words(int(lines[first]), str(text[first])[:40], int(worded.sum()))
-    if np.isnan(numbers).all() and math.isfinite(seconds_of_date(str(text[first]))):
+    said = str(text[first])
+    words = Words(int(lines[first]), said[:40], int(worded.sum()))
+    may_be_date = np.isnan(numbers).all() and (DAY_FIRST.fullmatch(said) or not re.fullmatch(r"[\d.,]*", said))
+    if may_be_date and np.isfinite(_seconds(text.iloc[[first]]))[0]:
         dates = _seconds(text)
         return dates, words, bool(np.isfinite(dates).any())
     return numbers, words, False
@@ -249,14 +247,6 @@ def _other_dates(text: pd.Series) -> Array:
     told = lost or DAY_FIRST.match(first) or np.array_equal(np.diff(months), np.diff(days), equal_nan=True)
     found = np.full(len(days), np.nan) if not told else months if lost < 0 else days
     return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
-
-
-def seconds_of_date(text: str) -> float:
-    """Return the seconds of a date or a time of day; NaN of what is none."""
-    text = text.strip()
-    if re.fullmatch(r"[\d.,]*", text) and not DAY_FIRST.fullmatch(text):
-        return math.nan
-    return float(_seconds(pd.Series([text], dtype="string"))[0])
 
 
 def select_columns(path: Path, names: Sequence[str], dt: float | None = None) -> Table:

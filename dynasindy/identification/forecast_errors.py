@@ -84,9 +84,14 @@ class LinearModel:
 
     @classmethod
     def _of_order(cls, data: Transitions, order: int) -> LinearModel | None:
-        seen, rows = _seen(data), _rows(data, order)
+        seen, rows = _seen(data), torch.arange(order - 1, len(data))
+        rows = rows[data.segment[rows] == data.segment[rows - order + 1]]
         rows = rows[choose_stretches(len(rows), ENOUGH_ROWS)]
-        columns, target = _regressors(data, rows, order, seen), data.x_next[rows][:, seen].double()
+        past = rows.unsqueeze(-1) - torch.arange(order)
+        parts = [data.x[past][..., seen].flatten(1), data.u[past].flatten(1)]
+        parts += [data.last_inputs[rows][:, data.linear_inputs], torch.ones(len(rows), 1)]
+        columns = torch.cat([part.double() for part in parts], -1)
+        target = data.x_next[rows][:, seen].double()
         complete = ~(columns.isnan().any(-1) | target.isnan().any(-1))
         columns, target = columns[complete], target[complete]
         if not bool(seen.any()) or len(columns) < 2 * columns.shape[1]:
@@ -132,19 +137,6 @@ class LinearModel:
 def _seen(data: Transitions) -> Tensor:
     """Return which states were measured at both ends of an interval, bool `(n_x,)`: others have no such equation."""
     return ~(data.x.isnan() | data.x_next.isnan()).all(0)
-
-
-def _rows(data: Transitions, order: int) -> Tensor:
-    """Return the rows that have `order - 1` rows of their segment before them."""
-    rows = torch.arange(order - 1, len(data))
-    return rows[data.segment[rows] == data.segment[rows - order + 1]]
-
-
-def _regressors(data: Transitions, rows: Tensor, order: int, seen: Tensor) -> Tensor:
-    past = rows.unsqueeze(-1) - torch.arange(order)
-    parts = [data.x[past][..., seen].flatten(1), data.u[past].flatten(1)]
-    parts += [data.last_inputs[rows][:, data.linear_inputs], torch.ones(len(rows), 1)]
-    return torch.cat([part.double() for part in parts], -1)
 
 
 STARTS = 200
@@ -223,15 +215,13 @@ def forecast_errors(
         return None
     time = characteristic(training)
     fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
-    back, ahead = _beside(validation)
-    while fit > 2 and _reach(back, ahead, fit) < 2 * fit:
+    while (reach := start_rows(validation, fit)[1]) < 2 * fit and fit > 2:
         fit //= 2
-    reach = _reach(back, ahead, fit)
     steps = [round(h / validation.dt) for h in horizons or _series(time / 10, 3 * time)]
     steps = sorted({k for k in steps if 1 <= k <= min(reach, FARTHEST)})
     if not steps:
         return None
-    starts = _starts(back, ahead, fit, steps[0])
+    starts, _ = start_rows(validation, fit, steps[0])
     later, real = samples_after(validation, starts, steps[-1])
     # As for the linear model, the middle horizon counts: what is farther says little of where a prediction began.
     usual = [k for k in steps if k * validation.dt >= time / 10] or steps
@@ -296,12 +286,6 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     return best
 
 
-def _starts(back: Tensor, ahead: Tensor, before: int, after: int) -> Tensor:
-    """Return rows with so many rows before and after them in their segments, evenly spread, `STARTS` at most."""
-    rows = ((back >= before) & (ahead >= after)).nonzero().flatten()
-    return rows[torch.linspace(0, len(rows) - 1, min(STARTS, len(rows))).round().long().unique()]
-
-
 def predict_from(model: SindyModel, data: Transitions, starts: Tensor, later: Tensor, length: int) -> Tensor:
     """Return what a model predicts for some rows after each start, `(S, T, n_x)`, infinite where it runs away."""
     late = delay_inputs(data, model.delay)
@@ -327,9 +311,14 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
 
 
 def start_rows(data: Transitions, before: int, after: int = 1) -> tuple[Tensor, int]:
-    """Return rows with so many rows before and after them in their segments, `(S,)`, and how far any of them sees."""
+    """Return rows with so many rows before and after them in their segments, and how many the longest has after it.
+
+    The rows, `(S,)`, are evenly spread, `STARTS` at most.
+    """
     back, ahead = _beside(data)
-    return _starts(back, ahead, before, after), _reach(back, ahead, before)
+    rows = ((back >= before) & (ahead >= after)).nonzero().flatten()
+    spread = torch.linspace(0, len(rows) - 1, min(STARTS, len(rows))).round().long().unique()
+    return rows[spread], int(torch.where(back >= before, ahead, 0).max())
 
 
 def samples_after(data: Transitions, starts: Tensor, steps: int) -> tuple[Tensor, Tensor]:
@@ -340,11 +329,6 @@ def samples_after(data: Transitions, starts: Tensor, steps: int) -> tuple[Tensor
     later = starts.unsqueeze(-1) + torch.arange(steps)
     inside, later = torch.arange(steps) < _beside(data)[1][starts].unsqueeze(-1), later.clamp_max(len(data) - 1)
     return later, torch.where(inside.unsqueeze(-1), data.x_next[later], math.nan)
-
-
-def _reach(back: Tensor, ahead: Tensor, fit: int) -> int:
-    """Return how many rows are ahead of a start with `fit` rows before it, at most."""
-    return int(torch.where(back >= fit, ahead, 0).max())
 
 
 def characteristic(data: Transitions) -> float:
@@ -384,8 +368,8 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
     scale = torch.tensor(model.signature.x_scale, dtype=torch.float64)
     damping = torch.full((len(rows),), 1e-3, dtype=torch.float64)
     path = torch.cat([x.unsqueeze(1), _simulated(model, x, inputs, data.dt)], 1)
-    sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
     for _ in range(8):
+        sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
         nudged = x + NUDGE * torch.diag(scale).unsqueeze(1)
         moved = _simulated(model, nudged, inputs, data.dt)
         slopes = (torch.cat([nudged.unsqueeze(2), moved], 2) - path) / NUDGE  # by each state [its range]
@@ -406,7 +390,6 @@ def estimate(model: SindyModel, data: Transitions, rows: Tensor, length: int) ->
         x = torch.where(better[:, None], trial, x)
         path = torch.where(better[:, None, None], tried, path)
         damping = torch.where(better, damping / 10, damping * 10)
-        sigma = _rms(path, measured, mask).clamp_min(1e-9 * scale)
     end = path[:, -1]
     return x, torch.where(end.isfinite(), end, guess.x[rows + length - 1].double())
 
@@ -438,8 +421,7 @@ def _rms(path: Tensor, measured: Tensor, mask: Tensor) -> Tensor:
 def _simulated(model: SindyModel, x: Tensor, inputs: tuple[Tensor, Tensor | None], dt: float) -> Tensor:
     """Predict states after each interval, `(*batch, T, n_x)`, under inputs at both ends of each."""
     wide = (*x.shape[:-1], *inputs[0].shape[-2:])
-    u, u_end = (None if u is None else u.double().expand(wide) for u in inputs)
-    assert u is not None
+    u, u_end = inputs[0].double().expand(wide), None if inputs[1] is None else inputs[1].double().expand(wide)
     with torch.no_grad():
         substeps = max(min(math.ceil(dt / LONGEST_STEP - 1e-9), MOST_STEPS), model.substeps(dt))
         return model.simulate(x, u, dt, substeps, u_end)[..., 1:, :]

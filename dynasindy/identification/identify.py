@@ -44,10 +44,6 @@ from dynasindy.text import format_duration
 if TYPE_CHECKING:
     from dynasindy.excitation import Excitation
 
-UNKNOWN = "the refinement, which tells them, found no equations, or ones that run away from the data"
-"""Why coefficients that were fitted may have none."""
-
-
 FINEST = 1e-6
 """Part of the range of a state below which what a sensor resolves is no noise."""
 CELL = 11
@@ -231,11 +227,7 @@ def identify(
     columns = {name: Column(name) for name in log.signature.state_names}
     require_consistent_rates(source.training, source.signature, rates, columns)
     model = build(signature=source.signature, known=rates)
-    before = (
-        *added,
-        *check_rates(source.training, source.signature, rates),
-        *_missing_rates(model, source),
-    )
+    before = (*added, *check_rates(source.training, source.signature, rates), *_missing_rates(model, source))
     for each in before:
         warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source, known is None)
@@ -315,7 +307,8 @@ def with_missing_rates(
     if known is not None or not source.logged:
         return source, dict(known or {}), []
     model = build(signature=source.signature)
-    found = {} if _chosen(model, source.signature) else lacking_rates(model, source)
+    general = (set(each(source.signature).names) for each in (auto, auto_rig))  # others somebody chose
+    found = lacking_rates(model, source) if set(model.library.names) in general else {}
     if not found:
         return source, {}, []
     return replace(source.with_rates(found), findings=source.findings), found, [note("fit.rates_added", known=found)]
@@ -332,11 +325,6 @@ def lacking_rates(model: SindyModel, source: Source) -> dict[str, str]:
         return {}
     missing = find_missing_rates(model.library, source.training)
     return rates_of(model) | {n: rate_name(n, source.signature) for n in missing if n not in rates_of(model)}
-
-
-def _chosen(model: SindyModel, signature: Signature) -> bool:
-    """Tell whether somebody chose the functions."""
-    return all(set(model.library.names) != set(build(signature).names) for build in (auto, auto_rig))
 
 
 def to_words(found: Identified, source: Source, columns: int | None = None) -> str:
@@ -400,8 +388,10 @@ def table(forecasts: ForecastErrors, signature: Signature, columns: int | None =
 def _errors(model: SindyModel) -> list[str]:
     """Return a line for each coefficient with its standard error, below a heading, or why there is no such error."""
     if model.covariance is None:
-        fitted = bool((model.constraints.free & (model.coefficients != 0)).any())
-        return ["", f"coefficients have no standard errors (±): {UNKNOWN if fitted else 'none of them was fitted'}"]
+        why = "none of them was fitted"
+        if bool((model.constraints.free & (model.coefficients != 0)).any()):
+            why = "the refinement, which tells them, found no equations, or ones that run away from the data"
+        return ["", f"coefficients have no standard errors (±): {why}"]
     errors = model.covariance.table(model.coefficients.shape)
     return ["", "coefficients and their standard errors", *coefficient_lines(model.library, model.coefficients, errors)]
 

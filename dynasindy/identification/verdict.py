@@ -98,7 +98,11 @@ def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Findi
         signature: Names and units of the states.
     """
     findings, (horizons, n_x) = [], forecasts.model.shape
-    large = unresolved(forecasts, signature) & (forecasts.linear < forecasts.held)
+    small = SMALL * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
+    small = torch.maximum(
+        RESOLVED * forecasts.resolution.to(small), small
+    )  # a sensor explains it, or it counts as small
+    large = (forecasts.model > small) & (forecasts.linear < forecasts.held)
     for i in range(n_x):
         ratio = torch.where(large[:, i], forecasts.linear[:, i] / forecasts.model[:, i], math.inf)
         worse = [[k for k in range(horizons) if float(ratio[k]) < limit] for limit in (BEHIND, BETTER)]
@@ -110,12 +114,6 @@ def linear_better(forecasts: ForecastErrors, signature: Signature) -> list[Findi
         finding = wrong if far else weak
         findings.append(finding("model.linear_better", seconds=forecasts.horizons[k], **facts, **errors))
     return findings
-
-
-def unresolved(forecasts: ForecastErrors, signature: Signature) -> Tensor:
-    """Return where errors are larger than the sensors explain and than counts as small, bool `(horizons, n_x)`."""
-    small = SMALL * torch.tensor(signature.x_scale, dtype=forecasts.model.dtype)
-    return forecasts.model > torch.maximum(RESOLVED * forecasts.resolution.to(small), small)
 
 
 def logged_input_ranges(model: SindyModel, logged: Tensor) -> dict[str, tuple[float, float]]:
@@ -256,11 +254,8 @@ def shortcoming(forecasts: ForecastErrors, signature: Signature, seconds: float 
     if not poor:
         return None
     errors, last = ({names[i]: float(kind[i]) for i in poor} for kind in (ours, held))
-    return wrong("model.misses", seconds=ahead, errors=errors, held=last, units=_units(signature, poor))
-
-
-def _units(signature: Signature, places: Sequence[int]) -> dict[str, str]:
-    return {signature.state_names[i]: signature.state_units[i] for i in places}
+    units = {names[i]: signature.state_units[i] for i in poor}
+    return wrong("model.misses", seconds=ahead, errors=errors, held=last, units=units)
 
 
 def _seen(forecasts: ForecastErrors, signature: Signature) -> list[int]:
