@@ -32,7 +32,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from sweep import Sweep, note_job_end
+from sweep import Sweep
 
 from dynasindy.dyna import Stopped
 from dynasindy.progress import fit_stderr
@@ -76,8 +76,6 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
                 for folder in filter(None, (cfg.get("folder"), cfg.get("output"))):
                     require_writable(Path(folder))
                 task(cfg)
-                if swept:
-                    note_job_end(None)
             except KeyboardInterrupt as end:
                 line, folder = str(end), cfg.get("folder")
                 if line in ("", "stopped"):
@@ -180,8 +178,6 @@ def _leave_line(line: str) -> None:
     file = _refusal_file(folder) if finished else folder / "error.txt"
     file.unlink(missing_ok=True)  # it may be a link in a run folder of others
     write_text(file, line + "\n")
-    if swept:
-        note_job_end(file)
 
 
 def _refusal_file(folder: Path) -> Path:

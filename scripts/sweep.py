@@ -3,10 +3,8 @@
 import logging
 import os
 import shutil
-import threading
 import time
 import traceback
-from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,11 +17,11 @@ from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, open_dict
 
-from dynasindy.progress import report_progress, say
+from dynasindy.progress import say
 from dynasindy.safe_io import LinkError
 
-JOBS, SWEPT, LIST = "DYNASINDY_JOBS", "DYNASINDY_SWEPT", "DYNASINDY_LIST"
-"""Variables that tell workers how many jobs there are, in which settings they differ, and where they note their end."""
+JOBS, SWEPT = "DYNASINDY_JOBS", "DYNASINDY_SWEPT"
+"""Variables that tell workers how many jobs there are, and in which settings they differ."""
 TASK = {"system", "task", "plant", "experiment", "setting"}
 """Groups that a task is made of; where jobs differ in them, each has a task of its own."""
 LOGGED = {"seed", "planning", "evaluation", "scenario", "threads"}
@@ -33,21 +31,23 @@ HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
 
 
 class Sweep(Callback):
-    """Check what the jobs of a sweep share, show how many are done, and say at the end what came of them."""
+    """Check what the jobs of a sweep share, and say at the end what came of them."""
 
     here: ClassVar[bool] = False
     """Whether a command was started in this process; a worker of a launcher has none."""
     running: ClassVar[str | None] = None
     """Folder of the sweep that is under way."""
+    began: ClassVar[float] = 0.0
+    """When it began."""
     errors: ClassVar[list[str]] = []
     """What is told as an error when all is over, a line each."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
-        """Find mistakes, which cost one line and exit code 2, and show how many of the jobs are done."""
+        """Find mistakes, which cost one line and exit code 2."""
         from command import one_line, show
 
         folder = Path(config.hydra.sweep.dir)
-        Sweep.running = str(folder)
+        Sweep.running, Sweep.began = str(folder), time.time()
         for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
             logging.getLogger(name).setLevel(logging.WARNING)
         show()
@@ -57,8 +57,6 @@ class Sweep(Callback):
             _check(config.copy())
         jobs, different = jobs_of(config.hydra)
         os.environ[JOBS], os.environ[SWEPT] = str(jobs), " ".join(different)
-        os.environ[LIST] = str((folder / f".jobs_{os.getpid()}_{time.time_ns()}").absolute())
-        threading.Thread(target=_watch, daemon=True).start()
 
     def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
         """Say which job of a sweep begins."""
@@ -68,15 +66,13 @@ class Sweep(Callback):
             print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}{words and f': {words}'}", flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Say where the results are, which are best, and which jobs failed."""
+        """Say where the results are, and which jobs failed."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
-        done, reasons = ended_jobs()
+        reasons = sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= Sweep.began)
         if reasons:
-            Sweep.errors.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(sorted(reasons))}")
-        if LIST in os.environ:
-            Path(os.environ.pop(LIST)).unlink(missing_ok=True)
+            Sweep.errors.append(f"{len(reasons)} jobs failed; the reasons are in {', '.join(reasons)}")
         print(f"Sweep: {folder}")
-        if done and config.hydra.job.get("config_name") == "train":
+        if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
             say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
 
 
@@ -99,31 +95,6 @@ class Gathering(Callback):
             if not isinstance(error, MENDABLE):
                 traceback.print_exc()
             Sweep.errors.append(in_words(error, "ablation"))
-
-
-def note_job_end(reason: Path | None) -> None:
-    """Note in the list of the sweep that a job has ended, and the file that says why it failed."""
-    if LIST in os.environ:
-        with suppress(OSError), Path(os.environ[LIST]).open("a") as file:
-            file.write(f"{reason or ''}\n")
-
-
-def ended_jobs() -> tuple[int, list[str]]:
-    """Return how many jobs of the sweep are done, and the files that say why others failed."""
-    try:
-        lines = Path(os.environ[LIST]).read_text().splitlines()
-    except (KeyError, OSError):
-        return 0, []
-    return lines.count(""), [line for line in lines if line]
-
-
-def _watch() -> None:
-    """Show how many jobs of a sweep have ended, wherever they run."""
-    while Sweep.running:
-        done, reasons = ended_jobs()
-        words = f"{len(reasons)} failed" if reasons else ""
-        report_progress("sweep", done, int(os.environ[JOBS]), "jobs", words, outer=True)
-        time.sleep(1.0)
 
 
 def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
