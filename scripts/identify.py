@@ -55,11 +55,7 @@ def main(cfg: Any) -> None:
 def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
     """Return the data of a config, and what was added to them.
 
-    Where nobody knows the equations, rates that a log lacks become states, and equations that are known, in
-    `plant.known`.
-
-    Args:
-        cfg: The settings. `plant.known` is written into them where nobody gave it.
+    Where nobody knows the equations, rates that a log lacks become states, and `plant.known` is written into `cfg`.
     """
     from hydra.utils import instantiate
 
@@ -77,13 +73,7 @@ def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
 
 
 def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iterator[str]:
-    """Yield the commands that come next, which hold all that was given, and what comes of them.
-
-    Args:
-        cfg: The settings.
-        found: What was identified.
-        rates: Rate of each state, known or lacking.
-    """
+    """Yield the commands that come next, which hold all that was given, and what comes of them."""
     from hydra.core.hydra_config import HydraConfig
     from next_steps import command_line, without
     from omegaconf import OmegaConf
@@ -133,24 +123,14 @@ def draw(found: Identified, source: Source, folder: Path, formats: list[str]) ->
 
     training, validation = source.training, source.validation
     shown, against = ("log", "the log") if source.logged else ("plant", "the plant")
+    title = (
+        f"Free-running prediction of data that the fit did not see{describe_restarts(validation)}, against {against}"
+    )
+    (t, later), names = (torch.arange(len(data)) * data.dt for data in (training, validation)), source.signature
+    real, predicted, segment = validation.x_next, found.predicted, validation.segment
     figures = {
-        "training_data": training_data(
-            torch.arange(len(training)) * training.dt,
-            training.x,
-            training.u,
-            source.signature,
-            segment=training.segment,
-        ),
-        "prediction": prediction(
-            torch.arange(len(validation)) * validation.dt,
-            validation.x_next,
-            found.predicted,
-            source.signature,
-            f"Free-running prediction of data that the fit did not see{describe_restarts(validation)}, "
-            f"against {against}",
-            validation.segment,
-            shown,
-        ),
+        "training_data": training_data(t, training.x, training.u, names, segment=training.segment),
+        "prediction": prediction(later, real, predicted, names, title, segment, shown),
     }
     save_figures(figures, folder, formats)
 

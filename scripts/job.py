@@ -25,9 +25,6 @@ def run_job(cfg: DictConfig, progress: bool = True) -> tuple[DictConfig, Recipe,
     Returns:
         Its settings, the run's own where it went on with one; the experiment; what its `metrics.json` holds; and
         whether it had ended before.
-
-    Raises:
-        ValueError: The config names no plant, only a log of one, or settings that the run to resume does not have.
     """
     job = HydraConfig.get()
     if cfg.resume is not None:
@@ -53,8 +50,7 @@ def run_job(cfg: DictConfig, progress: bool = True) -> tuple[DictConfig, Recipe,
     if progress:
         print(f"Run folder: {folder}", flush=True)
     before = result(folder, recipe.train.episodes) is not None
-    again = shlex.join([*program("train").split(), *plugins_of(cfg)])
-    kept = cfg.checkpoint.every, again
+    kept = cfg.checkpoint.every, shlex.join([*program("train").split(), *plugins_of(cfg)])
     metrics = run(recipe, evaluating, folder, config, command_and_commit(job), *kept, progress, cfg.finish)
     return cfg, recipe, metrics, before
 

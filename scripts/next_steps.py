@@ -48,12 +48,7 @@ def improvements(
 ) -> str:
     """Return what helps where the plant is not controlled: where the loop is weak, and more or better data.
 
-    Args:
-        folder: Run folder.
-        words: What the user gave.
-        episodes: Real episodes of the run; None of a plan from a log.
-        checked: Whether there is a controller to look at.
-        imagined: Error at the end of imagined episodes [target ranges], if that is known.
+    A plan from a log has no real `episodes`; `imagined` is the error at the end of imagined ones [target ranges].
     """
     from dynasindy.evaluation.tracking_criteria import WITHIN  # which takes seconds that --help does not have
 

@@ -63,14 +63,14 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
     system = instantiate(config.system)
     task = instantiate(config.task, _convert_="all")(signature=system.signature)
     env = instantiate(config.env)(system=system, task=task)
-    if not (folder / "policy.pt").is_file() and (folder / NAME).is_file():
-        return env, load(folder).policy  # a controller that was handed on without the files of its training
-    policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     if not (folder / "policy.pt").is_file():
+        if (folder / NAME).is_file():
+            return env, load(folder).policy  # a controller that was handed on without the files of its training
         raise FileNotFoundError(
             f"{folder} has no policy.pt, its run did not end; go on with {program('train')} resume={folder}, or end it "
             f"there with finish=true beside it"
         )
+    policy = instantiate(config.agent, _convert_="all")(n_obs=task.n_o, n_u=system.signature.n_u).deployed
     policy.load_state_dict(read_weights(folder / "policy.pt", policy.state_dict()))
     return env, policy
 
@@ -100,13 +100,7 @@ def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing |
 def load_scenario(name: str, config: DictConfig, env: ControlEnv) -> Scenario:
     """Return a scenario for the plant of a run, by its name in `scenario` of conf/ or of a folder of the user's own.
 
-    Args:
-        name: Name of its file.
-        config: Configuration of the run.
-        env: Environment of the run, whose episodes and control period the scenario may copy.
-
-    Raises:
-        ValueError: There is no scenario of that name, or its file holds what a scenario does not have.
+    It may copy episodes and control period of the run's environment.
     """
     if name not in (names := group_options("scenario")):
         raise ValueError(unknown_name(name, names, "scenario"))

@@ -122,7 +122,8 @@ def check(cfg: DictConfig, file: str = "") -> None:
             fit = _fit(value, hint, key)
             if repr(fit) != repr(value):  # 10 equals 10.0
                 OmegaConf.update(cfg, key, fit, merge=False)
-        register_functions(tree)
+        for name, formula in ((tree.get("plant") or {}).get("functions") or {}).items():
+            register_formula(name, formula)  # of the user's own, which the library of the plant may hold
     except InterpolationToMissingValueError:  # a log's config names no plant yet, and the command says which there are
         return
     except InterpolationResolutionError as error:
@@ -147,17 +148,11 @@ def _require_global(cfg: DictConfig) -> None:
 
 def _require_plant_settings(plant: Any, text: str) -> None:
     """Refuse settings of a plant that nothing reads."""
-    names = {"plant": set(plant_settings())}
-    for key in PLANT:
-        group, _, name = key.rpartition(".")
-        names.setdefault(group, set()).add(name)
-    for own in re.findall(r"\bplant(?:\.\w+)+", text):
-        for group in names:
-            if own.startswith(f"{group}."):
-                names[group].add(own.removeprefix(f"{group}.").partition(".")[0])
-    for group, allowed in names.items():
-        node = plant if group == "plant" else plant.get(group.partition(".")[2]) if isinstance(plant, dict) else None
-        for name in () if not isinstance(node, dict) else node:
+    read = {*PLANT, *map("plant.{}".format, plant_settings()), *re.findall(r"\bplant(?:\.\w+)+", text)}
+    groups = {"plant": plant, "plant.signals": plant.get("signals")} if isinstance(plant, dict) else {}
+    for group, node in groups.items():
+        allowed = {key.removeprefix(f"{group}.").partition(".")[0] for key in read if key.startswith(f"{group}.")}
+        for name in node if isinstance(node, dict) else ():
             if name not in allowed:
                 raise ValueError(unknown_name(str(name), allowed, group))
 
@@ -192,12 +187,6 @@ def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
 
         hints["guard"] = Guard
     return hints
-
-
-def register_functions(tree: Mapping[str, Any]) -> None:
-    """Register the functions of the user's own that the library of the plant is made of."""
-    for name, formula in ((tree.get("plant") or {}).get("functions") or {}).items():
-        register_formula(name, formula)
 
 
 def _values(tree: Any, hints: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:

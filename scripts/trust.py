@@ -59,14 +59,9 @@ def read_config(file: Path) -> DictConfig:
     return config
 
 
-def trusted(plugins: str | Sequence[str] = ()) -> list[str]:
-    """Return the packages of plug-ins that the user names, in `plugins` and in the environment.
-
-    Args:
-        plugins: What the command was given.
-    """
-    named = [plugins] if isinstance(plugins, str) else list(plugins)
-    return [name for name in re.split(r"[,\s]+", ",".join([*named, os.environ.get(PLUGINS, "")])) if name]
+def trusted(plugins: Sequence[str] = ()) -> list[str]:
+    """Return the packages of plug-ins that the user names, to the command and in the environment."""
+    return [name for name in re.split(r"[,\s]+", ",".join([*plugins, os.environ.get(PLUGINS, "")])) if name]
 
 
 def nodes(tree: Any, key: str = "") -> Iterator[tuple[str, Mapping[Any, Any]]]:
@@ -79,14 +74,10 @@ def nodes(tree: Any, key: str = "") -> Iterator[tuple[str, Mapping[Any, Any]]]:
 
 
 def packages(tree: Any) -> list[str]:
-    """Return the packages beside dynasindy of which settings name parts, which have to be trusted to read them again.
-
-    Args:
-        tree: Settings as plain containers.
-    """
+    """Return the packages beside dynasindy of which settings name parts: to be trusted to read these again."""
     built = [node for _, node in nodes(tree) if "_target_" in node]
-    named = [str(node["_target_"]) for node in built] + [_module(node) for node in built if _module(node)]
-    return sorted({name.partition(".")[0] for name in named} - {"dynasindy"})
+    named = [name for node in built for name in (str(node["_target_"]), _module(node))]
+    return sorted({name.partition(".")[0] for name in named} - {"dynasindy", ""})
 
 
 def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
@@ -117,7 +108,7 @@ def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config
                 f"{where} has env.id: {str(node['id'])[:60]!r}, which imports {module[:40]!r}; name it if you trust "
                 f"it, as by plugins=[{module[:40]}] or {PLUGINS}={module[:40]}"
             )
-        options = node.get("options") or {} if _is_foreign(node) else {}
+        options = node.get("options") or {} if str(node["_target_"]).rpartition(".")[2] in FOREIGN else {}
         for value in options.values() if isinstance(options, Mapping) else [options]:
             if not (value is None or isinstance(value, int | float)):  # it may be the name of a file to read
                 raise ValueError(
@@ -125,14 +116,10 @@ def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config
                 )
 
 
-def _is_foreign(node: Mapping[Any, Any]) -> bool:
-    return str(node.get("_target_")).rpartition(".")[2] in FOREIGN
-
-
 def _module(node: Mapping[Any, Any]) -> str:
     """Return the module that Gymnasium imports for an environment, as `gymnasium.make("module:Name-v0")` does."""
     module, colon, _ = str(node.get("id")).partition(":")
-    return module if colon and _is_foreign(node) else ""
+    return module if colon and str(node.get("_target_")).rpartition(".")[2] in FOREIGN else ""
 
 
 def _distrust(target: Any, plugins: Sequence[str]) -> str:
