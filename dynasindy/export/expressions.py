@@ -17,12 +17,10 @@ from collections.abc import Iterable
 
 import jinja2
 import numpy as np
-from torch import Tensor
 
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import InfixWriter
 from dynasindy.sindy.equations import mapping
-from dynasindy.sindy.library import Library
 from dynasindy.systems.machine import Program
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
@@ -129,7 +127,7 @@ def formulas(model: SindyModel) -> Program:
     Raises:
         ValueError: The model has a function without a formula, or too many terms.
     """
-    return _written(model.library, model.coefficients)
+    return _FormulaWriter(model.library, model.coefficients).program()
 
 
 def right_sides(model: SindyModel) -> Program:
@@ -138,12 +136,7 @@ def right_sides(model: SindyModel) -> Program:
     Raises:
         ValueError: The model has a function without a formula, or too many terms.
     """
-    return _written(*mapping(model.library, model.coefficients))
-
-
-def _written(library: Library, coefficients: Tensor) -> Program:
-    writer, signature = _FormulaWriter(library, coefficients), library.signature
-    return Program(signature.n_x, signature.n_u, writer.named, tuple(writer.results))
+    return _FormulaWriter(*mapping(model.library, model.coefficients)).program()
 
 
 class _FormulaWriter(InfixWriter):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import torch
@@ -35,54 +35,55 @@ def generate(library: Library, coefficients: Tensor) -> Field:
         Diverged: a coefficient is not finite.
         ValueError: the model has more functions than can be written.
     """
-    writer = _FieldWriter(library, require_finite(library, coefficients))
-    field: Field = writer.compiled("field", writer.source())
-    field.__doc__ = writer.source()
+    writer = _TorchWriter(library, require_finite(library, coefficients))
+    source, scope = writer.source(), {"torch": torch, "constants": _constants(writer.constants), **writer.functions}
+    exec(compile(source, "<field of a sparse model>", "exec"), scope)
+    field: Field = scope["field"]
+    field.__doc__ = source
     field.__dict__["step"] = library.step
     return field
 
 
-class _Constants:
-    """Keep numbers as tensors of the dtype and device in use: an operation then need not make them each time."""
-
-    def __init__(self, values: list[float]) -> None:
-        self.values = values
-        self.kept: dict[tuple[torch.dtype, torch.device], tuple[Tensor, ...]] = {}
-
-    def __call__(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Return the numbers in the dtype and on the device of `x`."""
-        key = (x.dtype, x.device)
-        if key not in self.kept:
-            self.kept[key] = tuple(torch.tensor(v, dtype=x.dtype, device=x.device) for v in self.values)
-        return self.kept[key]
+def _constants(values: list[float]) -> Callable[[torch.dtype, torch.device], tuple[Tensor, ...]]:
+    """Keep numbers as tensors of each dtype and device in use: an operation then need not make them each time."""
+    return cache(lambda dtype, device: tuple(torch.tensor(v, dtype=dtype, device=device) for v in values))
 
 
 Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and the coefficient
 
 
 class Writer:
-    """Collect lines of code; every value is written once.
+    """Collect lines of code with infix operators; every value is written once, and what is called is formulas' own.
+
+    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.export.expressions`.
 
     Args:
-        signature: names of the states and inputs, which are `z[0]`, `z[1]`, ... in the code.
+        signature: names of the states and inputs, which are `x[0]`, ..., `u[0]`, ... in the code, as numbers are
+            elements of `k`.
+
+    Attributes:
+        lines: values, each written once, in the order in which they are computed.
+        results: what is computed, in terms of these.
+
+    Raises:
+        ValueError: a function has no formula.
     """
 
     def __init__(self, signature: Signature) -> None:
-        self._n_x, self.lines = signature.n_x, list[str]()
-        self.written: dict[object, str] = {}
-        self.functions: dict[str, object] = {}
-        self.constants: list[float] = []
+        self.signature, self.lines, self.results = signature, list[str](), list[str]()
+        self.written, self.constants = dict[object, str](), list[float]()
         names = (*signature.state_names, *signature.input_names)
         self.variable = {name: self._variable(place) for place, name in enumerate(names)}
 
-    def compiled(self, name: str, source: str) -> Any:
-        """Return the function of that name, compiled."""
-        scope: dict[str, Any] = {"torch": torch, "constants": _Constants(self.constants), **self.functions}
-        exec(compile(source, f"<{name} of a sparse model>", "exec"), scope)
-        return scope[name]
+    def program(self, step: float | None = None) -> Program:
+        """Return what was written; `step` is that of the difference equation."""
+        parted = (line.partition(" = ") for line in self.lines)
+        text = tuple((name, formula) for name, _, formula in parted), tuple(self.results)
+        return Program(self.signature.n_x, self.signature.n_u, *text, tuple(self.constants), step)
 
     def _variable(self, place: int) -> str:
-        return f"z[{place}]"
+        n_x = self.signature.n_x
+        return f"x[{place}]" if place < n_x else f"u[{place - n_x}]"
 
     def _line(self, key: object, expression: str) -> str:
         if key not in self.written:
@@ -118,8 +119,12 @@ class Writer:
 
     def _call(self, name: str, args: list[str]) -> str:
         """Write an elementary function of arguments that are written."""
-        self.functions[f"f_{name}"] = function(name).compute
-        return f"f_{name}({', '.join(args)})"
+        if not (formula := function(name).formula):
+            raise ValueError(
+                f"the model uses the function '{name}', which has no formula; give one: "
+                f"register_function('{name}', ..., formula='1 / (1 + square({{0}}))')"
+            )
+        return formula.format(*args)
 
     def _scaled(self, factor: Factor) -> list[str]:
         """Write the arguments of a factor's function."""
@@ -132,41 +137,29 @@ class Writer:
         return [self._line((a, factor.frequency), f"{a} * {frequency}") for a in args]
 
 
-class _FieldWriter(Writer):
+class InfixWriter(Writer):
     """Write the sums of a sparse model.
-
-    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.export.expressions`.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
 
-    Attributes:
-        lines: values, each written once, in the order in which they are computed.
-        results: dx/dt of each state, in terms of these.
+    Raises:
+        ValueError: a function has no formula, or the model has too many terms.
     """
 
     def __init__(self, library: Library, coefficients: Tensor) -> None:
         super().__init__(library.signature)
-        signature = library.signature
         used = (coefficients != 0).any(-1).nonzero().flatten().tolist()
         table = zip(used, coefficients[used].tolist(), strict=True)
         terms = [({f.base: f.power for f in library.features[k].factors}, row) for k, row in table]
-        rows = [[(powers, row[i]) for powers, row in terms if row[i]] for i in range(signature.n_x)]
+        rows = [[(powers, row[i]) for powers, row in terms if row[i]] for i in range(library.signature.n_x)]
         try:
             self.results = [self._sum(row) if row else self._zero() for row in rows]
         except RecursionError as error:
             raise ValueError(
                 f"the model has too many terms of {len(library)}; remove some: raise the threshold"
             ) from error
-
-    def source(self) -> str:
-        """Return the text of the function."""
-        body = "".join(f"    {line}\n" for line in self.lines)
-        return (
-            "def field(x, u):\n    k, z = constants(x), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
-            f"{body}    return torch.stack(({', '.join(self.results)},), 0).movedim(0, -1)\n"
-        )
 
     def _sum(self, terms: list[Term]) -> str:
         """Write a sum; terms that share a function are summed before they are multiplied by it."""
@@ -210,13 +203,13 @@ class _FieldWriter(Writer):
         return total
 
     def _zero(self) -> str:
-        return "torch.zeros_like(z[0])"
+        return "0.0"
 
     def _plus_product(self, total: str, a: str, b: str) -> str:
-        return f"torch.addcmul({total}, {a}, {b})"
+        return f"{total} + {a} * {b}"
 
     def _plus_scaled(self, total: str, value: str, c: float) -> str:
-        return f"torch.add({total}, {value}, alpha={c!r})"
+        return f"{total} + {self._constant(c)} * {value}"
 
 
 def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Factor, int]:
@@ -225,46 +218,37 @@ def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Fact
     return {f: n for f, n in left.items() if n}
 
 
-class _FormulaWriter(Writer):
-    """Write with infix operators; what is called are `FORMULA_FUNCTIONS` alone.
+class _TorchWriter(InfixWriter):
+    """Write torch code, of functions without a formula, too, in as few operations as there can be."""
 
-    Raises:
-        ValueError: a function has no formula.
-    """
+    def __init__(self, library: Library, coefficients: Tensor) -> None:
+        self.functions: dict[str, Any] = {}
+        super().__init__(library, coefficients)
 
-    @property
-    def named(self) -> tuple[tuple[str, str], ...]:
-        """Name and formula of each value, in the order in which they are computed."""
-        return tuple((name, text) for name, _, text in (line.partition(" = ") for line in self.lines))
+    def source(self) -> str:
+        """Return the text of the function."""
+        body = "".join(f"    {line}\n" for line in self.lines)
+        return (
+            "def field(x, u):\n"
+            "    k, z = constants(x.dtype, x.device), (*x.unbind(-1), *u.to(x.dtype).unbind(-1))\n"
+            f"{body}    return torch.stack(({', '.join(self.results)},), 0).movedim(0, -1)\n"
+        )
 
     def _variable(self, place: int) -> str:
-        return f"x[{place}]" if place < self._n_x else f"u[{place - self._n_x}]"
+        return f"z[{place}]"
 
     def _call(self, name: str, args: list[str]) -> str:
-        if not (formula := function(name).formula):
-            raise ValueError(
-                f"the model uses the function '{name}', which has no formula; give one: "
-                f"register_function('{name}', ..., formula='1 / (1 + square({{0}}))')"
-            )
-        return formula.format(*args)
-
-
-class InfixWriter(_FormulaWriter, _FieldWriter):
-    """Write the sums of a sparse model with infix operators.
-
-    Args:
-        library: candidate functions.
-        coefficients: Xi, `(n_features, n_x)`; zeros cost nothing.
-
-    Raises:
-        ValueError: a function has no formula.
-    """
+        self.functions[f"f_{name}"] = function(name).compute
+        return f"f_{name}({', '.join(args)})"
 
     def _zero(self) -> str:
-        return "0.0"
+        return "torch.zeros_like(z[0])"
 
     def _plus_product(self, total: str, a: str, b: str) -> str:
-        return f"{total} + {a} * {b}"
+        return f"torch.addcmul({total}, {a}, {b})"
+
+    def _plus_scaled(self, total: str, value: str, c: float) -> str:
+        return f"torch.add({total}, {value}, alpha={c!r})"
 
 
 def write_program(library: Library, coefficients: Tensor) -> Program:
@@ -277,9 +261,7 @@ def write_program(library: Library, coefficients: Tensor) -> Program:
     Raises:
         ValueError: a function has no formula, or the model has too many terms.
     """
-    writer, signature = _MachineWriter(library, coefficients), library.signature
-    text = writer.named, tuple(writer.results)
-    return Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step)
+    return InfixWriter(library, coefficients).program(library.step)
 
 
 @lru_cache(maxsize=4)
@@ -287,13 +269,6 @@ def _program_of(library: Library, coefficients: tuple[float, ...]) -> Program:
     """Return the program of a model; the same one is simulated from other states in turn."""
     xi = torch.tensor(coefficients, dtype=torch.float64)
     return write_program(library, xi.reshape(len(library), library.signature.n_x))
-
-
-class _MachineWriter(InfixWriter):
-    """Leave numbers as elements of `k`."""
-
-    def _plus_scaled(self, total: str, value: str, c: float) -> str:
-        return f"{total} + {self._constant(c)} * {value}"
 
 
 def simulate(
@@ -326,7 +301,20 @@ def simulate(
         return simulate_program(program, x, u, dt, substeps, u_end, update)
     except (ValueError, OSError):
         pass  # a function has no formula, or there is no compiler
-    field, states = generate(library, coefficients), list[Tensor]()
+    return advance(generate(library, coefficients), x, u, dt, substeps, u_end, update)
+
+
+def advance(
+    field: Field,
+    x: Tensor,
+    u: Tensor,
+    dt: float,
+    substeps: int,
+    u_end: Tensor | None = None,
+    update: MeasurementUpdate | None = None,
+) -> Tensor:
+    """Predict trajectories of a vector field by torch code, otherwise as `simulate`."""
+    states = []
     for k in range(u.shape[1]):
         x = moved(field, x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
         states.append(x)
@@ -344,13 +332,11 @@ def write_functions(library: Library, shapes: Sequence[Factor]) -> tuple[Program
     Raises:
         ValueError: a function has no formula.
     """
-    writer, signature = _FunctionWriter(library, shapes), library.signature
-    text = writer.named, tuple(writer.results)
-    program = Program(signature.n_x, signature.n_u, *text, tuple(writer.constants), library.step)
-    return program, [writer.numbers.get(shape) for shape in shapes]
+    writer = _FunctionWriter(library, shapes)
+    return writer.program(library.step), [writer.numbers.get(shape) for shape in shapes]
 
 
-class _FunctionWriter(_FormulaWriter):
+class _FunctionWriter(Writer):
     """Write functions; the number of each of `shapes` is a constant of its own."""
 
     def __init__(self, library: Library, shapes: Sequence[Factor]) -> None:

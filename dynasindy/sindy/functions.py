@@ -230,7 +230,7 @@ def register_function(
         raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
     default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
     # What is given is not kept for other languages: its tree is written anew, from numbers and known names alone.
-    written = _written(_read(name, formula)) if formula else ""
+    written = _read(name, formula)[0] if formula else ""
     made = Function(name, compute, name + "({0})", latex or default, formula=written, given=formula)
     _REGISTRY[name] = made
     return made
@@ -263,23 +263,15 @@ def _ways(name: str, formula: str) -> str:
 
 LONGEST = 300
 """Characters of a formula."""
-_OPERATORS: dict[type[ast.AST], Callable[..., Tensor]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.USub: operator.neg,
+_OPERATORS: dict[type[ast.AST], tuple[str, Callable[..., Tensor]]] = {
+    ast.Add: ("+", operator.add),
+    ast.Sub: ("-", operator.sub),
+    ast.Mult: ("*", operator.mul),
+    ast.Div: ("/", operator.truediv),
 }
-_SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _CALLS: dict[str, Callable[..., Tensor]] = {
-    "sin": torch.sin,
-    "cos": torch.cos,
-    "exp": torch.exp,
-    "tanh": torch.tanh,
-    "sqrt": torch.sqrt,
+    **{name: getattr(torch, name) for name in FORMULA_FUNCTIONS if hasattr(torch, name)},
     "fabs": torch.abs,
-    "sign": torch.sign,
-    "square": torch.square,
     "larger": torch.maximum,
 }
 
@@ -308,8 +300,7 @@ def register_formula(name: str, formula: str) -> Function:
             return known
         told = known.given or "which is not of a formula"
         raise FunctionError(f"function {name!r} is another function here, {told}; give yours another name")
-    tree = _read(name, formula)
-    return register_function(name, lambda *z: _value(tree, z), formula=formula)
+    return register_function(name, _read(name, formula)[1], formula=formula)
 
 
 def formula_texts(names: Iterable[str]) -> dict[str, str]:
@@ -318,74 +309,49 @@ def formula_texts(names: Iterable[str]) -> dict[str, str]:
     return {name: formula for name, formula in found.items() if formula}
 
 
-def _read(name: str, formula: object) -> ast.expr:
-    """Return the tree of a formula, of which every node is allowed."""
+def _read(name: str, formula: object) -> tuple[str, Callable[..., Tensor]]:
+    """Return a formula in brackets, floats and known names, which every language reads alike, and what computes it."""
     allowed = f"allowed are {{0}}, {{1}}, numbers, + - * /, brackets and {', '.join(FORMULA_FUNCTIONS)}"
     told = str(formula)[:60]
     if not isinstance(formula, str) or len(formula) > LONGEST:
         raise ValueError(f"function {name!r} has the formula {told!r}; {allowed}: mend it")
     try:
-        tree = parsed(re.sub(r"\{(\d)\}", rf" {_ARGUMENT}\1 ", formula).strip())
-        wrong = _wrong(tree)
+        written, compute = _translated(parsed(re.sub(r"\{(\d)\}", rf" {_ARGUMENT}\1 ", formula).strip()))
     except (SyntaxError, ValueError, OverflowError, RecursionError, MemoryError) as error:
         raise ValueError(f"function {name!r}: {told!r} cannot be read; {allowed}: mend it") from error
-    if wrong is not None:
-        raise ValueError(f"function {name!r}: {told!r} holds {ast.unparse(wrong)[:40]!r}; {allowed}: mend it")
-    places = {int(place) for place in re.findall(r"\{(\d)\}", _written(tree))}
+    except LookupError as error:
+        wrong = ast.unparse(error.args[0])[:40]
+        raise ValueError(f"function {name!r}: {told!r} holds {wrong!r}; {allowed}: mend it") from error
+    places = {int(place) for place in re.findall(r"\{(\d)\}", written)}
     if lacking := sorted({*range(max(places, default=0) + 1)} - places):
         raise ValueError(
             f"function {name!r}: {told!r} has no {{{lacking[0]}}}, which stands for argument {lacking[0] + 1}; write "
             "it in"
         )
-    return tree
+    return written, compute
 
 
-def _wrong(node: ast.expr) -> ast.expr | None:
-    """Return the first node that is not allowed."""
+def _translated(node: ast.expr) -> tuple[str, Callable[..., Tensor]]:
+    """Return the text of a part of a formula, and what computes it of the arguments, of their shape.
+
+    Raises:
+        LookupError: it is no such part; the argument is the node.
+    """
     match node:
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return _wrong(left) or _wrong(right)
-        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
-            return _wrong(operand)
+            (a, first), (b, second), (sign, both) = _translated(left), _translated(right), _OPERATORS[type(op)]
+            return f"({a} {sign} {b})", lambda *z: both(first(*z), second(*z))
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            a, value = _translated(operand)
+            return f"(0.0 - {a})", lambda *z: -value(*z)
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in _CALLS:
-            return next(filter(None, map(_wrong, args)), None) if len(args) == 1 + (name == "larger") else node
-        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
-            return None if math.isfinite(float(value)) else node
+            if len(args) == 1 + (name == "larger"):
+                texts, values = zip(*map(_translated, args), strict=True)
+                return f"{name}({', '.join(texts)})", lambda *z: _CALLS[name](*(value(*z) for value in values))
+        case ast.Constant(value=number) if isinstance(number, int | float) and not isinstance(number, bool):
+            if math.isfinite(size := float(number)):
+                return repr(size), lambda z, *_: torch.full_like(z, size)
         case ast.Name(id=name) if re.fullmatch(rf"{_ARGUMENT}\d", name):
-            return None
-        case _:
-            return node
-
-
-def _written(node: ast.expr) -> str:
-    """Return a node in brackets, floats and known names, which every language reads alike."""
-    match node:
-        case ast.BinOp(left=left, op=op, right=right):
-            return f"({_written(left)} {_SIGNS[type(op)]} {_written(right)})"
-        case ast.UnaryOp(operand=operand):
-            return f"(0.0 - {_written(operand)})"
-        case ast.Call(func=ast.Name(id=name), args=args):
-            return f"{name}({', '.join(_written(arg) for arg in args)})"
-        case ast.Constant(value=value):
-            return repr(float(value))  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return f"{{{name.removeprefix(_ARGUMENT)}}}"
-        case _:
-            raise AssertionError  # `_wrong` has refused it
-
-
-def _value(node: ast.expr, z: tuple[Tensor, ...]) -> Tensor:
-    """Return the value of a node at the arguments, of their shape."""
-    match node:
-        case ast.BinOp(left=left, op=op, right=right):
-            return _OPERATORS[type(op)](_value(left, z), _value(right, z))
-        case ast.UnaryOp(op=op, operand=operand):
-            return _OPERATORS[type(op)](_value(operand, z))
-        case ast.Call(func=ast.Name(id=name), args=args):
-            return _CALLS[name](*(_value(arg, z) for arg in args))
-        case ast.Constant(value=value):
-            return torch.full_like(z[0], float(value))  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return z[int(name.removeprefix(_ARGUMENT))]
-        case _:
-            raise AssertionError  # `_wrong` has refused it
+            place = int(name.removeprefix(_ARGUMENT))
+            return f"{{{place}}}", lambda *z: z[place]
+    raise LookupError(node)

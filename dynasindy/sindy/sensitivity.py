@@ -9,14 +9,11 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.codegen import write_functions
+from dynasindy.sindy.codegen import advance, write_functions
 from dynasindy.sindy.library import Factor, Library
 from dynasindy.systems.compiler import compiler
 from dynasindy.systems.interpreter import MeasurementUpdate, Slopes
-from dynasindy.systems.steps import between, steps_of
-
-MOST = 2_000_000
-"""Numbers of functions and slopes, about, that are kept at a time, so that they stay in fast memory."""
+from dynasindy.systems.steps import Rates
 
 
 @dataclass(frozen=True)
@@ -93,7 +90,7 @@ class Propagator:
         position = torch.zeros(len(used), dtype=torch.int64)
         position[rows] = torch.arange(len(rows))
         self._own = position[parameters.features], parameters.states
-        self.n_x, self.shapes, self.step = xi.shape[1], tuple(shapes), library.step
+        self.n_x, self.shapes = xi.shape[1], tuple(shapes)
         self._library = library.subset(rows.tolist())
 
     @cached_property
@@ -105,44 +102,6 @@ class Propagator:
             return Slopes(*write_functions(self._library, self.shapes))
         except (ValueError, OSError):
             return None
-
-    def _by_state(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the functions, `(B, n_features)`, and the derivatives of the rates by the states, `(B, n_x, n_x)`."""
-        units = torch.eye(self.n_x, dtype=x.dtype).unbind()
-        found = [torch.func.jvp(lambda z: self._library(z, u), (x,), (unit.expand_as(x),)) for unit in units]
-        return found[0][0], torch.stack([each[1] @ self.xi for each in found], -1)
-
-    def slopes_by_state(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return the derivatives of the rates by the states, `(N, n_x, n_x)`."""
-        if self._code and x.dtype == u.dtype == torch.float64:
-            return self._code.rates_by_state(self.xi, x, u)
-        return self._by_state(x, u)[1]
-
-    def transfer(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Return the states one sampling interval later, and their derivatives by what the interval begins with.
-
-        Args:
-            x: states, `(B, n_x)`.
-            u: inputs at the start of the interval, `(B, n_u)`.
-            dt: length of the interval [s].
-            substeps: Runge-Kutta steps in it; a difference equation has its own.
-            u_end: inputs at its end, see `Transitions`.
-
-        Returns:
-            States, `(B, n_x)`, and derivatives by the states before, the shapes and the coefficients,
-            `(B, n_x, n_x + S + P)`.
-        """
-        if self._code:
-            last = None if u_end is None else u_end.unsqueeze(1)
-            ends, slopes = self._code.trajectories(self.xi, self._own, x, u.unsqueeze(1), dt, substeps, last)
-            return ends[:, 0], slopes[:, 0]
-        stages = 4 * substeps * (len(self.xi) + self.n_x**2 + self.n_x * len(self.shapes))
-        length = max(1, MOST // stages)
-        parts = zip(x.split(length), u.split(length), (u if u_end is None else u_end).split(length), strict=True)
-        found = [self._transfer(a, b, dt, substeps, None if u_end is None else c) for a, b, c in parts]
-        return torch.cat([end for end, _ in found]), torch.cat([slopes for _, slopes in found])
 
     def trajectories(
         self,
@@ -169,52 +128,37 @@ class Propagator:
         """
         if self._code:
             return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end, update)
-        ends, slopes, before = [], list[Tensor](), x
-        fitted = None if update is None else update.free
-        for k in range(u.shape[1]):
-            x, moved = self.transfer(x, u[:, k], dt, substeps, None if u_end is None else u_end[:, k])
-            if fitted is not None:
-                none = moved.new_zeros(*moved.shape[:2], fitted.shape[1])
-                moved = torch.cat([moved[..., : self.n_x], none, moved[..., self.n_x :]], -1)
-            ends.append(x)
-            slopes.append(_chained(moved, before) if slopes else moved)
-            before = slopes[-1]
+        return self._by_autograd(x, u, dt, substeps, u_end, update)
+
+    def _by_autograd(
+        self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None, update: MeasurementUpdate | None
+    ) -> tuple[Tensor, Tensor]:
+        """Return the same by torch code, one direction at a time."""
+        fitted = torch.zeros(2, 0).long() if update is None or update.free is None else update.free
+        sizes = [self.n_x, fitted.shape[1], len(self.shapes), len(self._own[0])]
+
+        def _ends(changes: Tensor) -> Tensor:
+            start, gain, numbers, values = changes.split(sizes)
+            xi = self.xi.index_put(self._own, values, accumulate=True)
+
+            def _field(x: Tensor, u: Tensor) -> Tensor:
+                theta = self._library(x, u)
+                return (theta + self._library.by_shapes(x, u, self.shapes) @ numbers if self.shapes else theta) @ xi
+
+            corrected = update
             if update is not None:
-                missed, there = (update.measured[:, k] - x).nan_to_num(), update.measured[:, k].isfinite()
-                x = update.corrected(x, k)
-                before = before - (update.gain * there.unsqueeze(-2)) @ before
-                for column, (i, j) in enumerate([] if fitted is None else fitted.mT.tolist()):
-                    before[:, i, self.n_x + column] += missed[:, j]
-        return torch.stack(ends, 1), torch.stack(slopes, 1)
+                changed = update.gain.index_put(tuple(fitted), gain, accumulate=True)
+                corrected = update._replace(gain=changed)
+            field = Rates(_field, self._library.step)
+            return advance(field, x + start, u, dt, substeps, u_end, corrected)
 
-    def _transfer(self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None) -> tuple[Tensor, Tensor]:
-        (h, count, difference), none = steps_of(self.step, dt, substeps), len(self.shapes) + len(self._own[0])
-        s = torch.nn.functional.pad(torch.eye(self.n_x, dtype=x.dtype), (0, none)).expand(len(x), -1, -1)
-        parts = [(0.0, h)] if difference else [(0.0, h / 6), (h / 2, h / 3), (h / 2, h / 3), (h, h / 6)]
-        for k in range(count):
-            dx, ds, total, moved = torch.zeros_like(x), torch.zeros_like(s), x, s
-            for ahead, weight in parts:
-                at = x + ahead * dx, between(u, u_end, (k + ahead / h) / count)
-                dx, ds = self._rates(*at, s + ahead * ds)
-                total, moved = total + weight * dx, moved + weight * ds
-            x, s = total, moved
-        return x, s
-
-    def _rates(self, x: Tensor, u: Tensor, s: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the rates of states and of their derivatives `(B, n_x, n_x + S + P)`."""
-        theta, by_state = self._by_state(x, u)
-        features, states = self._own
-        own = x.new_zeros(len(x), self.n_x, len(features))
-        own[:, states, torch.arange(len(features))] = theta[:, features]
-        by_shape = (self._library.by_shapes(x, u, self.shapes).mT @ self.xi).mT
-        ds = by_state @ s
-        ds[..., self.n_x :] += torch.cat([by_shape, own], -1)
-        return theta @ self.xi, ds
+        none = x.new_zeros(sum(sizes))
+        found = [torch.func.jvp(_ends, (none,), (unit,)) for unit in torch.eye(len(none), dtype=x.dtype)]
+        return found[0][0], torch.stack([each[1] for each in found], -1)
 
 
-def _chained(moved: Tensor, s: Tensor) -> Tensor:
-    """Return the sensitivities after an interval of those before it, both `(B, n_x, n_x + S + P)`."""
-    n_x = moved.shape[1]
-    after = moved[..., :n_x] @ s
-    after[..., n_x:] += moved[..., n_x:]
-    return after
+def slopes_by_state(library: Library, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
+    """Return the derivatives of the rates by the states, `(N, n_x, n_x)`: of a step of 1 s by them, less one."""
+    none = Parameters.where(torch.zeros_like(xi, dtype=torch.bool))
+    slopes = Propagator(library.with_step(1.0), xi, none).trajectories(x, u.unsqueeze(1), 1.0, 1)[1]
+    return slopes[:, 0] - torch.eye(xi.shape[1], dtype=slopes.dtype)

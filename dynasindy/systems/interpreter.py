@@ -96,13 +96,6 @@ class Slopes:
         _library()
         self._listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
 
-    def rates_by_state(self, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
-        """Return the derivatives of the rates by the states, `(B, n_x, n_x)`."""
-        none = torch.zeros(0, dtype=torch.int64)
-        steps = Steps(1.0, 1, True)
-        after = _simulated(self._listing, self.program, xi, (none, none), x, u.unsqueeze(1), None, steps, None)[1]
-        return after[:, 0, :, : xi.shape[1]] - torch.eye(xi.shape[1], dtype=after.dtype)
-
     def trajectories(
         self,
         xi: Tensor,

@@ -50,12 +50,12 @@ def test_inputs_are_held_over_their_period():
 
 
 def test_rates_of_a_sparse_model_have_the_slopes_on_paper():
-    """a' = 2 sin(a) + u b^2 / 2 and b' = -3 b sin(a), where sin(a) is computed once."""
-    functions = Program(2, 1, (("v0", "sin(x[0])"),), ("v0", "v0 * x[1]", "u[0] * square(x[1])"))
+    """a' = 2 sin(a) + u b^2 / 2 and b' = -3 b sin(a), where sin(a) is computed once; a step of 1 s adds the states."""
+    functions = Program(2, 1, (("v0", "sin(x[0])"),), ("v0", "v0 * x[1]", "u[0] * square(x[1])"), step=1.0)
     xi = torch.tensor([[2.0, 0.0], [0.0, -3.0], [0.5, 0.0]], dtype=torch.float64)
     x, u = numbers(ROWS, 2), numbers(ROWS, 1, seed=1)
     (a, b), v = x.T.numpy(), u[:, 0].numpy()
-    wanted = [[2 * np.cos(a), v * b], [-3 * b * np.cos(a), -3 * np.sin(a)]]
-    np.testing.assert_allclose(
-        Slopes(functions).rates_by_state(xi, x, u).permute(1, 2, 0), wanted, rtol=1e-11, atol=1e-12
-    )
+    wanted = [[1 + 2 * np.cos(a), v * b], [-3 * b * np.cos(a), 1 - 3 * np.sin(a)]]
+    none = torch.zeros(0, dtype=torch.int64)
+    found = Slopes(functions).trajectories(xi, (none, none), x, u.unsqueeze(1), 1.0, 1)[1][:, 0]
+    np.testing.assert_allclose(found.permute(1, 2, 0), wanted, rtol=1e-11, atol=1e-12)
