@@ -17,7 +17,7 @@ from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.sensitivity import Parameters, Propagator
+from dynasindy.sindy.sensitivity import Parameters, Propagator, slopes_by_state
 from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
 
@@ -26,10 +26,8 @@ ENOUGH = 10_000
 CHOSEN_STRETCHES = 10
 """Stretches that the rows lie in that are chosen of a long recording."""
 CHUNK, TALL = 100_000, 4
-"""Slopes, about, that are condensed at once, so that they stay in fast memory, and rows at least for each column, by
-which condensing them is worth its cost."""
-MOST_SLOPES = 10_000_000
-"""Slopes that are held in memory; of more windows they are computed part by part, whenever they are asked for."""
+"""Slopes, about, that are computed and condensed at once, so that they stay in fast memory, and rows at least for each
+column, by which condensing them is worth its cost."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +124,12 @@ class Windows:
         """Return what was measured of some states, bool `(n_x,)`."""
         measured, mask = self.measured[..., chosen], self.mask[..., chosen]
         return replace(self, first=self.first[:, chosen], measured=measured, mask=mask)
+
+    def part(self, rows: slice) -> Windows:
+        """Return some of the windows."""
+        names = ("rows", "first", "inputs", "measured", "mask", "joined", "last_inputs", "history")
+        parts: dict[str, Any] = {name: None if (each := getattr(self, name)) is None else each[rows] for name in names}
+        return replace(self, **parts)
 
     def __len__(self) -> int:
         """Count the windows."""
@@ -225,12 +229,14 @@ class Flow:
         parameters: coefficients to differentiate by, P of them.
         windows: the recording.
         predicted: states at the ends of the intervals, `(W, L, n_x)`.
+        propagator: what computes sensitivities, if it is at hand.
     """
 
     estimate: Estimate
     parameters: Parameters
     windows: Windows
     predicted: Tensor
+    propagator: Propagator | None = None
 
     @classmethod
     def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
@@ -244,8 +250,7 @@ class Flow:
 
         D numbers of the gain and the delay are fitted.
         """
-        estimate, windows = self.estimate, self.windows
-        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
+        estimate, windows, propagator = self.estimate, self.windows, self.propagator or self._propagator()
         update, inputs = estimate.measurement_update(windows), (windows.inputs, windows.dt, windows.substeps)
         s = propagator.trajectories(estimate.nodes, *inputs, windows.last_inputs, update)[1]
         if windows.history is None:
@@ -255,69 +260,28 @@ class Flow:
         by_delay = ((later - self.predicted) / (STEP * windows.dt)).unsqueeze(-1)
         return torch.cat([s[..., :place], by_delay, s[..., place:]], -1)
 
-    @property
-    def count(self) -> int:
-        """Count the slopes."""
-        columns = self.predicted.shape[-1] + len(self.estimate.library.shapes) + len(self.parameters)
-        return self.predicted.numel() * columns
+    def _propagator(self) -> Propagator:
+        library = self.estimate.library
+        return Propagator(library, self.estimate.xi, self.parameters, library.shapes)
 
     @property
     def pieces(self) -> int:
-        """Count the parts of the recording whose slopes are condensed one after the other."""
-        n_x, seen = self.predicted.shape[-1], int(_observed(self.windows).sum())
-        tall = self.predicted.numel() ** 2 * seen // (TALL * n_x**2 * self.count)
-        return max(1, min(1 + self.count // CHUNK, tall))
-
-    @property
-    def whole(self) -> bool:
-        """Whether all slopes are held in memory."""
-        return self.count <= MOST_SLOPES or self.pieces == 1
-
-    @cached_property
-    def s_ends(self) -> Tensor:
-        """Derivatives of the states at the end of each window, `(W, n_x, n_x + S + P)`."""
-        if self.whole:
-            return self.s[:, -1]
-        parts = (self.part(slice(k, k + self.some)) for k in range(0, len(self.windows), self.some))
-        return torch.cat([part.s[:, -1].clone() for part in parts])
-
-    @property
-    def some(self) -> int:
-        """Count the windows whose slopes are computed at once where they are not all held in memory."""
-        return max(1, len(self.windows) * MOST_SLOPES // self.count)
-
-    def part(self, rows: slice) -> Flow:
-        """Return the trajectories of some of the windows."""
-        names = ("rows", "first", "inputs", "measured", "mask", "joined", "last_inputs", "history")
-        parts: dict[str, Any] = {
-            name: None if (each := getattr(self.windows, name)) is None else each[rows] for name in names
-        }
-        windows = replace(self.windows, **parts)
-        estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
-        part = Flow(estimate, self.parameters, windows, self.predicted[rows])
-        if self.whole:
-            part.__dict__["s"] = self.s[rows]
-        return part
+        """Count the parts of the recording whose slopes are computed and condensed one after the other."""
+        n_x, seen, states = self.predicted.shape[-1], int(_observed(self.windows).sum()), self.predicted.numel()
+        count = states * (n_x + len(self.estimate.library.shapes) + len(self.parameters))
+        return max(1, min(1 + count // CHUNK, states**2 * seen // (TALL * n_x**2 * count)))
 
     def parts(self, count: int) -> Iterator[tuple[slice, Flow]]:
-        """Yield so many parts of the windows, and their trajectories; slopes are computed of many windows at once."""
-        whole, begin = self.whole, 0
-        block = self if whole else None
-        for windows in torch.arange(len(self.windows)).tensor_split(count):
-            first, last = int(windows[0]), int(windows[-1]) + 1
-            if not whole and (block is None or last - begin > len(block.windows)):
-                begin, block = first, self.part(slice(first, max(last, first + self.some)))
-            assert block is not None
-            yield slice(first, last), block.part(slice(first - begin, last - begin))
+        """Yield so many parts of the windows, and their trajectories."""
+        propagator, predicted = self._propagator(), self.predicted
+        for each in torch.arange(len(self.windows)).tensor_split(count):
+            rows = slice(int(each[0]), int(each[-1]) + 1)
+            estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
+            yield rows, Flow(estimate, self.parameters, self.windows.part(rows), predicted[rows], propagator)
 
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""
-        finite = self.predicted.square().isfinite().all(-1).all(-1)
-        if bool(finite.all()):
-            slopes = self.s if self.whole else self.s_ends
-            if not bool(torch.dot(flat := slopes.flatten(), flat).isfinite()):
-                finite = slopes.square().isfinite().flatten(1).all(-1)
-        return ~finite
+        return ~self.predicted.square().isfinite().all(-1).all(-1)
 
     def sigma(self) -> Tensor:
         """Return the error of each state, `(n_x,)`, not below rounding.
@@ -347,7 +311,7 @@ def relative_step(library: Library, xi: Tensor, x: Tensor, u: Tensor, dt: float)
     """
     if library.step is not None or not bool(xi.any()):
         return 0.0
-    slopes = Propagator(library, xi, Parameters.where(xi != 0)).slopes_by_state(x, u)
+    slopes = slopes_by_state(library, xi, x, u)
     rates = torch.linalg.eigvals(slopes[slopes.isfinite().all(-1).all(-1)]).abs().amax(-1)
     return dt * float(torch.quantile(rates[-100_000:], 0.999)) if len(rates) else 0.0
 
@@ -510,19 +474,21 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
     """
     windows, observed = flow.windows, _observed(flow.windows)
     joined, n_seen = bool(windows.joined.any()), int(observed.sum())
-    nodes, triangles, moves = _condense(flow) if joined else None, list[Tensor](), list[Tensor]()
+    triangles, moves, ahead = list[Tensor](), list[Tensor](), None
     parts = 1 if len(windows) < count else count
     for mine, part in flow.parts(parts):
-        if nodes is None:
-            rows, moved = _alone(part, sigma, observed)
+        if joined:
+            moved, ahead = _node_moves(flow, mine, part.s[:, -1], ahead)
+            rows = _joined(part, sigma, moved, observed)
         else:
-            rows, moved = _joined(part, sigma, nodes[mine], observed), nodes[mine]
+            rows, moved = _alone(part, sigma, observed)
         units = len(windows) if len(windows) >= count // parts > 1 else len(rows) // n_seen
         pieces = rows.unflatten(0, (units, -1)).tensor_split(count // parts)
         triangles += [torch.linalg.qr(piece.flatten(0, 1), mode="r")[1] for piece in pieces if len(piece)]
         moves.append(moved)
+    nodes = torch.cat(moves) if windows.floor is None else moves[0]
     norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
-    rest = [_starts(flow, sigma, nodes, norms)] if nodes is not None else []
+    rest = [_starts(flow, sigma, nodes, norms)] if joined else []
     if windows.prior is not None:
         rest.append(_small(flow, triangles[0].shape[1]))
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
@@ -533,7 +499,7 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         places = parameters.features, parameters.states
         norms = torch.cat([norms.unsqueeze(0), *rest]).norm(dim=0)
         rest.append(_scale_constraints(exponents, estimate.xi, norms, places))
-    return triangles, torch.cat([triangles[0][:0], *rest]), torch.cat(moves) if windows.floor is None else moves[0]
+    return triangles, torch.cat([triangles[0][:0], *rest]), nodes
 
 
 def _observed(windows: Windows) -> Tensor:
@@ -668,26 +634,36 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
     return torch.where(seen, sigma, relative * spread).clamp_min(EXACT)
 
 
-def _condense(flow: Flow) -> Tensor:
-    """Express the move of every node by the moves of the first nodes, of the shapes and of the coefficients.
+def _node_moves(flow: Flow, mine: slice, s: Tensor, ahead: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Express the moves of nodes by those of the first nodes, of the shapes and of the coefficients.
 
     A window that continues another one starts where that one ends:
     d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
+
+    Args:
+        flow: all windows.
+        mine: the windows whose nodes these are.
+        s: sensitivities at their ends, `(W, n_x, n_x + S + P)`.
+        ahead: how the end of the window before them moves, `(n_x, F + P + 1)`; None of the first.
+
+    Returns:
+        The moves, `(W, n_x, F + P + 1)`, and how the end of the last window moves.
     """
-    nodes, windows, s = flow.estimate.nodes, flow.windows, flow.s_ends
-    n_x = nodes.shape[1]
-    n_own, n_start = s.shape[-1] - n_x, n_x * int((~windows.joined).sum())
-    moves = torch.zeros(len(nodes), n_x, n_start + n_own + 1, dtype=nodes.dtype)
-    joined = windows.joined.nonzero().flatten()
-    moves[joined, :, n_start : n_start + n_own] = s[joined - 1, :, n_x:]
-    moves[joined, :, -1] = _gaps(flow)[joined]
-    starts = moves[~windows.joined, :, :n_start]
-    moves[~windows.joined, :, :n_start] = torch.eye(n_start, dtype=nodes.dtype).view(*starts.shape)
-    own, slopes = moves.numpy(), s[:, :, :n_x].numpy()
+    joined, gaps = flow.windows.joined, _gaps(flow)
+    n_x, n_own, n_start = s.shape[1], s.shape[2] - s.shape[1], s.shape[1] * int((~joined).sum())
+    moves = s.new_zeros(len(s), n_x, n_start + n_own + 1)
+    begun = n_x * ((~joined).cumsum(0) - 1)
+    own, slopes, end = moves.numpy(), s.numpy(), None if ahead is None else ahead.numpy()
     with np.errstate(all="ignore"):  # what runs away is told by what is left of it
-        for j in joined.tolist():
-            own[j] += slopes[j - 1] @ own[j - 1]
-    return moves
+        for k, j in enumerate(range(mine.start, mine.stop)):
+            if bool(joined[j]):
+                own[k] = end
+                own[k, :, -1] += gaps[j].numpy()
+            else:
+                own[k, :, int(begun[j]) : int(begun[j]) + n_x] = np.eye(n_x)
+            end = slopes[k, :, :n_x] @ own[k]
+            end[:, -1 - n_own : -1] += slopes[k, :, n_x:]
+    return moves, torch.from_numpy(end)
 
 
 def _gaps(flow: Flow) -> Tensor:

@@ -350,7 +350,8 @@ def _grows(flow: Flow) -> tuple[float, Tensor]:
     """
     windows, spread = flow.windows, flow.estimate.nodes.std(0, correction=0).clamp_min(1e-12)
     whole, part, largest, joined = torch.eye(len(spread), dtype=spread.dtype), None, 0.0, windows.joined.clone()
-    for j, step in enumerate((flow.s_ends[:, :, : len(spread)] * spread / spread.unsqueeze(-1)).unbind()):
+    ends = torch.cat([part.s[:, -1, :, : len(spread)] for _, part in flow.parts(flow.pieces)])
+    for j, step in enumerate((ends * spread / spread.unsqueeze(-1)).unbind()):
         whole = step @ whole if windows.joined[j] else step
         largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
         longer = step @ part if part is not None and windows.joined[j] else step

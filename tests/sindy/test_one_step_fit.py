@@ -71,7 +71,7 @@ def test_a_recording_is_fitted_block_by_block_as_it_is_at_once(monkeypatch):
     data, xi = recording(0.05), column(-1.0, 2.0, 0.0, 0.0)
     whole = refined(xi, FREE, data, 1e-9)
     monkeypatch.setattr(shooting, "CHUNK", 40)
-    monkeypatch.setattr(shooting, "MOST_SLOPES", 40)
+    monkeypatch.setattr(shooting, "CHUNK", 40)
     found = refined(xi, FREE, data, 1e-9)
     torch.testing.assert_close(found.coefficients, whole.coefficients, rtol=1e-9, atol=1e-12)
     torch.testing.assert_close(found.covariance.factor, whole.covariance.factor, rtol=1e-6, atol=1e-9)
