@@ -43,7 +43,7 @@ from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig, is_speed, polynomial
 from dynasindy.sindy.reconstruction import RegressionData, find_rates, rate_states, reconstruct
 from dynasindy.sindy.refinement import Refinement
-from dynasindy.sindy.regression import SAMPLES_EACH, least_squares
+from dynasindy.sindy.regression import SAMPLES_EACH, fit_supported
 from dynasindy.sindy.shape_parameters import is_quotient
 from dynasindy.sindy.shooting import CHOSEN_STRETCHES, choose_stretches
 from dynasindy.sindy.world_model import variance
@@ -703,17 +703,11 @@ def _with_functions(model: SindyModel, wanted: Callable[[Feature], bool]) -> Sin
 def _linear_start(model: SindyModel, data: Transitions, delay: float) -> SindyModel:
     """Return a model that begins at the linear equations that a regression finds, its inputs late [s]."""
     late, rates, library = delay_and_trim(data, delay), rate_states(model.library, model.constraints), model.library
-    seen = RegressionData.of(reconstruct(late, rates, True), late, rates, True)
+    seen = RegressionData.of(late, rates, True)
     offset, free = model.constraints.offset, model.constraints.free
     theta, dx = seen.rows(library, lambda x, u: library(x, u) @ offset)
-    initial = torch.where(free, 0.0, offset)
-    for i in range(dx.shape[1]):
-        if bool((mine := free[:, i]).any()):
-            columns = theta[:, mine]
-            scale = columns.norm(dim=0).clamp_min(1e-300)
-            initial[mine, i] = least_squares(columns / scale, dx[:, i] - theta @ offset[:, i]) / scale
     begun = copy.deepcopy(model)
-    begun.initial, begun.initial_delay = initial, delay
+    begun.initial, begun.initial_delay = offset + fit_supported(theta, dx - theta @ offset, free), delay
     return begun
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.regression import Rows, least_squares
+from dynasindy.sindy.regression import Rows, fit_supported
 from dynasindy.systems.steps import between
 from dynasindy.systems.transitions import Transitions
 
@@ -140,21 +140,11 @@ def refine_delay(rough: float, dt: float, longest: float, worth: float, cost: Co
 
 def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:
     """Return N/2 log of what the regression of rates on supported functions leaves over, summed over the states."""
-    return sum(
-        (0.5 * len(dx) * math.log(float(error.square().sum()) + 1e-300) for _, error in _errors(support, theta, dx)),
-        0.0,
-    )
-
-
-def _errors(support: Tensor, theta: Tensor, dx: Tensor) -> Iterator[tuple[int, Tensor]]:
-    """Yield, of each equation that has functions, its place, and what their regression leaves over, `(N,)`."""
-    for i in range(dx.shape[1]):
-        if bool(support[:, i].any()):
-            columns = theta[:, support[:, i]]
-            columns = columns / columns.norm(dim=0).clamp_min(1e-300)
-            yield i, dx[:, i] - columns @ least_squares(columns, dx[:, i])
+    left = (dx - theta @ fit_supported(theta, dx, support)).square().sum(0)[support.any(0)]
+    return 0.5 * len(dx) * float((left + 1e-300).log().sum())
 
 
 def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
     """Tell whether the functions explain the rates of change but for errors of the regression itself."""
-    return not any(float(error.norm()) > EXACT * float(dx[:, i].norm()) for i, error in _errors(free, theta, dx))
+    left = (dx - theta @ fit_supported(theta, dx, free)).norm(dim=0)
+    return not bool((left > EXACT * dx.norm(dim=0))[free.any(0)].any())

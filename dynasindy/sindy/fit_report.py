@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from dynasindy.findings import Finding, note, weak
+from dynasindy.findings import Finding, note
 from dynasindy.sentences import line
 from dynasindy.sindy.covariance import Covariance
 from dynasindy.sindy.equations import change_of
@@ -91,19 +91,6 @@ class Refined(NamedTuple):
     covariance: Covariance | None = None
     delay_at_end: bool = False
     missed: dict[str, float] | None = None
-
-    def with_findings(self, findings: tuple[Finding, ...], longest: float, dt: float) -> Refined:
-        """Return it with findings before its own, and that a delay is at its end.
-
-        Args:
-            findings: what was chosen before.
-            longest: longest delay of the inputs that was looked for [s].
-            dt: sampling time [s].
-        """
-        findings, at_end = findings + self.findings, bool(self.delay) and self.delay > longest - 0.5 * dt
-        if at_end:
-            findings += (weak("fit.longest_delay", seconds=longest),)
-        return self._replace(findings=findings, delay_at_end=at_end)
 
 
 CHANGE = "the change over a step"

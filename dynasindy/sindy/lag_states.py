@@ -24,8 +24,8 @@ from dynasindy.findings import Finding, note
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay, unexplained
 from dynasindy.sindy.library import Library, of
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.reconstruction import BRIEF, RegressionData, half_bump, has_gaps, rate_states, reconstruct
-from dynasindy.sindy.regression import Rows, RunningSums
+from dynasindy.sindy.reconstruction import BRIEF, RegressionData, rate_states, reconstruct
+from dynasindy.sindy.regression import Rows, RunningSums, weak_form
 from dynasindy.sindy.shooting import choose_stretches
 from dynasindy.systems.transitions import Transitions
 
@@ -71,7 +71,8 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
         model: what was fitted to the recording.
         data: the recording, NaN where a state was not measured.
     """
-    known = set(rate_states(model.library, model.constraints).values())
+    rates = rate_states(model.library, model.constraints)
+    known = set(rates.values())
     others = [i for i in range(model.signature.n_x) if i not in known]
     if not bool(model.constraints.free[:, others].any()) or bool(model.constraints.offset[:, others].any()):
         return []
@@ -84,15 +85,15 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
     delays = dict.fromkeys(
         model.delay if part == 1 else round(part * model.delay / data.dt) * data.dt for part in PARTS
     )
-    late = {delay: _Recording.of(model, delay_inputs(data, delay).select(keep)) for delay in delays}
+    late = {delay: RegressionData.of(delay_inputs(data, delay).select(keep), rates, True) for delay in delays}
     # What may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought.
     measured, found, alone = ~data.x.isnan().all(0), [], late[model.delay]
-    plain = alone.unexplained(model, alone.seen.rows(model.library, model.library))
+    plain = _unexplained(model, alone.rows(model.library, model.library))
     names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
     for signal in (*model.signature.input_names, *names):
         wide = with_lag_state(model, signal)
-        rows = {(delay, time): each.led(wide, signal, time) for delay, each in late.items() for time in times}
-        costs = {key: late[key[0]].unexplained(wide, each) for key, each in rows.items()}
+        rows = {(delay, time): _led(each, wide, signal, time) for delay, each in late.items() for time in times}
+        costs = {key: _unexplained(wide, each) for key, each in rows.items()}
         if not costs:
             continue
         delay, time = best = min(costs, key=costs.__getitem__)
@@ -110,49 +111,34 @@ def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
     return rate, bool(model.constraints.free[:, rate].any())
 
 
-@dataclass(frozen=True)
-class _Recording:
-    """A recording under inputs that act late, as regressions of the rates of change read it."""
+def _led(seen: RegressionData, wide: SindyModel, signal: str, time: float) -> Rows:
+    """Return averaged functions and rates of change under a state that follows a signal with so much time [s].
 
-    seen: RegressionData
+    Where that began is not known: behind the functions stands what decays from there, a column for each stretch.
+    """
+    guess, names, n_x = seen.guess, wide.signature, wide.signature.n_x
+    if signal in names.input_names:
+        level = guess.mean_inputs[:, names.input_names.index(signal)]
+    else:
+        level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
+    _, stretch = guess.segment.unique_consecutive(return_inverse=True)
+    since = (torch.arange(len(guess)) - guess.segment_starts()).double().unsqueeze(-1) * guess.dt
+    began = torch.exp(-since / time) * torch.nn.functional.one_hot(stretch)
+    states = zip((guess.x, guess.x_next), _lag_dynamics(level, guess, time), (1.0, math.exp(-guess.dt / time)))
+    x, x_next = (torch.cat([each, own.unsqueeze(-1), left * began], -1) for each, own, left in states)
+    measured = widened(seen.measured, x.shape[1] - n_x + 1)
 
-    @classmethod
-    def of(cls, model: SindyModel, data: Transitions) -> _Recording:
-        rates, noisy = rate_states(model.library, model.constraints), not bool(has_gaps(data))
-        return cls(RegressionData(reconstruct(data, rates, noisy), data, rates, half_bump(data)))
+    def _theta(x: Tensor, u: Tensor) -> Tensor:
+        return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
 
-    def led(self, wide: SindyModel, signal: str, time: float) -> Rows:
-        """Return averaged functions and rates of change under a state that follows a signal with so much time [s].
+    theta, dx = weak_form(_theta, measured, replace(guess, x=x, x_next=x_next), seen.rates, seen.half)
+    return theta, dx[:, :n_x]
 
-        Where that began is not known: behind the functions stands what decays from there, a column for each stretch.
-        """
-        guess, names, n_x = self.seen.guess, wide.signature, wide.signature.n_x
-        if signal in names.input_names:
-            level = guess.mean_inputs[:, names.input_names.index(signal)]
-        else:
-            level = 0.5 * (guess.x + guess.x_next)[:, names.state_index(signal)]
-        _, stretch = guess.segment.unique_consecutive(return_inverse=True)
-        since = (torch.arange(len(guess)) - guess.segment_starts()).double().unsqueeze(-1) * guess.dt
-        began = torch.exp(-since / time) * torch.nn.functional.one_hot(stretch)
-        ends = began * math.exp(-guess.dt / time)
-        own = (
-            torch.cat([each.unsqueeze(-1), left], -1)
-            for each, left in zip(_lag_dynamics(level, guess, time), (began, ends), strict=True)
-        )
-        x, x_next = (torch.cat([states, each], -1) for states, each in zip((guess.x, guess.x_next), own, strict=True))
-        measured = widened(self.seen.measured, x.shape[1] - n_x + 1)
 
-        def _theta(x: Tensor, u: Tensor) -> Tensor:
-            return torch.cat([wide.library(x[..., :n_x], u), x[..., n_x:]], -1)
-
-        seen = replace(self.seen, guess=replace(guess, x=x, x_next=x_next), measured=measured)
-        theta, dx = seen.rows(_theta, _theta)
-        return theta, dx[:, :n_x]
-
-    def unexplained(self, model: SindyModel, rows: Rows) -> float:
-        """Return N/2 log of what is left over."""
-        free, fixed = _columns(model, rows, torch.where(model.constraints.free, 0.0, model.coefficients))
-        return unexplained(free, rows[0], rows[1] - rows[0] @ fixed)
+def _unexplained(model: SindyModel, rows: Rows) -> float:
+    """Return N/2 log of what is left over."""
+    free, fixed = _columns(model, rows, torch.where(model.constraints.free, 0.0, model.coefficients))
+    return unexplained(free, rows[0], rows[1] - rows[0] @ fixed)
 
 
 def _columns(model: SindyModel, rows: Rows, given: Tensor) -> tuple[Tensor, Tensor]:
@@ -186,7 +172,7 @@ def with_lag_state(model: SindyModel, signal: str) -> SindyModel:
     read, more = list(model.library.features), {}
     if signal in old.input_names:
         signature = old.with_state(name, "1")
-        read = [feature.reading(signal, name) for feature in read]
+        read = [feature.renamed({signal: name}) for feature in read]
     else:
         place = old.state_index(signal)
         signature = old.with_state(name, old.state_units[place], old.x_scale[place])

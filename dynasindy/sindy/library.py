@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import copy
 import math
+import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import islice
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -57,24 +57,20 @@ class Factor:
         low, high = self.limits
         return replace(self, frequency=min(max(number, low), high)) if math.isfinite(number) else self
 
-    def compute(self) -> Callable[..., Tensor]:
-        """Return the function of the variables alone, its power left out."""
-        known = function(self.function)
+    def of(self, columns: Mapping[str, Tensor], number: Tensor | float | None = None) -> Tensor:
+        """Return its value, the power left out, at states and inputs by name; `number` stands for its own, if given."""
+        known, inside = function(self.function), self.frequency if number is None else number
+        args = [columns[name] for name in self.variables]
         if known.parametric:
-            return lambda *args: known.compute(*args, self.frequency)
-        if self.frequency == 1:
-            return known.compute
-        return lambda *args: known.compute(*(self.frequency * a for a in args))
+            return known.compute(*args, inside)
+        return known.compute(*(args if isinstance(inside, float) and inside == 1 else [inside * a for a in args]))
 
-    def slope(self, *args: Tensor) -> Tensor:
-        """Return the derivative of the function of some variables by the number inside it."""
-        known = function(self.function)
-        p = torch.full_like(args[0], self.frequency)
-        inside = (
-            known.compute if known.parametric else lambda *given: known.compute(*(given[-1] * a for a in given[:-1]))
-        )
-        derivative: Tensor = torch.func.jvp(lambda q: inside(*args, q), (p,), (torch.ones_like(p),))[1]
-        return derivative
+    def slope(self, columns: Mapping[str, Tensor]) -> Tensor:
+        """Return the derivative of that by the number inside it."""
+        number = torch.full_like(columns[self.variables[0]], self.frequency)
+        moved = torch.func.jvp(lambda p: self.of(columns, p), (number,), (torch.ones_like(number),))
+        slope: Tensor = moved[1]
+        return slope
 
     @property
     def base(self) -> Factor:
@@ -132,19 +128,10 @@ class Feature:
         size = sum(abs(factor.power) for factor in self.factors)
         return size if size != 1 or self.factors[0].function == "id" else 1.5
 
-    def reading(self, name: str, other: str) -> Feature:
-        """Return the same function with one variable in the place of another.
-
-        Args:
-            name: state or input that is read.
-            other: what is read instead.
-        """
-        return Feature(
-            tuple(
-                replace(factor, variables=tuple(other if v == name else v for v in factor.variables))
-                for factor in self.factors
-            )
-        )
+    def renamed(self, names: Mapping[str, str]) -> Feature:
+        """Return the same function of other states and inputs; those that are not named stay."""
+        factors = (replace(f, variables=tuple(names.get(v, v) for v in f.variables)) for f in self.factors)
+        return Feature(tuple(factors))
 
     def name(self) -> str:
         """Write the feature in the names of states and inputs, e.g. `Omega_a^2 sin(alpha_p)`."""
@@ -324,16 +311,6 @@ def _bounded(features: Iterable[Feature]) -> list[Feature]:
     return first
 
 
-class _Plan(NamedTuple):
-    """Hold places of the values whose product each feature is, and factors, each with the places of what it reads.
-
-    The value of a factor has the next place after all earlier ones, of which the first are the states and inputs.
-    """
-
-    products: list[tuple[int, ...]]
-    steps: list[tuple[Factor, tuple[int, ...]]]
-
-
 class Library:
     """Evaluate candidate functions of states and inputs, Theta(x, u) of the paper, eq. (library).
 
@@ -374,7 +351,6 @@ class Library:
                 "some there, or in the file of the plant"
             )
         self.names = tuple(f.name() for f in self.features)
-        self._plan: _Plan | None = None
         self.allowed: dict[str, tuple[str, ...]] = {}
         for state, group in (allowed or {}).items():
             signature.state_index(state)
@@ -413,36 +389,23 @@ class Library:
         Returns:
             Theta, `(*batch, n_features)`, in the dtype of `x`.
         """
-        if self._plan is None:
-            self._plan = self._planned(self.features)
-        return torch.stack(self._products(self._plan, x, u), -1)
+        return torch.stack(self._evaluated(self.features, x, u), -1)
 
-    def _products(self, plan: _Plan, x: Tensor, u: Tensor) -> list[Tensor]:
-        values = [*x.unbind(-1), *u.to(x.dtype).unbind(-1)]
-        for factor, places in plan.steps:
-            args = [values[place] for place in places]
-            values.append(factor.compute()(*args) if factor.power == 1 else args[0] ** factor.power)
-        columns = []
-        for places in plan.products:
-            column = values[places[0]] if places else torch.ones_like(values[0])
-            for place in places[1:]:
-                column = column * values[place]
-            columns.append(column)
-        return columns
+    def _columns(self, x: Tensor, u: Tensor) -> dict[str, Tensor]:
+        return dict(zip(self._index, (*x.unbind(-1), *u.to(x.dtype).unbind(-1)), strict=True))
 
-    def _planned(self, features: Iterable[Feature]) -> _Plan:
-        """Return what there is to compute, each factor once."""
-        steps: list[tuple[Factor, tuple[int, ...]]] = []
-        known: dict[Factor, int] = {}
+    def _evaluated(self, features: Iterable[Feature], x: Tensor, u: Tensor) -> list[Tensor]:
+        """Return the values of features, each factor computed once."""
+        columns, known = self._columns(x, u), dict[Factor, Tensor]()
 
-        def _place(factor: Factor) -> int:
+        def _value(factor: Factor) -> Tensor:
             if factor not in known:
-                read = tuple(self._index[v] for v in factor.variables)
-                steps.append((factor, read if factor.power == 1 else (_place(factor.base),)))
-                known[factor] = len(self._index) + len(steps) - 1
+                plain = factor.power == 1
+                known[factor] = factor.of(columns) if plain else _value(factor.base) ** factor.power
             return known[factor]
 
-        return _Plan([tuple(_place(factor) for factor in f.factors) for f in features], steps)
+        one = torch.ones_like(x[..., 0])
+        return [reduce(operator.mul, map(_value, feature.factors)) if feature.factors else one for feature in features]
 
     @property
     def shapes(self) -> tuple[Factor, ...]:
@@ -480,18 +443,17 @@ class Library:
         Returns:
             `(*batch, n_features, n_shapes)`.
         """
-        columns = (*x.unbind(-1), *u.to(x.dtype).unbind(-1))
-        slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
-        inner = [shape.slope(*(columns[self._index[v]] for v in shape.variables)) for shape in shapes]
-        found, rests = [], []
+        columns, terms = self._columns(x, u), list[tuple[int, int, int, Feature]]()
+        inner = [shape.slope(columns) for shape in shapes]
         for i, feature in enumerate(self.features):
             for k, factor in enumerate(feature.factors):
                 if factor.base in shapes:
                     lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
-                    rests.append(Feature(feature.factors[:k] + lower + feature.factors[k + 1 :]))
-                    found.append((i, shapes.index(factor.base), factor.power))
-        for (i, j, power), rest in zip(found, self._products(self._planned(rests), x, u), strict=True):
-            slopes[..., i, j] = inner[j] * power * rest
+                    rest = Feature(feature.factors[:k] + lower + feature.factors[k + 1 :])
+                    terms.append((i, shapes.index(factor.base), factor.power, rest))
+        slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
+        for (i, j, power, _), value in zip(terms, self._evaluated([t[-1] for t in terms], x, u), strict=True):
+            slopes[..., i, j] = inner[j] * power * value
         return slopes
 
 

@@ -38,7 +38,6 @@ from dynasindy.sindy.functions import FunctionError, formula_texts, is_registere
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.named_libraries import GENERAL, LibraryBuilder, build_library
 from dynasindy.sindy.reconstruction import (
-    DelayedRecording,
     RegressionData,
     rate_states,
     reconstruct,
@@ -285,14 +284,12 @@ class SindyModel(WorldModel):
         if type(self) is not SindyModel:  # which may have learnt other things, too
             return super().kept()
         # A fit replaces these and changes nothing inside of them, but for the sums.
-        library, coefficients, sums = self.library, self.coefficients.clone(), self.sums.copy()
-        delay, covariance, constraints, places = self.delay, self._covariance, self.constraints, self.places
+        names = ("library", "delay", "_covariance", "constraints", "places")
+        learnt, coefficients, sums = {n: getattr(self, n) for n in names}, self.coefficients.clone(), self.sums.copy()
 
         def _go_back() -> None:
-            self.library, self.sums, self.delay = library, sums.copy(), delay
-            self.constraints, self.places = constraints, places
-            self.coefficients = coefficients.clone()
-            self.covariance = covariance
+            self.__dict__.update(learnt)
+            self.coefficients, self.sums = coefficients.clone(), sums.copy()
 
         return _go_back
 
@@ -354,7 +351,7 @@ class SindyModel(WorldModel):
         with self._whole():
             data, rates = self._checked(transitions), rate_states(self.library, self.constraints)
             guess = settle_lag_states(reconstruct(data, rates), self.followers)
-            self.sums.add(self._rows(DelayedRecording.of(data, guess, rates, self.delay).seen(self.delay)))
+            self.sums.add(self._rows(RegressionData(data, guess, rates, self.delay).delayed(self.delay)))
 
     def _identify(
         self, transitions: Transitions, sums: RunningSums, delay: float, library: Library, cut_before: bool = False
@@ -373,8 +370,7 @@ class SindyModel(WorldModel):
             late = simulate_hidden_states(self.library, first, data, late, rates)
             started = _start_lag_states(self.library, first, late, self.followers)
             guess = replace(started, u=data.u, u_end=data.u_end)
-        recording = DelayedRecording.of(data, guess, rates, delay)
-        seen = recording.seen(delay)
+        seen = RegressionData(data, guess, rates, delay).delayed(delay)
         rows, cut = self._rows(seen), list[Finding]()
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
         fewest = 1 if seen.half else FEWEST_EACH
@@ -578,8 +574,8 @@ class SindyModel(WorldModel):
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
             self.sums = RunningSums(len(self.library), self.signature.n_x)
-            recording = DelayedRecording.of(data, guess, rate_states(self.library, self.constraints), self.delay)
-            self.sums.add(self._rows(recording.seen(self.delay)))
+            recording = RegressionData(data, guess, rate_states(self.library, self.constraints), self.delay)
+            self.sums.add(self._rows(recording.delayed(self.delay)))
         rows = selection_rows(constraints.free, self.refinement.error == "innovation")
         if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
             return list(found.findings), fields
@@ -711,19 +707,6 @@ def _unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> fr
     return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)
 
 
-def _constraints(library: Library, data: dict[str, Any] | None) -> Constraints:
-    shape = (len(library), library.signature.n_x)
-    if data is None:
-        return Constraints(torch.ones(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64))
-    free, offset = torch.zeros(shape, dtype=torch.bool), torch.zeros(shape, dtype=torch.float64)
-    for i, state in enumerate(library.signature.state_names):
-        for name in data[state]["free"]:
-            free[library.index(name), i] = True
-        for name, value in data[state]["given"].items():
-            offset[library.index(name), i] = _number(value)
-    return Constraints(free, offset)
-
-
 def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Tensor) -> dict[str, Any]:
     """Return standard errors, and rows of the factor of their correlations, a line of numbers each."""
     names, states = library.names, library.signature.state_names
@@ -764,18 +747,20 @@ def _read(data: dict[str, Any]) -> SindyModel:
     if step is not None and not 0 < (step := _number(step)) <= LONGEST:
         raise TypeError(f"step, that of its difference equation, is {step} s; allowed is a time up to {LONGEST:g} s")
     library = Library(signature, [_feature(f) for f in data["library"].values()], step=step)
-    coefficients = torch.zeros(len(library), signature.n_x, dtype=torch.float64)
-    place = {name: k for k, name in enumerate(library.names)}
+    given = data.get("constraints", {})
+    allowed = {state: each["free"] for state, each in given.items()}
+    fixed = {state: _numbers(each["given"]) for state, each in given.items()}
+    place, found = {name: k for k, name in enumerate(library.names)}, torch.zeros(len(library), signature.n_x).double()
     for i, state in enumerate(signature.state_names):
-        for name, value in data["coefficients"][state].items():
-            coefficients[place[name] if name in place else library.index(name), i] = _number(value)
+        for name, value in _numbers(data["coefficients"][state]).items():
+            found[place[name] if name in place else library.index(name), i] = value
     with torch.no_grad():  # a function with other arguments than it takes fails here, not in the middle of a run
         library(torch.ones(1, signature.n_x, dtype=torch.float64), torch.ones(1, signature.n_u, dtype=torch.float64))
     if not 0 <= (delay := _number(data.get("delay", 0.0))) <= LONGEST:
         raise TypeError(f"delay is {delay} s; allowed is 0 to {LONGEST:g} s")
-    model = SindyModel(signature, library)
-    model.constraints, model.delay = _constraints(library, data.get("constraints")), delay
-    model.set_coefficients(coefficients)
+    model = SindyModel(signature, library, allowed=allowed, fixed=fixed)
+    model.delay = delay
+    model.set_coefficients(found)
     model.covariance = _covariance(library, data.get("uncertainty"))
     model.linear_inputs = tuple(data.get("linear_inputs", ()))
     if not set(model.linear_inputs) <= set(signature.input_names):
@@ -783,6 +768,10 @@ def _read(data: dict[str, Any]) -> SindyModel:
             f"linear_inputs are {', '.join(map(str, model.linear_inputs))[:80]}, of which some are no inputs"
         )
     return model
+
+
+def _numbers(values: dict[str, Any]) -> dict[str, float]:
+    return {name: _number(value) for name, value in values.items()}
 
 
 def _number(value: Any) -> float:

@@ -1,4 +1,4 @@
-"""Named libraries, built from a signature: the two of the paper, rotor, mechanics, friction, dead zone, polynomial."""
+"""Named libraries, built from a signature: the two of the paper, rotor, mechanics, polynomial, Fourier."""
 
 from __future__ import annotations
 
@@ -78,16 +78,14 @@ def _over(number: float, *angle: str) -> Feature:
 LIMIT = "the limit is arbitrary: more functions would hardly be told apart"
 DRY = 10.0
 """First guess of the inverse of the rate at which dry friction is full [s/rad]."""
-FULL, SLIPS = 20.0, 4.0
-"""First guesses of the parts of a rate's range at which dry friction is full, and beyond which it no longer sticks."""
+FULL = 20.0
+"""First guess of the range of a rate, in those rates at which dry friction is full."""
 _PLACE = "|".join(
     (*(f"{prefix}m" for prefix in ("", "k", "c", "d", "m", "u", "µ", "μ", "n")), "in", "ft", "rad", *TURNS)
 )
 TURNING = re.compile(r"rpm|rps|(?:1|U|r|rev|turns?)/min")
 SPEED = re.compile(rf"(?!{TURNING.pattern})(?:{_PLACE})/(?:h|min|s|ms)")
 """Units of the rates of angles and places: any angle or length per time, and turns per minute, as those of shafts."""
-SLACK = 0.1
-"""First guess of the input that a dead zone swallows."""
 LibraryBuilder = Callable[[Signature], Library]
 PITCH, ROTORS, RATES = "alpha_p", ("omega_a", "omega_p"), ("Omega_a", "Omega_p")
 """States of twin rotors: the pitch angle [rad], x2 of the paper, the speeds of the tail and the main rotor [rpm], and
@@ -199,39 +197,6 @@ def fourier(
     return Library(signature, (of(f, n, frequency=float(k)) for k in harmonics for n in names for f in ("sin", "cos")))
 
 
-def friction(signature: Signature) -> Library:
-    """Build linear functions, and dry friction that may be another in each direction, as Coulomb's and Stribeck's.
-
-    Of a rate v: tanh(v / width), which is full beyond a small rate; the same times exp(-(v / slip)^2), which is gone
-    beyond a larger one; and both times sign(v). The friction of one direction is the sum of a function and of that with
-    the sign, that of the other is their difference. Both widths are fitted.
-
-    Args:
-        signature: names of states and inputs; rates are states whose unit is one per second, all if there is none.
-    """
-    units = zip(signature.state_names, signature.state_units, strict=True)
-    rates = [name for name, unit in units if unit.endswith("/s")] or signature.state_names
-    functions = [CONSTANT, *(variable(n) for n in _variables(signature))]
-    for rate in rates:
-        scale = signature.x_scale[signature.state_index(rate)]
-        dry = of("tanh", rate, frequency=FULL / scale, fitted=True)
-        sticking = of("bell", rate, frequency=SLIPS / scale, fitted=True) * dry
-        functions += [g * f for g in (CONSTANT, of("sign", rate)) for f in (dry, sticking)]
-    return Library(signature, functions)
-
-
-def dead_zone(signature: Signature) -> Library:
-    """Build linear functions, and two bends of each input u: max(0, u - p) and max(0, u + q), p and q fitted.
-
-    A dead zone from -q to p is u + q + max(0, u - p) - max(0, u + q); a saturation has the opposite signs.
-
-    Args:
-        signature: names of states and inputs.
-    """
-    bends = [of("hinge", u, frequency=edge, fitted=True) for u in signature.input_names for edge in (SLACK, -SLACK)]
-    return Library(signature, [CONSTANT, *(variable(n) for n in _variables(signature)), *bends])
-
-
 def sum_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library:
     """Unite libraries given as builders (a config's `libraries` list of partials)."""
     built = [build(signature) for build in libraries]
@@ -297,8 +262,6 @@ NAMED: dict[str, LibraryBuilder] = {
     "rotor_reaction": rotor_reaction,
     "polynomial": polynomial,
     "fourier": fourier,
-    "friction": friction,
-    "dead_zone": dead_zone,
     "mechanical": mechanical,
     "auto": auto,
     "auto_rig": auto_rig,

@@ -95,21 +95,14 @@ def from_pysindy(theirs: Any, signature: Signature) -> SindyModel:
             f"from_pysindy got a model of {coefficients.shape[1]} states; allowed is {signature.n_x}, as in the "
             "signature: give the signature of its data"
         )
-    given = {ours: ours for ours in (*signature.state_names, *signature.input_names)}
-    old = list(theirs.feature_names)
-    given |= dict(zip(old, (*signature.state_names, *signature.input_names), strict=True))
-    features = [_renamed(parse(name), given) for name in theirs.get_feature_names()]
+    ours = dict(zip(theirs.feature_names, (*signature.state_names, *signature.input_names), strict=True))
+    features = [parse(name).renamed(ours) for name in theirs.get_feature_names()]
     model = SindyModel(signature, Library(signature, features))
     merged = model.coefficients.clone()
     for feature, row in zip(features, coefficients, strict=True):
         merged[[f.key for f in model.library.features].index(feature.key)] += row
     model.set_coefficients(merged)
     return model
-
-
-def _renamed(feature: Feature, names: dict[str, str]) -> Feature:
-    factors = [[[names[v] for v in variables], *rest] for variables, *rest in feature.to_list()]
-    return Feature.from_list(factors)
 
 
 def to_sympy(model: SindyModel) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -34,34 +35,47 @@ MOST = 100_000
 Array = NDArray[np.float64]
 
 
+BRIEF = 2 * ENOUGH
+"""Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
+
+
 @dataclass(frozen=True)
 class RegressionData:
-    """Hold a recording as its regressions read it.
+    """Hold a recording as regressions and fits of trajectories read it.
 
     Attributes:
-        guess: the recording, the states that were not measured guessed.
-        measured: the same, NaN where a state was not measured.
+        measured: transitions, NaN where a state was not measured.
+        guess: the same, the states that were not measured guessed.
         rates: which state is the rate of which other one, `{rate: state}`.
-        half: half of the length of the bump of the weak form [samples]; 0 where all states were measured.
+        longest: time before a row at which its inputs are to be known [s], or it is not read.
+        noisy: whether states that were all measured are noisy: `guess` holds them smoothed then.
     """
 
-    guess: Transitions
     measured: Transitions
+    guess: Transitions
     rates: Mapping[int, int]
-    half: int
+    longest: float = 0.0
+    noisy: bool = False
 
     @classmethod
-    def of(
-        cls, guess: Transitions, measured: Transitions, rates: Mapping[int, int], noisy: bool = False
-    ) -> RegressionData:
-        """Choose the bump by the noise of what was measured; none where all was measured and it is not said noisy."""
-        half = half_bump(measured) if noisy or bool(has_gaps(measured)) else 0
-        return cls(guess.to(torch.float64), measured.to(torch.float64), rates, half)
+    def of(cls, measured: Transitions, rates: Mapping[int, int], noisy: bool = False) -> RegressionData:
+        """Guess the states of a recording that were not measured."""
+        return cls(measured.to(torch.float64), reconstruct(measured, rates, noisy), rates, noisy=noisy)
+
+    @cached_property
+    def half(self) -> int:
+        """Half of the length of the bump of the weak form [samples], by the noise; 0 of samples that all are exact."""
+        return half_bump(self.measured) if self.noisy or has_gaps(self.measured) else 0
 
     @property
     def dependent(self) -> float:
         """Return the part that other functions leave over of one below which noise cannot tell it from them."""
         return NOISY if self.half else DEPENDENT
+
+    @cached_property
+    def known(self) -> Tensor:
+        """Rows whose inputs are known however late they act, bool `(N,)`."""
+        return rows_after_delay(self.measured, self.longest)
 
     def rows(self, theta: Theta, field: Theta) -> Rows:
         """Average functions and rates of change: by the weak form, or within intervals if all states were measured.
@@ -73,6 +87,40 @@ class RegressionData:
         if not self.half:
             return simpson_form(theta, field, self.guess)
         return weak_form(theta, self.measured, self.guess, self.rates, self.half)
+
+    def delayed(self, delay: float) -> RegressionData:
+        """Return the rows whose inputs are known, under inputs that act `delay` seconds later."""
+        measured, guess = (delay_inputs(each, delay).select(self.known) for each in (self.measured, self.guess))
+        return replace(self, measured=measured, guess=guess, longest=0.0)
+
+    def brief(self) -> RegressionData:
+        """Return stretches of a long recording, enough for a regression; all of a short one."""
+        rows = choose_stretches(len(self.measured), BRIEF)
+        if bool(rows.all()):
+            return self
+        return replace(self, measured=self.measured.select(rows), guess=self.guess.select(rows))
+
+    def smoothed(self, step: float | None = None) -> RegressionData:
+        """Return the recording as one whose samples are noisy, wherever it is read from now on.
+
+        Args:
+            step: of the difference equation that is fitted [s]: it may jump from sample to sample, and no cubic tells
+                that from noise, so that the recording stays as it is; None of a differential equation.
+        """
+        if step is not None:
+            return self
+        return replace(self, guess=reconstruct(self.measured, self.rates, True), noisy=True)
+
+    def before(self) -> Tensor:
+        """Return the inputs of the samples before each known row as they were given, the oldest first, `(N, M, n_u)`.
+
+        There is one more than the longest delay asks for, as inputs may change within a sample; before a segment its
+        first input held.
+        """
+        data = self.measured
+        ago = torch.arange(math.ceil(self.longest / data.dt - 1e-9) + 1, 0, -1)
+        rows = torch.maximum(torch.arange(len(data)).unsqueeze(-1) - ago, data.segment_starts().unsqueeze(-1))
+        return data.u[rows[self.known]]
 
 
 def half_bump(measured: Transitions) -> int:
@@ -117,7 +165,7 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
         noisy: whether states that were all measured are smoothed too; if not, they stay as they are.
     """
     data = data.to(torch.float64)
-    if not noisy and not bool(has_gaps(data)):
+    if not noisy and not has_gaps(data):
         return data
     x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
     lengths: dict[int, int] = {}
@@ -193,9 +241,9 @@ def interpolate_gaps(column: Array) -> Array | None:
     return np.interp(np.arange(len(column)), seen, column[seen]) if len(seen) else None
 
 
-def has_gaps(data: Transitions) -> Tensor:
-    """Tell whether a state was not measured, bool `()`."""
-    return data.x.isnan().any() | data.x_next.isnan().any()
+def has_gaps(data: Transitions) -> bool:
+    """Tell whether a state was not measured."""
+    return bool(data.x.isnan().any() | data.x_next.isnan().any())
 
 
 CLEAR = 20.0
@@ -254,7 +302,7 @@ def find_rates(data: Transitions) -> dict[int, int]:
 
 def _bridged(data: Transitions) -> Transitions:
     """Return a recording with straight lines over lost samples, zero where a segment has none of a state."""
-    if not bool(has_gaps(data)):
+    if not has_gaps(data):
         return data
     x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
     for segment in data.segment.unique_consecutive().tolist():
@@ -317,76 +365,3 @@ def _left(columns: Tensor, target: Tensor) -> tuple[float, float]:
     """Return the squares that least squares leave over, and the weight of the last column."""
     solution = torch.linalg.lstsq(columns, target, driver="gelsd").solution
     return float((target - columns @ solution).square().sum()), float(solution[-1, 0])
-
-
-BRIEF = 2 * ENOUGH
-"""Rows of a recording by which regressions choose functions, delays and numbers inside functions."""
-
-
-@dataclass(frozen=True)
-class DelayedRecording:
-    """Hold a recording, to be read under inputs that act later than they were given.
-
-    Attributes:
-        data: transitions, NaN where a state was not measured.
-        guess: the same, the states that were not measured guessed.
-        rates: which state is the rate of which other one, `{rate: state}`.
-        known: rows whose inputs are known however late they act, bool `(N,)`.
-        noisy: whether states that were all measured are noisy: `guess` holds them smoothed then.
-    """
-
-    data: Transitions
-    guess: Transitions
-    rates: Mapping[int, int]
-    known: Tensor
-    noisy: bool = False
-
-    @classmethod
-    def of(cls, data: Transitions, guess: Transitions, rates: Mapping[int, int], longest: float) -> DelayedRecording:
-        """Leave out the rows whose inputs of up to `longest` seconds before are not known."""
-        return cls(data, guess, rates, rows_after_delay(data, longest))
-
-    def brief(self, longest: float) -> DelayedRecording:
-        """Return stretches of a long recording, enough for a regression; all of a short one.
-
-        Args:
-            longest: time before a row at which its inputs are to be known [s].
-        """
-        rows = choose_stretches(len(self.data), BRIEF)
-        if bool(rows.all()):
-            return self
-        part = DelayedRecording.of(self.data.select(rows), self.guess.select(rows), self.rates, longest)
-        return replace(part, noisy=self.noisy)
-
-    def smoothed(self, step: float | None = None) -> DelayedRecording:
-        """Return the recording as one whose samples are noisy, wherever it is read from now on.
-
-        Args:
-            step: of the difference equation that is fitted [s]: it may jump from sample to sample, and no cubic tells
-                that from noise, so that the recording stays as it is; None of a differential equation.
-        """
-        if step is not None:
-            return self
-        return replace(self, guess=reconstruct(self.data, self.rates, True), noisy=True)
-
-    def measured(self, delay: float) -> Transitions:
-        """Return what was measured, under inputs that act `delay` seconds later."""
-        return delay_inputs(self.data, delay).select(self.known)
-
-    def before(self, longest: float) -> Tensor:
-        """Return the inputs of the samples before each known row as they were given, the oldest first, `(N, M, n_u)`.
-
-        There is one more than a delay of `longest` seconds asks for, as inputs may change within a sample; before a
-        segment its first input held.
-        """
-        ago = torch.arange(math.ceil(longest / self.data.dt - 1e-9) + 1, 0, -1)
-        rows = torch.maximum(torch.arange(len(self.data)).unsqueeze(-1) - ago, self.data.segment_starts().unsqueeze(-1))
-        return self.data.u[rows[self.known]]
-
-    def guessed(self, delay: float) -> Transitions:
-        """Return the same with a guess of every state."""
-        return delay_inputs(self.guess, delay).select(self.known)
-
-    def seen(self, delay: float) -> RegressionData:
-        """Return what regressions read, under inputs that act `delay` seconds later."""
-        return RegressionData.of(self.guessed(delay), self.measured(delay), self.rates, self.noisy)

@@ -17,14 +17,13 @@ from dynasindy.sindy.delay import (
     delay_and_trim,
     estimate_delay,
     refine_delay,
-    rows_after_delay,
     search_range,
     unexplained,
 )
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.reconstruction import DelayedRecording, find_missing_rates, has_gaps, rate_states
+from dynasindy.sindy.reconstruction import RegressionData, find_missing_rates, has_gaps, rate_states
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
@@ -144,7 +143,7 @@ class Refinement:
         rates = rate_states(library, constraints)
 
         def _fit(longest: float) -> _Fit:
-            return _Fit(self, longest, constraints, DelayedRecording.of(data, guess, rates, longest), general)
+            return _Fit(self, constraints, RegressionData(data, guess, rates, longest), general)
 
         # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
         lacking = find_missing_rates(library, delay_and_trim(data, rough)) if longest else []
@@ -163,15 +162,15 @@ class Refinement:
         if not noisy and self.method == "auto":
             noisy = looks_noisy(*found, guess)
 
-        def _rows(late: int, farthest: int, read: DelayedRecording, several: int = 1) -> Rows:
-            recording = replace(read, known=rows_after_delay(data, farthest * data.dt)).brief(farthest * data.dt)
-            return means(recording.seen(late * data.dt).rows(found[0], field), several)
+        def _rows(late: int, farthest: int, read: RegressionData, several: int = 1) -> Rows:
+            recording = replace(read, longest=farthest * data.dt).brief()
+            return means(recording.delayed(late * data.dt).rows(found[0], field), several)
 
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
-        recording = DelayedRecording.of(data, guess, rates, 0.0)
+        recording = RegressionData(data, guess, rates)
         farthest, best = search_range(constraints.free, partial(_rows, read=recording), least)
         step = found[0].step
-        if (noisy or step is not None) and not best and not bool(has_gaps(data)):
+        if (noisy or step is not None) and not best and not has_gaps(data):
             # Most of single steps may be noise, which no delay explains: averages tell it, or means over jumps.
             read, several = recording.smoothed(step), 1 if step is None else SEVERAL
             farthest, best = search_range(constraints.free, partial(_rows, read=read, several=several), least)
@@ -184,21 +183,19 @@ class _Fit:
 
     Attributes:
         settings: those of the refinement.
-        longest: longest delay that is looked for [s].
         constraints: what is known of the equations.
-        recording: what is fitted to.
+        recording: what is fitted to; a delay is looked for as far as it reaches.
         general: whether the library is one for any plant.
     """
 
     settings: Refinement
-    longest: float
     constraints: Constraints
-    recording: DelayedRecording
+    recording: RegressionData
     general: bool = False
 
     def run(self, first: Model, late: float | None = None) -> Refined:
         """Return what was found; the search for a delay begins at `late` [s], by a regression where that is None."""
-        data, wanted, fit = self.recording.data, self.settings.method, self
+        data, wanted, fit = self.recording.measured, self.settings.method, self
         delay = self._rough(first) if late is None else late
         if delay and wanted in ("integral", "one_step"):
             first = self._regressed(first, delay)
@@ -218,26 +215,30 @@ class _Fit:
         else:
             free, known = fit.constraints.free, None
             if method == "integral" and bool(found[1].any()):
-                known = of_rates(found[1], free, *fit._brief.seen(delay).rows(found[0], generate(*found)))
+                known = of_rates(found[1], free, *fit._brief.delayed(delay).rows(found[0], generate(*found)))
             refined = Refined(*found, delay, covariance=known)
         if method == "trajectory":
             if noisy and not hidden:
                 fit, found = fit._smoothed(found, delay)
             refined = fit._by_trajectories(found, delay)
-        return refined.with_findings(findings, self.longest, data.dt)
+        findings, longest = findings + refined.findings, self.recording.longest
+        at_end = bool(refined.delay) and refined.delay > longest - 0.5 * data.dt
+        if at_end:
+            findings += (weak("fit.longest_delay", seconds=longest),)
+        return refined._replace(findings=findings, delay_at_end=at_end)
 
     def _needed(self, found: Model, delay: float) -> _Fit:
         """Return the fit of the functions that samples at the edge of what was seen need."""
-        seen, constraints = self._brief.seen(delay), self.constraints
+        seen, constraints = self._brief.delayed(delay), self.constraints
         rows = seen.rows(found[0], generate(*found))
         ranks = [feature.complexity for feature in found[0].features]
         free = needed_at_edge(rows, seen.guess.x, constraints.free, constraints.offset, ranks)
         return replace(self, constraints=replace(constraints, free=free))
 
     @cached_property
-    def _brief(self) -> DelayedRecording:
+    def _brief(self) -> RegressionData:
         """Return enough of the recording for a regression."""
-        return self.recording.brief(self.longest)
+        return self.recording.brief()
 
     def _smoothed(self, found: Model, delay: float) -> tuple[_Fit, Model]:
         """Return the fit to a recording as one whose samples are noisy, and what regressions find in it."""
@@ -246,11 +247,11 @@ class _Fit:
 
     def _rough(self, found: Model) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
-        if not self.longest:
+        if not self.recording.longest:
             return 0.0
         brief, field = self._brief, generate(*found)
         return estimate_delay(
-            self.constraints.free, lambda d: brief.seen(d).rows(found[0], field), brief.data.dt, self.longest
+            self.constraints.free, lambda d: brief.delayed(d).rows(found[0], field), brief.measured.dt, brief.longest
         )
 
     def _regressed_delay(self, rough: float, found: Model) -> float:
@@ -258,15 +259,15 @@ class _Fit:
         brief, field = self._brief, generate(*found)
 
         def _cost(trial: float) -> float:
-            return unexplained(self.constraints.free, *brief.seen(trial).rows(found[0], field))
+            return unexplained(self.constraints.free, *brief.delayed(trial).rows(found[0], field))
 
-        worth, whole = math.log(max(len(brief.data), 2)), found[0].step is not None
-        fine = refine_delay(rough, brief.data.dt, self.longest, worth, _cost, whole)
-        return rough if abs(fine - rough) < ALIKE * brief.data.dt else fine
+        worth, whole, dt = math.log(max(len(brief.measured), 2)), found[0].step is not None, brief.measured.dt
+        fine = refine_delay(rough, dt, brief.longest, worth, _cost, whole)
+        return rough if abs(fine - rough) < ALIKE * dt else fine
 
     def _by_single_steps(self, first: Model, delay: float) -> Refined:
         """Return the model of least one-step error, that of trajectories of one interval without noise."""
-        data, (library, xi) = self.recording.guessed(delay), first
+        data, (library, xi) = self.recording.delayed(delay).guess, first
         change = data.x_next - data.x
         floor = self.settings.tolerance * change.square().mean(0).sqrt()
         descent = Descent(1, joined=False, floor=floor, select=self.settings.select, penalty=self.settings.penalty)
@@ -299,14 +300,15 @@ class _Fit:
     def _fit_with_delay(self, found: Model, delay: float, descent: Descent, observed: bool = False) -> Refined:
         """Return the model that trajectories tell, or an observer's innovations, and the delay, fitted with it."""
         free, recording = self.constraints.free, self.recording
-        fits = bool(self.longest) and found[0].step is None
-        if self.longest:
+        fits = bool(recording.longest) and found[0].step is None
+        if recording.longest:
             found = self._regressed(found, delay)
-        data, guess, gain = recording.measured(0.0 if fits else delay), recording.guessed(delay).x, None
+        data = recording.delayed(0.0 if fits else delay).measured
+        guess, gain = recording.delayed(delay).guess.x, None
         if observed:
             mask, gain = first_gain(data, recording.rates)
             descent = replace(descent, gain_mask=mask, window=min(descent.window, len(data)))
-        before = recording.before(self.longest) if fits else None
+        before = recording.before() if fits else None
         (library, xi), first = found, delay if fits else 0.0
         flow = refine_trajectory(library, xi, free, data, descent, guess, first, before, gain)
         delay = flow.estimate.delay if fits else delay
@@ -317,12 +319,12 @@ class _Fit:
 
     def _chosen(self, library: Library, coefficients: Tensor, delay: float) -> tuple[str, bool, tuple[Finding, ...]]:
         """Return the method for these data, whether samples look noisy, and the finding of a choice."""
-        method, data = self.settings.method, self.recording.data
+        method, data = self.settings.method, self.recording.measured
         unseen = (data.x.isnan() | data.x_next.isnan()).any(0).tolist()
         names = [name for name, gaps in zip(library.signature.state_names, unseen, strict=True) if gaps]
         if names:
             return "trajectory", False, (note("fit.trajectories", unmeasured=names),)
-        noisy = method != "integral" and looks_noisy(library, coefficients, self.recording.guessed(delay))
+        noisy = method != "integral" and looks_noisy(library, coefficients, self.recording.delayed(delay).guess)
         if method != "auto":
             return method, noisy, ()
         if noisy:
@@ -331,7 +333,7 @@ class _Fit:
 
     def _regressed(self, found: Model, delay: float) -> Model:
         """Repeat the regression with what is known of the states between samples, and fit numbers inside functions."""
-        (library, coefficients), seen, settings = found, self._brief.seen(delay), self.settings
+        (library, coefficients), seen, settings = found, self._brief.delayed(delay), self.settings
         free, offset = self.constraints.free, self.constraints.offset
         regression = Regression(method="bic", tolerance=settings.tolerance, dependent=seen.dependent)
         for _ in range(settings.rounds):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -53,10 +53,36 @@ def _least_missed(
     return int(growth.argmin()), float(growth.min())
 
 
-def _without(triangle: Tensor, active: Tensor, j: int) -> tuple[Tensor, Tensor]:
-    """Return R of [columns, target] and the places of its columns, `(n,)`, without the j-th column."""
-    keep = [k for k in range(len(active)) if k != j]
-    return torch.linalg.qr(triangle[:, [*keep, len(active)]], mode="r")[1], active[keep]
+def _backward(
+    triangle: Tensor, active: Tensor, removable: Tensor | None = None, dependent: float = DEPENDENT
+) -> Iterator[tuple[Tensor, Tensor, float]]:
+    """Drop columns one by one, the one that is missed least first, until none may be dropped.
+
+    The triangle is factored anew after each drop: nearly collinear functions (alpha, sin alpha, alpha cos alpha at
+    small angles) ruin cheaper updates.
+
+    Args:
+        triangle: R of [columns, target].
+        active: places of its columns, `(n,)`.
+        removable: places that may be dropped, bool; all by default.
+        dependent: see `_least_missed`.
+
+    Yields:
+        R of [columns, target], the places of its columns, and by how much the squared residual grows without the next.
+    """
+    while True:
+        n = len(active)
+        j, growth = _least_missed(triangle, n, None if removable is None else removable[active], dependent)
+        yield triangle, active, growth
+        if j < 0:
+            return
+        keep = [k for k in range(n) if k != j]
+        triangle, active = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1], active[keep]
+
+
+def _solution(triangle: Tensor, n: int) -> Tensor:
+    """Return the least squares solution for n columns, `(n,)`."""
+    return torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
 
 
 def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: float = DEPENDENT) -> tuple[Tensor, Tensor]:
@@ -77,15 +103,9 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: floa
     if bool(idle.any()):
         unit = torch.nn.functional.pad(torch.diag(idle.to(triangle.dtype))[idle], (0, 1))
         triangle = torch.linalg.qr(torch.cat([triangle, unit]), mode="r")[1]
-    while True:
-        n = len(active)
-        j, growth = _least_missed(triangle, n, removable[active], dependent)
-        if j < 0 or growth >= limit:
-            break
-        triangle, active = _without(triangle, active, j)
-    n = len(active)
-    values = torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
-    return active, values
+    sets = _backward(triangle, active, removable, dependent)
+    left, active = next((left, active) for left, active, growth in sets if growth >= limit)
+    return active, _solution(left, len(active))
 
 
 def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Parameters, limit: float) -> Tensor | None:
@@ -234,15 +254,13 @@ def _least_at_edge(
     """
     triangle = torch.linalg.qr(torch.cat([inside[0][:, active], inside[1].unsqueeze(-1)], -1), mode="r")[1]
     size, best, chosen = float(beyond[1].norm().clamp_min(1e-300)), math.inf, active
-    while n := len(active):
-        if float(triangle[:n, :n].diagonal().abs().min()) >= DEPENDENT:
-            values = torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
-            error = float((beyond[1] - beyond[0][:, active] @ values).norm()) / size
-            score = math.log(max(error, NEGLIGIBLE)) + PER_TERM * float(weights[active].sum())
+    for left, some, _ in _backward(triangle, active):
+        n = len(some)
+        if n and float(left[:n, :n].diagonal().abs().min()) >= DEPENDENT:
+            error = float((beyond[1] - beyond[0][:, some] @ _solution(left, n)).norm()) / size
+            score = math.log(max(error, NEGLIGIBLE)) + PER_TERM * float(weights[some].sum())
             if score < best:
-                best, chosen = score, active
-        j, _ = _least_missed(triangle, n)
-        triangle, active = _without(triangle, active, j)
+                best, chosen = score, some
     return best, chosen
 
 
@@ -436,6 +454,15 @@ def least_squares(theta: Tensor, target: Tensor) -> Tensor:
     )
 
 
+def fit_supported(theta: Tensor, dx: Tensor, support: Tensor) -> Tensor:
+    """Return the least squares coefficients of rates `(N, n_x)` where `support` `(n_features, n_x)` is, else zero."""
+    xi, scale = torch.zeros(support.shape, dtype=theta.dtype), theta.norm(dim=0).clamp_min(1e-300)
+    for i in support.any(0).nonzero().flatten().tolist():
+        mine = support[:, i]
+        xi[mine, i] = least_squares(theta[:, mine] / scale[mine], dx[:, i]) / scale[mine]
+    return xi
+
+
 def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tensor:
     """Threshold and refit until the support stands still (Brunton, Proctor, Kutz 2016), ridge 0.
 
@@ -469,12 +496,7 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tens
 
 
 def _eliminate(
-    theta: Tensor,
-    targets: Tensor,
-    support: Tensor,
-    count: int,
-    tolerance: float,
-    dependent: float = DEPENDENT,
+    theta: Tensor, targets: Tensor, support: Tensor, count: int, tolerance: float, dependent: float = DEPENDENT
 ) -> Tensor:
     """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
 
@@ -487,39 +509,22 @@ def _eliminate(
         dependent: part of a column that others leave over, below which it depends on them.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
-    for i in range(targets.shape[1]):
-        mine = support[:, i].nonzero().squeeze(-1)
-        active = _best_subset(theta, targets[:, i], mine, count, tolerance, dependent)
-        if len(active):
-            coefficients[active, i] = least_squares(theta[:, active], targets[:, i])
+    for i in support.any(0).nonzero().flatten().tolist():
+        chosen = mine = support[:, i].nonzero().squeeze(-1)
+        least = math.inf
+        triangle = torch.linalg.qr(torch.cat([theta[:, mine], targets[:, i : i + 1]], -1), mode="r")[1]
+        triangle = torch.nn.functional.pad(triangle, (0, 0, 0, max(0, len(mine) + 1 - len(triangle))))
+        for left, active, _ in _backward(triangle, mine, dependent=dependent):
+            n = len(active)
+            squared = float(left[n:, n].square().sum())
+            score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
+            # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is
+            # scored.
+            if score < least and (not n or float(left[:n, :n].diagonal().abs().min()) >= dependent):
+                chosen, least = active, score
+        if len(chosen):
+            coefficients[chosen, i] = least_squares(theta[:, chosen], targets[:, i])
     return coefficients
-
-
-def _best_subset(
-    theta: Tensor, target: Tensor, active: Tensor, count: int, tolerance: float, dependent: float
-) -> Tensor:
-    """Walk down from all functions by the growth of the squared residual xi_j^2 / C_jj, C = inv(theta'theta).
-
-    The triangle is factored anew after each drop: nearly collinear functions (alpha, sin alpha, alpha cos alpha at
-    small angles) ruin cheaper updates of C.
-    """
-    n = len(active)
-    if n == 0:
-        return active
-    triangle = torch.linalg.qr(torch.cat([theta[:, active], target.unsqueeze(-1)], -1), mode="r")[1]
-    triangle = torch.nn.functional.pad(triangle, (0, 0, 0, max(0, n + 1 - triangle.shape[0])))
-    best, best_score = active, math.inf
-    while True:
-        n = len(active)
-        squared = float(triangle[n:, n].square().sum())
-        score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
-        # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is scored.
-        if score < best_score and (not n or float(triangle[:n, :n].diagonal().abs().min()) >= dependent):
-            best, best_score = active, score
-        if not n:
-            return best
-        j, _ = _least_missed(triangle, n, dependent=dependent)
-        triangle, active = _without(triangle, active, j)
 
 
 OVERLAP = 4

@@ -13,7 +13,7 @@ from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.delay import unexplained
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Factor, Feature, Library
-from dynasindy.sindy.regression import Rows, Theta, least_squares
+from dynasindy.sindy.regression import Rows, Theta, fit_supported, least_squares
 
 LITTLE = 1e-3
 """Gain of log-likelihood below which the numbers stand still."""
@@ -72,18 +72,10 @@ def unmoved_shapes(library: Library, xi: Tensor) -> list[Finding]:
 def _solved(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> tuple[Tensor, float]:
     """Return the coefficients for these shapes, and N/2 log of the squared errors of all states."""
     theta, dx = rows(library, generate(library, xi))
-    found, cost = torch.where(active, 0.0, xi), 0.0
-    rest = dx - theta @ found
-    for i in range(xi.shape[1]):
-        mine = active[:, i].nonzero().flatten()
-        if not len(mine):
-            continue
-        columns = theta[:, mine]
-        scale = columns.norm(dim=0).clamp_min(1e-300)
-        found[mine, i] = least_squares(columns / scale, rest[:, i]) / scale
-        error = (rest[:, i] - columns @ found[mine, i]).square().sum()
-        cost += 0.5 * len(dx) * float((error / dx[:, i].square().sum() + tolerance**2).log())
-    return found, cost
+    found = torch.where(active, 0.0, xi)
+    found = found + fit_supported(theta, dx - theta @ found, active)
+    shares = (dx - theta @ found).square().sum(0) / dx.square().sum(0)
+    return found, 0.5 * len(dx) * float((shares + tolerance**2).log()[active.any(0)].sum())
 
 
 def _step(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> Tensor:

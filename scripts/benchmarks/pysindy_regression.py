@@ -93,7 +93,7 @@ def smoothed_rows(library: Library, data: Transitions, length: int) -> Rows:
 
 def weak_rows(library: Library, data: Transitions) -> Rows:
     """Return our weak form of noisy states."""
-    return RegressionData.of(reconstruct(data, {}, True), data, {}, True).rows(library, library)
+    return RegressionData.of(data, {}, True).rows(library, library)
 
 
 def best_threshold(

@@ -13,7 +13,6 @@ from dynasindy.sindy.named_libraries import (
     auto,
     auto_rig,
     build_library,
-    dead_zone,
     fourier,
     paper_equation,
     paper_table,
@@ -120,7 +119,9 @@ def log_of_an_axis(n: int = 1500, dt: float = 0.01) -> Transitions:
 
 def test_friction_that_differs_by_direction_is_identified_from_a_log():
     refinement = Refinement("one_step", rounds=4)
-    model = SindyModel(AXIS, "friction", Regression("bic"), refinement, known={"a": "w"})
+    dry = ["tanh(~20 w)", "bell(~4 w) tanh(~20 w)"]
+    words = ["1", "a", "w", "u", *dry, *(f"sign(w) {each}" for each in dry)]
+    model = SindyModel(AXIS, words, Regression("bic"), refinement, known={"a": "w"})
     model.fit(log_of_an_axis())
     width, slip = (shape.frequency for shape in model.library.shapes)
     assert (width, slip) == (pytest.approx(WIDTH, rel=1e-3), pytest.approx(SLIP, rel=1e-3))
@@ -141,21 +142,13 @@ def test_a_dead_zone_with_two_edges_is_identified_from_a_noisy_log():
         through = held - 0.25 if held > 0.25 else min(held + 0.14, 0.0)
         v.append(phi * v[-1] + (1 - phi) / 1.5 * 6 * through)
     x = torch.tensor(v).double() + 0.01 * torch.from_numpy(rng.normal(size=1001))
-    model = SindyModel(signature, "dead_zone", Regression("bic"), Refinement("auto", rounds=4))
+    words = ["1", "v", "u", "hinge(~0.1 u)", "hinge(~-0.1 u)"]
+    model = SindyModel(signature, words, Regression("bic"), Refinement("auto", rounds=4))
     model.fit(Transitions.from_trajectory(x[:, None], torch.from_numpy(u)[:, None], 0.02))
     assert [shape.frequency for shape in model.library.shapes] == pytest.approx([0.25, -0.14], abs=0.01)
     # 1, v, u, and one bend at either edge; u + 0.14 up to the lower edge and nothing from there to the upper one.
     expected = [6 * 0.14, -1.5, 6.0, 6.0, -6.0]
     assert model.coefficients[:, 0].tolist() == pytest.approx(expected, rel=0.03)
-
-
-def test_friction_is_that_of_the_rates_of_a_plant_or_of_all_states_where_none_is_a_rate():
-    assert {s.variables for s in build_library("friction", Xi().signature).shapes} == {("Omega_a",), ("Omega_p",)}
-    headings = Signature(("y", "z"), ("-", "-"), ("u",), (2.0, 40.0))
-    shapes = {(s.variables[0], s.function): s.frequency for s in build_library("friction", headings).shapes}
-    # Full at a twentieth of the range, no longer sticking beyond a quarter of it.
-    assert shapes == {("y", "tanh"): 10.0, ("y", "bell"): 2.0, ("z", "tanh"): 0.5, ("z", "bell"): 0.1}
-    assert {s.variables for s in dead_zone(Xi().signature).shapes} == {("u_a",), ("u_p",)}
 
 
 def test_the_library_of_a_rig_has_dry_friction_of_every_rate_and_what_it_turns():
