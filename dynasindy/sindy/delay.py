@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import torch
+from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from dynasindy.sindy.regression import Rows, fit_supported
@@ -21,6 +23,8 @@ EXACT = 1e-3
 """Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
 TELLING = 4.0
 """Factor on the squared error, of all states together, below which a regression does not tell a delay."""
+CLOSE = 5e-3
+"""Samples to which a delay is found by regressions."""
 
 Cost = Callable[[float], float]
 """Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
@@ -111,31 +115,19 @@ def refine_delay(rough: float, dt: float, longest: float, worth: float, cost: Co
         cost: what a fit to the recording under inputs delayed by so much leaves over.
         whole: whether it is a whole number of samples, as that of a difference equation.
     """
-    costs: dict[float, float] = {}
+    known = cache(cost)
 
     def _at(delay: float) -> float:
-        if not 0 <= delay <= longest * (1 + 1e-9):
-            return math.inf
-        if delay not in costs:
-            costs[delay] = cost(delay)
-        return costs[delay]
+        return known(delay) if 0 <= delay <= longest * (1 + 1e-9) else math.inf
 
-    best, step = rough, dt
-    while True:
-        better = min((best - step, best, best + step), key=_at)
-        if better != best:
-            best = better
-        elif step > dt / 4 and not whole:
-            step /= 2
-        else:
-            break
-    if best and _at(0.0) - _at(best) < worth:
-        return 0.0
-    if whole:
-        return best
-    before, here, after = (_at(best + k * step) for k in (-1, 0, 1))
-    bend = before - 2 * here + after
-    return best + step * 0.5 * (before - after) / bend if math.isfinite(bend) and bend > 0 else best
+    best = rough
+    while (better := min((best - dt, best, best + dt), key=_at)) != best:
+        best = better
+    if not whole:
+        ends = max(0.0, best - dt), min(longest, best + dt)
+        within = minimize_scalar(_at, bounds=ends, method="bounded", options={"xatol": CLOSE * dt})
+        best = min(best, float(within.x), key=_at)
+    return 0.0 if best and _at(0.0) - _at(best) < worth else best
 
 
 def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:

@@ -26,8 +26,10 @@ ENOUGH = 10_000
 CHOSEN_STRETCHES = 10
 """Stretches that the rows lie in that are chosen of a long recording."""
 CHUNK, TALL = 100_000, 4
-"""Slopes, about, that are computed and condensed at once, so that they stay in fast memory, and rows at least for each
-column, by which condensing them is worth its cost."""
+"""Slopes, about, that are condensed at once, so that they stay in fast memory, and rows at least for each column, by
+which condensing them is worth its cost."""
+MOST_SLOPES = 10_000_000
+"""Slopes, about, that are computed at once, and held in memory."""
 
 
 @dataclass(frozen=True)
@@ -229,14 +231,12 @@ class Flow:
         parameters: coefficients to differentiate by, P of them.
         windows: the recording.
         predicted: states at the ends of the intervals, `(W, L, n_x)`.
-        propagator: what computes sensitivities, if it is at hand.
     """
 
     estimate: Estimate
     parameters: Parameters
     windows: Windows
     predicted: Tensor
-    propagator: Propagator | None = None
 
     @classmethod
     def of(cls, estimate: Estimate, parameters: Parameters, windows: Windows) -> Flow:
@@ -250,7 +250,8 @@ class Flow:
 
         D numbers of the gain and the delay are fitted.
         """
-        estimate, windows, propagator = self.estimate, self.windows, self.propagator or self._propagator()
+        estimate, windows = self.estimate, self.windows
+        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
         update, inputs = estimate.measurement_update(windows), (windows.inputs, windows.dt, windows.substeps)
         s = propagator.trajectories(estimate.nodes, *inputs, windows.last_inputs, update)[1]
         if windows.history is None:
@@ -260,24 +261,34 @@ class Flow:
         by_delay = ((later - self.predicted) / (STEP * windows.dt)).unsqueeze(-1)
         return torch.cat([s[..., :place], by_delay, s[..., place:]], -1)
 
-    def _propagator(self) -> Propagator:
-        library = self.estimate.library
-        return Propagator(library, self.estimate.xi, self.parameters, library.shapes)
+    @property
+    def count(self) -> int:
+        """Count the slopes."""
+        columns = self.predicted.shape[-1] + len(self.estimate.library.shapes) + len(self.parameters)
+        return self.predicted.numel() * columns
 
     @property
     def pieces(self) -> int:
-        """Count the parts of the recording whose slopes are computed and condensed one after the other."""
-        n_x, seen, states = self.predicted.shape[-1], int(_observed(self.windows).sum()), self.predicted.numel()
-        count = states * (n_x + len(self.estimate.library.shapes) + len(self.parameters))
-        return max(1, min(1 + count // CHUNK, states**2 * seen // (TALL * n_x**2 * count)))
+        """Count the parts of the recording whose slopes are condensed one after the other."""
+        n_x, seen = self.predicted.shape[-1], int(_observed(self.windows).sum())
+        tall = self.predicted.numel() ** 2 * seen // (TALL * n_x**2 * self.count)
+        return max(1, min(1 + self.count // CHUNK, tall))
+
+    def part(self, rows: slice) -> Flow:
+        """Return the trajectories of some of the windows."""
+        estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
+        return Flow(estimate, self.parameters, self.windows.part(rows), self.predicted[rows])
 
     def parts(self, count: int) -> Iterator[tuple[slice, Flow]]:
-        """Yield so many parts of the windows, and their trajectories."""
-        propagator, predicted = self._propagator(), self.predicted
+        """Yield so many parts of the windows, and their trajectories; slopes are computed of many windows at once."""
+        begin, some, block = 0, len(self.windows) * MOST_SLOPES // max(self.count, 1), self.part(slice(0))
         for each in torch.arange(len(self.windows)).tensor_split(count):
             rows = slice(int(each[0]), int(each[-1]) + 1)
-            estimate = replace(self.estimate, nodes=self.estimate.nodes[rows])
-            yield rows, Flow(estimate, self.parameters, self.windows.part(rows), predicted[rows], propagator)
+            if rows.stop > begin + len(block.windows):
+                begin, block = rows.start, self.part(slice(rows.start, max(rows.stop, rows.start + some)))
+            part = self.part(rows)
+            part.__dict__["s"] = block.s[rows.start - begin : rows.stop - begin]
+            yield rows, part
 
     def lost(self) -> Tensor:
         """Return which windows the model runs away in, bool `(W,)`."""

@@ -70,7 +70,7 @@ def test_with_process_noise_it_is_the_least_squares_fit_of_the_discrete_form():
 def test_a_recording_is_fitted_block_by_block_as_it_is_at_once(monkeypatch):
     data, xi = recording(0.05), column(-1.0, 2.0, 0.0, 0.0)
     whole = refined(xi, FREE, data, 1e-9)
-    monkeypatch.setattr(shooting, "CHUNK", 40)
+    monkeypatch.setattr(shooting, "MOST_SLOPES", 40)
     monkeypatch.setattr(shooting, "CHUNK", 40)
     found = refined(xi, FREE, data, 1e-9)
     torch.testing.assert_close(found.coefficients, whole.coefficients, rtol=1e-9, atol=1e-12)
