@@ -513,10 +513,11 @@ def _noise(value: float = 0.0, limit: float = 0.0, input: str = "", known: bool 
 
 
 def _coefficients(
-    plants: int, held: int, how: str, unstable: int, radius: float | None, ran_away: int, **error: Any
+    plants: int, held: int, how: str, unstable: int, radius: float, slowest: float, ran_away: int, **error: Any
 ) -> str:
     stays = "stable with all" if not unstable else f"NOT stable with {unstable}"
-    far = "no rest" if radius is None or math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
+    far = "no rest" if math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
+    far += "" if math.isinf(slowest) else f", a time constant of {format_duration(slowest, digits=2)}"
     steady = f"of those that come to rest a steady error of at most {_error(**error)}"
     if unstable == plants:
         steady = "no steady error, as none comes to rest"
@@ -524,20 +525,6 @@ def _coefficients(
         f"{plants} plants with other coefficients, {how}, at {held} targets where the model itself is stable: {stays}, "
         f"at worst {far}, {steady}, and {ran_away} run away in the step of steps.png; threshold: stable, "
         f"{_error_limit(**error)}"
-    )
-
-
-def _settling(
-    model: float | None, slowest: float | None, plants: int, all_stable: bool, closed: float, **more: float
-) -> str:
-    end = f"more than {format_duration(more['longest'], digits=2)}"
-    shown, own = (
-        end if each is None or math.isinf(each) else format_duration(each, digits=3) for each in (slowest, model)
-    )
-    return (
-        f"between opposite targets, and as if inputs had no limits, all but {100 * closed:g} % of the way is done "
-        f"after {own} with the model, and after {shown} with the slowest of {plants} plants with other coefficients"
-        f"{'' if all_stable else ' that are stable'}; threshold: {format_duration(more['limit'], digits=3)}"
     )
 
 
@@ -569,8 +556,6 @@ REMEDIES = {
     "check.slew": _GENTLE,
     "check.saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
     "check.coefficients": _VARIED,
-    "check.settling": "For a plant that is not as the model says, try <planning.gain_range=0.5>, or give the "
-    "controller integral action, as the page on checks shows",
     "check.recovery": "Switch the controller on near the middle of the targets, or give <plant.start> the range from "
     "which it is to come back, and train anew",
 }
@@ -828,7 +813,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"to {_beside(100 * value, 100 * limit)} % of {format_duration(seconds)}; threshold: {100 * limit:g} %"
     ),
     "check.coefficients": _coefficients,
-    "check.settling": _settling,
     "check.recovery": _recovery,
     # a run
     "plant.coarse_steps": _coarse_steps,

@@ -1,4 +1,4 @@
-"""The linear model of a closed loop at rest, z[k+1] = A z + B v + E n, u = C z + F n: margins, noise, settling."""
+"""The linear model of a closed loop at rest, z[k+1] = A z + B v + E n, u = C z + F n: margins and noise."""
 
 from __future__ import annotations
 
@@ -377,33 +377,3 @@ def noise_gain(linear: Linear) -> Array:
         inputs = c @ solve_discrete_lyapunov(a, np.outer(e, e)) @ c.T + np.outer(linear.f[:, i], linear.f[:, i])
         found[:, i] = np.sqrt(np.diag(inputs).clip(0))
     return found
-
-
-CLOSED = 0.02
-"""Part of the way to a target within which the outputs have to stay."""
-LONGEST = 20
-"""Flights after which it is no longer looked when they do."""
-
-
-def settling(a: Array, away: Array, outputs: list[int], ways: Array, periods: int) -> NDArray[np.float64]:
-    """Return after how many control periods the outputs of loops stay within `CLOSED` of their way, `(rows,)`.
-
-    Args:
-        a: From z to z, `(rows, n, n)`.
-        away: How far z is from its rest at the beginning, `(rows, n)`.
-        outputs: Places of the outputs in z.
-        ways: How far each output has to go, `(n_r,)`; one that stays where it is does not count.
-        periods: Control periods of a flight.
-
-    Returns:
-        The periods, infinite where `LONGEST` flights are not enough.
-    """
-    z, left = away.copy(), np.zeros(len(away))
-    moving = np.abs(ways) > 0
-    for k in range(LONGEST * periods):
-        beyond = (np.abs(z[:, outputs][:, moving]) > CLOSED * np.abs(ways[moving])).any(-1)
-        left[beyond] = k + 1
-        if not beyond.any() and k > left.max() + periods:
-            break
-        z = (a @ z[..., None])[..., 0]
-    return np.where(left >= LONGEST * periods, np.inf, left)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
-from dynasindy.checking.linear_loop import Array, RestingLoop, find_rest, settling
+from dynasindy.checking.linear_loop import RestingLoop, find_rest
 from dynasindy.sindy import SindyModel
 
 DRAWN = 0.05
@@ -55,14 +54,11 @@ class Spread:
         radius: Spectral radius, `(n_targets, n)`, infinite where no point of rest was found.
         error: Steady error of the outputs, `(n_targets, n, n_r)`, infinite where they run away.
         how: By how much they are drawn, in words.
-        settling: Time in which the end of a step from the opposite target is closed, `(n_targets, n + 1)` [s], that of
-            the model itself last; infinite where it is very long, 0 where the loop is not stable. None of one target.
     """
 
     radius: Tensor
     error: Tensor
     how: str = WITHIN
-    settling: Tensor | None = None
 
     @property
     def worst(self) -> Tensor:
@@ -93,24 +89,9 @@ def spread(
         torch.zeros(len(r), count, dtype=torch.float64),
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
-    rests, slopes = [], []
     for k, target in enumerate(r.double() if count else []):
         start, phase = nominal.select(torch.full((count,), k)), f"{PHASE}, target {k + 1} of {len(r)}"
         found = find_rest(loop.varied(changed), target.expand(count, -1), start, seconds, phase)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
-        rests.append(np.concatenate([found.z.numpy(), nominal.z[k : k + 1].numpy()]))
-        slopes.append(np.concatenate([found.linear.a, nominal.linear.a[k : k + 1]]))
-    closing = _closing(loop, r, np.stack(rests), np.stack(slopes), radii, seconds) if len(rests) > 1 else None
-    return Spread(radii, errors, how, closing)
-
-
-def _closing(loop: ClosedLoop, r: Tensor, rests: Array, slopes: Array, radii: Tensor, seconds: float) -> Tensor:
-    """Return in which time the end of steps between opposite targets is closed, `(n_targets, n + 1)` [s]."""
-    first, periods = loop.parts["x"].start, max(1, round(seconds / loop.dt))
-    outputs, ways = [first + place for place in loop.task.outputs], (r.flip(0) - r).numpy()
-    stable = np.pad(radii.numpy() < 1, ((0, 0), (0, 1)), constant_values=True)
-    there = np.where(stable[..., None, None], slopes, 0.0)
-    away = np.where((stable & stable[::-1])[..., None], rests[::-1] - rests, 0.0)
-    found = [settling(a, z, outputs, way, periods) for a, z, way in zip(there, away, ways, strict=True)]
-    return torch.from_numpy(np.stack(found) * loop.dt)
+    return Spread(radii, errors, how)

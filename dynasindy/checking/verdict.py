@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.check import Check
-from dynasindy.checking.linear_loop import CLOSED, LONGEST, Margins
+from dynasindy.checking.linear_loop import Margins
 from dynasindy.checking.simulation import TOLERANCE
 from dynasindy.findings import Finding, note, records, weak, wrong
 
@@ -32,7 +32,6 @@ class Thresholds:
         noise: Largest standard deviation of an input under the noise of the sensors.
         slew: Largest change of an input in a control period.
         saturated: Largest share of a step at the limit of an input.
-        settled: Longest time in which the end of a step is closed, whatever coefficient is wrong [flights].
     """
 
     gain: float = 2.0
@@ -45,7 +44,6 @@ class Thresholds:
     noise: float = 0.05
     slew: float = 1.0
     saturated: float = 0.2
-    settled: float = 1.0
 
 
 def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, Any]:
@@ -79,14 +77,9 @@ def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, An
                 "saturated": _named(names, found.steps.saturated[k]),
             }
         )
-    slowest = None if others.settling is None else others.settling[:, :-1].amax(0)
     changes = [
-        {
-            "spectral_radius": _plain_number(radius),
-            "steady_error": _named(outputs, others.farthest[k]),
-            "settling": None if slowest is None or radius >= 1 else _plain_number(float(slowest[k])),
-        }
-        for k, radius in enumerate(others.worst.tolist())
+        {"spectral_radius": _plain_number(radius), "steady_error": _named(outputs, error)}
+        for radius, error in zip(others.worst.tolist(), others.farthest, strict=True)
     ]
     planes = [
         {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
@@ -160,7 +153,7 @@ def check_verdict(found: Check, thresholds: Thresholds | None = None) -> list[Fi
     findings = [_stability(found, limits)]
     if any(found.margins):
         findings += [*_margins(found, limits), _noise(found, limits)]
-    findings += [*_steps(found, limits), *_coefficients(found, limits), *_settling(found, limits)]
+    findings += [*_steps(found, limits), *_coefficients(found, limits)]
     return [*findings, _recovery(found, limits)] if found.planes else findings
 
 
@@ -210,8 +203,13 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
         return (wrong if bool(unstable_targets(found, limits).any()) else weak)("check.stability", **facts)
     k = int(np.argmax(found.rest.linear.radius))
     radius = float(found.rest.linear.radius[k])
-    slowest = -dt / math.log(radius) if radius else 0.0
-    return note("check.stability", **facts, target=_target(found, k), radius=radius, slowest=slowest, dt=dt)
+    facts |= {"target": _target(found, k), "radius": radius, "slowest": _time_constant(radius, dt), "dt": dt}
+    return note("check.stability", **facts)
+
+
+def _time_constant(radius: float, dt: float) -> float:
+    """Return in which time the slowest part of a stable loop dies out to a share of 1/e [s]."""
+    return -dt / math.log(radius) if radius else 0.0
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
@@ -270,20 +268,11 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
     unstable, some = int((~rests).sum()), others.farthest[rests]
     error = largest_error(found, some if len(some) else 0 * found.targets[:1], limits)
     facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": unstable}
-    facts |= {"radius": float(others.worst.max()), "ran_away": away}
+    radius = float(others.worst.max())
+    slowest = _time_constant(radius, found.loop.dt) if radius < 1 else math.inf
+    facts |= {"radius": radius, "slowest": slowest, "ran_away": away}
     keeps = not (unstable or away) and error["share"] <= limits.error
     return [_judged("coefficients", keeps, **facts, **error)]
-
-
-def _settling(found: Check, limits: Thresholds) -> list[Finding]:
-    times, stays = found.spread.settling, found.spread.worst < 1  # what is not stable has no end of a step
-    if times is None or not bool(stays.any()):
-        return []
-    others = times[:, :-1].amax(0).where(stays, -1.0)
-    slowest, limit = float(others.amax()), limits.settled * found.seconds
-    facts: dict[str, Any] = {"model": float(times[:, -1].amax()), "slowest": slowest}
-    facts |= {"plants": int(stays.sum()), "all_stable": bool(stays.all()), "closed": CLOSED}
-    return [_judged("settling", slowest <= limit, **facts, limit=limit, longest=LONGEST * found.seconds)]
 
 
 def _recovery(found: Check, limits: Thresholds) -> Finding:

@@ -1,7 +1,6 @@
 """Loops rest where they should, and their eigenvalues are those on paper."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import torch
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete
 
-from dynasindy.checking import Thresholds, check_verdict
+from dynasindy.checking import check_verdict
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.linear_loop import (
     Linear,
@@ -19,10 +18,8 @@ from dynasindy.checking.linear_loop import (
     noise_gain,
     open_loop_response,
     sensitivity,
-    settling,
     without_dry_friction,
 )
-from dynasindy.checking.verdict import check_record
 from dynasindy.sindy import SindyModel
 
 A = np.array([[1.0, 0.1], [0.0, 1.0]])
@@ -231,64 +228,6 @@ def test_a_long_flight_under_noise_spreads_as_much(loops):
         z, covariance, u = loop.step(z, covariance, torch.zeros(400, 1), noise=noise)
         inputs += [u] if k >= 100 else []
     assert torch.stack(inputs).std().item() == pytest.approx(0.01 * gain[0, 0], rel=0.03)
-
-
-def test_a_fiftieth_is_left_when_the_exponential_says_so():
-    """0.9^k is 0.02 at k = ln 0.02 / ln 0.9 = 37.1; a slow part that begins as 5 % takes ln 0.4 / ln 0.99 = 91.2."""
-    fast, slow = np.diag([0.9, 0.5]), np.diag([0.9, 0.99])
-    mixed = np.array([[0.9, 0.0], [0.0, 0.99]])
-    mixed = np.array([[1.0, 1.0], [0.0, 1.0]]) @ mixed @ np.array([[1.0, -1.0], [0.0, 1.0]])  # the output sees both
-    away = np.array([[1.0, 0.3], [1.0, 0.3], [1.0, 0.05]])
-    found = settling(np.stack([fast, slow, mixed]), away, [0], np.array([1.0]), 100)
-    assert found.tolist() == [38.0, 38.0, 92.0]
-    assert settling(np.eye(1)[None], np.ones((1, 1)), [0], np.ones(1), 10).tolist() == [math.inf]
-    assert settling(fast[None], away[:1], [0], np.zeros(1), 10).tolist() == [0.0]
-
-
-def test_a_cart_on_a_spring_settles_as_its_eigenvalues_on_paper_say(loops, carts):
-    """p'' = 2 (r - p) - 2.5 p' - p, sampled every 0.1 s: within 2 % when it has swung in, as NumPy moves it."""
-    settings = Settings((-0.4,), (0.4,), points=2, seconds=6.0, grid=3, draws=4)
-    found = check(loops(model=carts(spring=1.0)), settings)
-    assert found.spread.settling is not None and found.spread.settling.shape == (2, 5)
-    x, last = np.array([-0.8 * 2 / 3, 0.0]), 0
-    a, b = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.array([0.0, 1.0])
-    whole = np.zeros((3, 3))
-    whole[:2, :2], whole[:2, 2] = a * 0.1, b * 0.1
-    power, term = np.eye(3), np.eye(3)
-    for k in range(1, 20):
-        term = term @ whole / k
-        power = power + term
-    for k in range(200):
-        last = k + 1 if abs(x[0]) > 0.02 * 0.8 else last
-        x = (power @ np.append(x, -2.0 * x[0] - 2.5 * x[1]))[:2]
-    assert found.spread.settling[:, -1].tolist() == pytest.approx([0.1 * last] * 2)
-    (line,) = (each for each in check_verdict(found) if each.code == "check.settling")
-    assert line.severity == "note" and line.values["slowest"] == pytest.approx(line.values["model"], rel=0.1)
-    (line,) = (each for each in check_verdict(found, Thresholds(settled=0.2)) if each.code == "check.settling")
-    assert line.severity == "weak" and line.values["limit"] == pytest.approx(1.2)
-    slow = torch.full_like(found.spread.settling, math.inf)
-    (line,) = (
-        e
-        for e in check_verdict(replace(found, spread=replace(found.spread, settling=slow)))
-        if e.code == "check.settling"
-    )
-    assert line.severity == "weak" and line.values["slowest"] == math.inf and str(line)
-    apart = torch.tensor([[1.0, 2.0, 3.0, 4.0, 5.0], [7.0, 1.0, 1.0, 6.0, 8.0]], dtype=torch.float64)
-    unlike = replace(found, spread=replace(found.spread, settling=apart))  # the slower one of both ways counts
-    (line,) = (each for each in check_verdict(unlike) if each.code == "check.settling")
-    assert line.values["slowest"] == 7.0
-    assert [change["settling"] for change in check_record(unlike)["changes"]] == [7.0, 2.0, 3.0, 6.0]
-    part = found.spread.radius.clone()
-    part[0, 0] = 1.01  # at one of both targets the first plant is not stable
-    (line,) = (
-        e
-        for e in check_verdict(replace(found, spread=replace(found.spread, radius=part)))
-        if e.code == "check.settling"
-    )
-    assert not line.values["all_stable"] and line.values["plants"] == 3
-    assert check_record(replace(found, spread=replace(found.spread, radius=part)))["changes"][0]["settling"] is None
-    none = replace(found.spread, radius=torch.full_like(part, 1.01))
-    assert "check.settling" not in [each.code for each in check_verdict(replace(found, spread=none))]
 
 
 def stable(k_p, k_v, later, dt=0.1):
