@@ -56,8 +56,6 @@ IDENTIFICATION = "identification.txt"
 """Name of the file of what the fit of the excitation says of itself."""
 FIRST = "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept."
 """Its head."""
-WINDOWS = "held_out_first_episode"
-"""Name of the table of the windows that were held out of the first episode."""
 WRITTEN_EVERY = 10.0
 """Time between two writings of the tables [s]; they are written whole, which takes a while after many episodes."""
 
@@ -178,8 +176,6 @@ class Recorder(Callback):
         if episode.number in (1, self.episodes):
             when = "first" if episode.number == 1 else "last"
             self._write_prediction(f"prediction_{when}_episode", episode)
-        if episode.number == 1 and episode.refit is not None and len(episode.refit.error.windows):
-            self._write_windows(episode.refit.error.windows)
 
     def reached(self, place: Place) -> None:
         """Save the state, if it is due."""
@@ -347,11 +343,6 @@ class Recorder(Callback):
         values = torch.cat([episode.rollout["next", "state"], episode.error.states], -1)
         # These are the states at the end of each control period, so the first is one period old.
         self._write_series(name, [*states, *(f"predicted_{state}" for state in states)], values, first=1)
-
-    def _write_windows(self, windows: Tensor) -> None:
-        """Write what the gate judged the first refit by, window by window of the episode."""
-        rows = [[round(self.plant.dt * start, 9), *errors] for start, *errors in windows.tolist()]
-        write_csv(self.folder / "data" / f"{WINDOWS}.csv", ["time [s]", "reward_error", "state_error"], rows)
 
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         # Double precision, so that the fifth period of 0.05 s is at 0.25 s and not at 0.25000000372.

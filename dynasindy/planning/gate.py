@@ -6,7 +6,7 @@ The model's one-step prediction beside every real step is the paper's reward-err
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import torch
@@ -29,13 +29,11 @@ class ModelError:
         reward_error: Mean absolute difference of the rewards per control period, in the task's unit.
         state_error: Root mean square difference of the states, each divided by its range.
         states: The model's states at the ends of the replayed steps, window by window, `(n, n_x)`.
-        windows: First step, reward error and state error of each window, `(n_windows, 3)`.
     """
 
     reward_error: float
     state_error: float
     states: Tensor
-    windows: Tensor = field(default_factory=lambda: torch.zeros(0, 3))
 
 
 @torch.no_grad()
@@ -65,9 +63,7 @@ def replay_error(
     squares = ((following - x_real[places]) / scale).square().mean(-1)
     errors = torch.stack([differences.mean(), squares.mean().sqrt()])
     reward_error, state_error = errors.nan_to_num(nan=torch.inf, posinf=torch.inf).tolist()
-    each = torch.stack([starts.to(x), differences.mean(0), squares.mean(0).sqrt()], -1)
-    each = each.nan_to_num(nan=torch.inf, posinf=torch.inf)
-    return ModelError(reward_error, state_error, following.transpose(0, 1).flatten(0, 1), each)
+    return ModelError(reward_error, state_error, following.transpose(0, 1).flatten(0, 1))
 
 
 class Gate:

@@ -29,7 +29,6 @@ CLEAR = 1.1
 TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 DOTS: Mapping[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
-NONE: Mapping[str, ArrayLike] = {}
 
 
 @styled
@@ -37,12 +36,10 @@ def gate(
     decisions: Mapping[str, ArrayLike],
     title: str = "Trust in the model",
     unit: str = "reward per period",
-    windows: Mapping[str, ArrayLike] = NONE,
 ) -> Figure:
     """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
 
-    A replay that ran away is marked at the upper edge. Of a single episode each dot has its number, as there is no
-    course to draw.
+    A replay that ran away is marked at the upper edge.
 
     Args:
         decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
@@ -52,15 +49,13 @@ def gate(
             test.
         title: of the figure.
         unit: of the reward error.
-        windows: Of a single episode, `reward_error` and `state_error` of the model that stays, `(n_windows,)` each, on
-            every window that was held out.
     """
     columns = {name: array(values) for name, values in decisions.items()}
     x, whole, judged = (columns[name] for name in ("episode", "reward_error", "judged_reward_error"))
     before, after, back = columns["held_out_error_before"], columns["held_out_error_after"], columns["refit_kept"] == 0
     figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
-    _draw(upper, x, whole, GREY, "whole episode, before the refit")
-    _draw(upper, x, judged, BLUE, "held-out windows, judged")
+    upper.plot(x, whole, color=GREY, label="whole episode, before the refit", **DOTS)
+    upper.plot(x, judged, color=BLUE, label="held-out windows, judged", **DOTS)
     # Half an episode to each side, as the shade of a closed one is as wide.
     wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
     for name, line, words in (("open_below", ":", "trusted below"), ("close_above", "--", "no longer trusted above")):
@@ -68,21 +63,13 @@ def gate(
         upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
     for closed in x[columns["open"] == 0]:
         upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label="model not trusted")
-    _draw(lower, x, before, ORANGE, "before the refit")
-    _draw(lower, x, after, BLUE, "after the refit")
+    lower.plot(x, before, color=ORANGE, label="before the refit", **DOTS)
+    lower.plot(x, after, color=BLUE, label="after the refit", **DOTS)
     ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
     if back.any():
         lower.plot(x[back], after[back], color=RED, label="rolled back", clip_on=False, **ring)
-    of_windows = [array(windows.get(name, ())) for name in ("reward_error", "state_error")]
-    for axis, single, color in zip((upper, lower), of_windows, (BLUE, ORANGE if back.any() else BLUE), strict=True):
-        seen = single[np.isfinite(single) & (single > 0)]
-        places = x[-1] + np.linspace(0.1, 0.4, len(seen))  # beside the dot that sums them up
-        if len(seen):
-            text = f"each of {len(seen)} windows"
-            axis.plot(places, seen, ".", color=color, markersize=4, clip_on=False, label=text)
-    bounds = [columns[name] for name in ("open_below", "close_above")]
-    _limit(upper, np.concatenate([whole, judged, *bounds, of_windows[0]]))
-    _limit(lower, np.concatenate([before, after, of_windows[1]]))
+    _limit(upper, np.concatenate([whole, judged, columns["open_below"], columns["close_above"]]))
+    _limit(lower, np.concatenate([before, after]))
     _mark_divergence(upper, x[~np.isfinite(whole)], GREY)
     _mark_divergence(upper, x[np.isinf(judged)], BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
@@ -110,14 +97,6 @@ def growing_error(time: ArrayLike, error: ArrayLike) -> Figure:
     time_axis(axis, time)
     axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
     return figure
-
-
-def _draw(axis: Axes, x: Array, y: Array, color: str, words: str) -> None:
-    """Draw a curve; of a single point its number, too, which no course explains."""
-    axis.plot(x, y, color=color, label=words, **DOTS)
-    if len(x) == 1 and np.isfinite(y[0]):
-        at: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "center"}
-        axis.annotate(f"{y[0]:.3g}", (x[0], y[0]), (-6, 0), color=color, **at)
 
 
 def _draw_positive(axis: Axes, x: Array, y: Array, **look: Any) -> None:

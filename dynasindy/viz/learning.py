@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +31,8 @@ FEWEST_TICKS = 3
 """Ticks that an axis needs to be read."""
 WIDE = 30.0
 """Returns that differ by more than this factor are drawn on a logarithmic axis."""
-APART = 0.12
-"""Distance of the seeds of a setting after a single episode, of the width of its strip."""
-MOST_NAMED, STRIP = 6, 80
-"""Strips that have their names below them at most, and the letters of one line of all these names."""
+MOST_NAMED = 6
+"""Settings of a figure, beyond which it shows the numbers of rollouts alone, where there are any."""
 OF_RANGE = "% of the target range"
 """Unit of errors where outputs in several units are compared."""
 
@@ -154,23 +151,20 @@ def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, ti
 def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) -> None:
     """Draw interquartile mean and 95 % bootstrap band over seeds into an axis, one line per setting.
 
-    Where there are fewer than three seeds, each is a line of its own, and nothing is a band. After a single episode
-    there is no course: settings stand side by side, and so do the seeds of each.
+    Where there are fewer than three seeds, each is a line of its own, and nothing is a band.
     """
     seeds = {name: np.atleast_2d(array(values)) for name, values in curves.items()}
     last = max((rows.shape[1] for rows in seeds.values()), default=0)
-    once = last == 1
     episodes = np.arange(1.0, last + 1) if episode is None else array(episode)[:last]
-    for place, ((name, rows), line) in enumerate(zip(seeds.items(), line_styles(curves).values(), strict=True)):
-        x = np.array([float(place)]) if once else episodes[: rows.shape[1]]
+    for (name, rows), line in zip(seeds.items(), line_styles(curves).values(), strict=True):
+        x = episodes[: rows.shape[1]]
         words = name.replace("$", r"\$")  # names of settings are no mathematics
         label = f"{words} ({len(rows)} seed{'s' * (len(rows) > 1)})"
         # A line through a single episode would not be seen.
         look: dict[str, Any] = {**line, "marker": "o" if len(x) == 1 else None, "clip_on": len(x) > 1}
         if len(rows) < FEWEST:
             for number, row in enumerate(rows):
-                beside = APART * (number - (len(rows) - 1) / 2) if once else 0.0
-                axis.plot(x + beside, row, label="_" * (number > 0) + label, **look)
+                axis.plot(x, row, label="_" * (number > 0) + label, **look)
             continue
         by_episode = torch.as_tensor(rows.T)
         low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=0)
@@ -183,23 +177,11 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) ->
         words = f"; each seed where there are fewer than {FEWEST}" if min(counts) < FEWEST else ""
         axis.plot([], [], color=GREY, label=f"line: interquartile mean over seeds{words}")
         axis.plot([], [], color=GREY, alpha=0.3, linewidth=7, label="band: its 95 % bootstrap interval")
-    if once:
-        _name_strips(axis, list(curves), episodes[0])
-    elif curves:
+    if curves:
         room = 0.02 * (episodes[-1] - episodes[0]) + 1e-3
         axis.set_xlim(episodes[0] - room, episodes[-1] + room)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         axis.set_xlabel("real episode")
-
-
-def _name_strips(axis: Axes, names: Sequence[str], episode: float) -> None:
-    """Write the names of settings under their strips, which stand at 0, 1, ..., unless these are too many to read."""
-    few = len(names) <= MOST_NAMED
-    words = [textwrap.fill(name, STRIP // len(names)).replace("$", r"\$") for name in names] if few else []
-    axis.set_xticks(range(len(words)), words)
-    axis.set_xlim(-0.5, len(names) - 0.5)
-    axis.grid(visible=False, axis="x")
-    axis.set_xlabel(f"setting, after real episode {episode:g}")
 
 
 def _without_common_words(settings: pd.Series[str]) -> list[str]:

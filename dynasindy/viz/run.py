@@ -86,13 +86,11 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         if len(progress["episode"]) > 1:  # the returns of a single one stand in the table, and make no curve
             figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
-    if (folder / "gate.csv").is_file():
-        decisions = read_table(folder / "gate.csv")
+    decisions = read_table(folder / "gate.csv") if (folder / "gate.csv").is_file() else {}
+    if len(decisions.get("episode", ())) > 1:
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
-        held_out = folder / "data" / "held_out_first_episode.csv"
-        windows = read_table(held_out) if held_out.is_file() else {}
-        figures["gate"] = gate(decisions, unit=unit, windows=windows)
+        figures["gate"] = gate(decisions, unit=unit)
     which = found.get("drawn", {}).get("words", "")
     figures["step_response"] = _response(
         read_table(folder / "data" / "step_response.csv"), signature, which, controller

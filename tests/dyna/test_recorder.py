@@ -146,20 +146,6 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
 
 
-def test_the_windows_by_which_the_first_refit_was_judged_stand_in_a_table(recorded, tmp_path):
-    _, parts, recorder = recorded
-    again = Recorder(tmp_path, parts, replace(recorder.evaluating, every=5), 3)
-    again.begin()
-    rollout = parts.env.rollout(4)
-    rollout["next", "predicted_reward"] = rollout["next", "reward"]
-    error = ModelError(0.0, 0.0, rollout["next", "state"])
-    judged = ModelError(2.0, 3.0, torch.zeros(4, 6), torch.tensor([[80.0, 1.5, 2.5], [180.0, 2.5, 3.5]]))
-    again.episode(Episode(1, rollout, error, True, Refit(None, 4.0, 3.0, True, judged)), Cost(7, 8, 9))
-    found = rows(tmp_path / "data" / "held_out_first_episode.csv")
-    assert [[float(cell) for cell in row.values()] for row in found] == [[4.0, 1.5, 2.5], [9.0, 2.5, 3.5]]
-    assert list(found[0]) == ["time [s]", "reward_error", "state_error"]
-
-
 @pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
 def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded, tmp_path, number, name):
     _, parts, recorder = recorded

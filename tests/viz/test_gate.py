@@ -26,7 +26,6 @@ def test_closed_episodes_are_shaded_and_rolled_back_refits_are_marked():
     assert rings.get_xydata().tolist() == [[3.0, 0.4]]
     assert lower.get_ylim() == pytest.approx((0.05, 0.5))
     assert upper.get_ylim() == pytest.approx((0.005, 1.0))
-    assert not upper.texts  # numbers stand at single dots alone
 
 
 def test_where_the_model_ran_away_there_is_a_mark_at_the_upper_edge():
@@ -37,25 +36,6 @@ def test_where_the_model_ran_away_there_is_a_mark_at_the_upper_edge():
     assert [line.get_xdata().tolist() for line in marks] == [[1.0, 2.0], [3.0]]
     assert {height for line in marks for height in line.get_ydata()} == {upper.get_ylim()[1]}
     assert not [line for line in lower.lines if line.get_marker() == "^"]
-
-
-@pytest.mark.parametrize("place", [0, 1, 2])
-def test_a_single_episode_has_numbers_and_its_windows_beside_what_sums_them_up(place):
-    windows = {"time": [1.0, 2.0, 3.0], "reward_error": [0.003, 0.04, 0.5], "state_error": [0.001, 0.02, np.inf]}
-    columns = {name: values[place : place + 1] for name, values in DECISIONS.items()}
-    axes = gate(columns, windows=windows).axes
-    for axis, names, single in (
-        (axes[0], ("reward_error", "judged_reward_error"), windows["reward_error"]),
-        (axes[1], ("held_out_error_before", "held_out_error_after"), windows["state_error"][:2]),
-    ):
-        numbers = [float(text.get_text()) for text in axis.texts]
-        assert numbers == [columns[name][0] for name in names if np.isfinite(columns[name][0])]
-        (dots,) = [line for line in axis.lines if line.get_marker() == "."]
-        assert dots.get_ydata().tolist() == single
-        assert axis.get_ylim()[0] < min(single) and axis.get_ylim()[1] > max(single)
-    before, after, *_ = axes[1].lines
-    (dots,) = [line for line in axes[1].lines if line.get_marker() == "."]  # of the model that stays
-    assert dots.get_color() == (before if columns["refit_kept"] == [0] else after).get_color()
 
 
 def test_an_error_that_is_tiny_is_drawn_as_it_is_and_one_that_is_zero_is_marked_below():
