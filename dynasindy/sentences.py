@@ -378,9 +378,9 @@ def percent(share: float | None) -> str:
 def _distrusted(closed: int, episodes: int, episode: int, error: float | None, cause: str, limit: float | None) -> str:
     why = "its errors on real periods were no numbers"
     if error is not None and limit is not None:
-        key = {"reward_closes": "close_above", "reward_opens": "open_below", "state": "state_error"}[cause]
-        what = f"{error:.2g} ranges of a state" if cause == "state" else f"{error:.2g} of reward per control period"
-        why = f"its error on real periods that it was not fitted to was {what}, above {setting(f'gate.{key}', limit)}"
+        key = {"reward_closes": "close_above", "reward_opens": "open_below"}[cause]
+        what = f"{error:.2g} of reward per control period, above {setting(f'gate.{key}', limit)}"
+        why = f"its error on real periods that it was not fitted to was {what}"
     return (
         f"the model was not trusted after {closed} of {episodes} episodes, so nothing was planned on it there: after "
         f"episode {episode} {why}; gate.csv tells of each"

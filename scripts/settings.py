@@ -332,7 +332,7 @@ def _require_builder(hint: Any, value: Any) -> Any:
 def _builder(node: Mapping[str, Any], key: str) -> Any:
     """Return the class or function that a group names."""
     try:
-        if callable(found := pkgutil.resolve_name(node["_target_"])):
+        if callable(found := pkgutil.resolve_name(str(node["_target_"]))):
             return found
         raise TypeError("it is nothing that can be called")
     except Exception as error:  # importing runs whatever module is named

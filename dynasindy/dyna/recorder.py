@@ -221,7 +221,7 @@ class Recorder(Callback):
             metrics["observer"] = self.parts.sensing.observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
         decisions = [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions]
-        gate, verdict = distrusted(decisions, self.parts.gate.state_error), judge_run(metrics, self.evaluating.within)
+        gate, verdict = distrusted(decisions), judge_run(metrics, self.evaluating.within)
         findings = [*beyond_targets(final), *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]

@@ -55,24 +55,21 @@ def _compared(metrics: Mapping[str, Any]) -> tuple[bool, Finding]:
     return False, wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
 
 
-def distrusted(decisions: Sequence[Mapping[str, float | None]], state_error: float = math.inf) -> Finding | None:
+def distrusted(decisions: Sequence[Mapping[str, float | None]]) -> Finding | None:
     """Return in how many episodes the model was not trusted, and why the last time; None where it always was.
 
     Args:
         decisions: Rows of `gate.csv`.
-        state_error: State error above which the gate is closed [ranges of the states].
     """
     closed = [row for row in decisions if not row["open"]]
     if not closed:
         return None
     last = closed[-1]
-    reward, states = (_number(last[f"judged_{what}_error"]) for what in ("reward", "state"))
-    opens, closes = _number(last["open_below"]), _number(last["close_above"])
-    limits = (("reward_closes", reward, closes), ("reward_opens", reward, opens), ("state", states, state_error))
-    found = [each for each in limits if each[1] > each[2]]
-    cause, error, limit = found[0] if found else ("no_number", None, None)
+    error, opens, closes = (_number(last[key]) for key in ("judged_reward_error", "open_below", "close_above"))
+    limits = (("reward_closes", error, closes), ("reward_opens", error, opens))
+    found = next((each for each in limits if each[1] > each[2]), ("no_number", None, None))
     counts = {"closed": len(closed), "episodes": len(decisions), "episode": int(_number(last["episode"]))}
-    return weak("run.gate_closed", **counts, cause=cause, error=error, limit=limit)
+    return weak("run.gate_closed", **counts, **dict(zip(("cause", "error", "limit"), found, strict=True)))
 
 
 def judge_control(

@@ -72,37 +72,25 @@ class Gate:
     The paper plans once the reward error "is zero". Departure: the gate opens when the reward error of held-out
     real windows, replayed through the model, falls to `open_below`, and closes when it rises above `close_above`.
 
-    The state error of the same windows must not exceed `state_error` either.
-
     Args:
         open_below: Reward error per control period at which a closed gate opens.
         close_above: Reward error per control period above which an open gate closes.
         is_open: Whether the model of the excitation data is trusted before any episode has tested it.
-        state_error: State error [ranges of the states] above which the gate is closed.
 
     Raises:
-        ValueError: Not 0 <= open_below <= close_above, or state_error is not positive.
+        ValueError: Not 0 <= open_below <= close_above.
     """
 
-    def __init__(
-        self,
-        open_below: Bound = 0.05,
-        close_above: Bound = 0.1,
-        is_open: bool = True,
-        state_error: Bound = math.inf,
-    ) -> None:
-        if not 0 <= open_below <= close_above or not state_error > 0:
+    def __init__(self, open_below: Bound = 0.05, close_above: Bound = 0.1, is_open: bool = True) -> None:
+        if not 0 <= open_below <= close_above:
             raise ValueError(
-                f"the gate needs 0 <= open_below <= close_above and state_error > 0, got {open_below}, {close_above} "
-                f"and {state_error}; mend gate"
+                f"the gate needs 0 <= open_below <= close_above, got {open_below} and {close_above}; mend gate"
             )
-        self.open_below, self.close_above, self.state_error = open_below, close_above, state_error
-        self.is_open = is_open
+        self.open_below, self.close_above, self.is_open = open_below, close_above, is_open
 
     def judge(self, error: ModelError) -> bool:
         """Update the gate with the errors on held-out real steps, and return whether it is open."""
-        bound = self.close_above if self.is_open else self.open_below
-        self.is_open = error.reward_error <= bound and error.state_error <= self.state_error
+        self.is_open = error.reward_error <= (self.close_above if self.is_open else self.open_below)
         return self.is_open
 
 

@@ -105,25 +105,24 @@ def test_where_nothing_is_tracked_the_return_counts(trained, away, controlled):
     assert "errors" not in str(told)
 
 
-def decision(episode, reward, state=0.1, is_open=0.0):
-    judged = {"judged_reward_error": reward, "judged_state_error": state}
+def decision(episode, reward, is_open=0.0):
+    judged = {"judged_reward_error": reward, "judged_state_error": 0.1}
     return {"episode": float(episode), "open_below": 0.05, "close_above": 0.1, "open": is_open, **judged}
 
 
 @pytest.mark.parametrize(
-    ("rows", "limit", "counts", "why"),
+    ("rows", "counts", "why"),
     [
-        ([decision(1, 0.01, is_open=1.0), decision(2, 0.3)], 9.0, (1, 2, 2), ("reward_closes", 0.3, 0.1)),
-        ([decision(1, 0.3), decision(2, 0.07)], 9.0, (2, 2, 2), ("reward_opens", 0.07, 0.05)),
-        ([decision(1, 0.3), decision(2, 0.01, is_open=1.0)], 9.0, (1, 2, 1), ("reward_closes", 0.3, 0.1)),
-        ([decision(1, 0.01, 2.5)], 2.0, (1, 1, 1), ("state", 2.5, 2.0)),
-        ([decision(1, float("inf"))], 2.0, (1, 1, 1), ("reward_closes", float("inf"), 0.1)),
-        ([decision(1, float("nan"), float("nan"))], 2.0, (1, 1, 1), ("no_number", None, None)),
+        ([decision(1, 0.01, is_open=1.0), decision(2, 0.3)], (1, 2, 2), ("reward_closes", 0.3, 0.1)),
+        ([decision(1, 0.3), decision(2, 0.07)], (2, 2, 2), ("reward_opens", 0.07, 0.05)),
+        ([decision(1, 0.3), decision(2, 0.01, is_open=1.0)], (1, 2, 1), ("reward_closes", 0.3, 0.1)),
+        ([decision(1, float("inf"))], (1, 1, 1), ("reward_closes", float("inf"), 0.1)),
+        ([decision(1, float("nan"))], (1, 1, 1), ("no_number", None, None)),
     ],
 )
-def test_a_model_that_was_not_trusted_is_told_with_the_reason(rows, limit, counts, why):
+def test_a_model_that_was_not_trusted_is_told_with_the_reason(rows, counts, why):
     both = zip(("closed", "episodes", "episode", "cause", "error", "limit"), (*counts, *why), strict=True)
-    told = distrusted(rows, limit)
+    told = distrusted(rows)
     assert told == weak("run.gate_closed", **dict(both)) and "\n" not in str(told)
 
 

@@ -18,12 +18,6 @@ def test_the_gate_has_hysteresis():
     assert decisions == [True, True, False, False, False, True, True]
 
 
-def test_a_state_error_beyond_its_bound_closes_whatever_the_reward():
-    gate = Gate(open_below=0.1, close_above=0.3, state_error=0.5)
-    decisions = [gate.judge(ModelError(0.0, strayed, torch.zeros(0))) for strayed in (0.4, 0.6, 0.4)]
-    assert decisions == [True, False, True]
-
-
 def test_the_true_model_has_no_error_and_another_has():
     plant = Tras()
     env = ControlEnv(plant, Tracking(plant.signature, Step([[0.1, 0.1]])), dtype=torch.float64)

@@ -54,7 +54,7 @@ def test_what_conf_holds_is_allowed_and_stays_as_it_is(command):
     [
         ("agent.tau", "1e-3", 1e-3),
         ("train.episodes", 10.0, 10),
-        ("gate.state_error", ".inf", math.inf),
+        ("gate.open_below", ".inf", math.inf),
         ("gate.close_above", "inf", math.inf),
         ("agent.hidden", ["64", 32.0], [64, 32]),
         ("folder", 2026, "2026"),
