@@ -24,18 +24,18 @@ from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
 from dynasindy.identification.recording_diagnostics import low_signal_targets
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
-from dynasindy.identification.targets import OUTER, in_words, logged_range, require_radians
+from dynasindy.identification.targets import require_radians, targets_like
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
 from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
-from dynasindy.sentences import lines
+from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.response import draw_evaluation
 from dynasindy.workbench import damped, forecast, plan, refit_shortage
 
-Prepared = tuple[Mapping[str, object], Source | None, dict[str, Any], str, Sequence[Finding]]
-"""Settings of the planning, the log, what a plan is made of by group, the targets in words, and what was found."""
+Prepared = tuple[Mapping[str, object], Source | None, dict[str, Any], Sequence[Finding]]
+"""Settings of the planning, the log, what a plan is made of by group, and what was found."""
 
 
 def prepare(cfg: DictConfig) -> Prepared:
@@ -55,19 +55,19 @@ def prepare(cfg: DictConfig) -> Prepared:
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     if source is None:
-        return planning, None, parts, "", findings
+        return planning, None, parts, findings
     targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
     parts["task"](signature=given.signature if given else source.signature)
     if given is None:  # one that is given has its own library
         parts["world_model"](signature=source.signature)
     findings = [*findings, *low_signal_targets(source.training, source.signature, targets)]
     require_radians(source, targets)
-    return planning, source, parts, in_words(source.signature, targets), findings
+    return planning, source, parts, findings
 
 
 def plan_from_log(cfg: DictConfig) -> bool:
     """Identify, plan and forecast, write the folder, print what came of it, and return whether it is controlled."""
-    planning, source, parts, targets, findings = prepare(cfg)
+    planning, source, parts, findings = prepare(cfg)
     folder, settings = Path(cfg.folder), OmegaConf.to_yaml(cfg, resolve=True)
     figures = output_folder(folder, "figures")
     swept, words = HydraConfig.get().mode == RunMode.MULTIRUN, HydraConfig.get().overrides.task
@@ -80,7 +80,7 @@ def plan_from_log(cfg: DictConfig) -> bool:
         dt = closest_period(source, cfg.env.dt)
         if source is not None and dt != cfg.env.dt:
             why = [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
-    say(f"Run folder: {folder}", *filter(None, [targets]), *lines([*findings, *why]))
+    say(f"Run folder: {folder}", *lines([*findings, *why]))
     model = model_of(source, parts["world_model"], cfg.model)
     task = parts["task"](signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
@@ -147,20 +147,16 @@ def _planning_settings(cfg: DictConfig) -> dict[str, object]:
             "model=PATH plans without a plant, and system names one; leave system out, and give plant.outputs, "
             "plant.low and plant.high"
         )
-    missing = [name for name in ("outputs", "low", "high") if OmegaConf.is_missing(cfg.plant, name)]
-    if missing and cfg.get("data") is not None and "outputs" not in missing:
-        source, _ = load_data(cfg)
-        low, high = zip(*(logged_range(source, name) for name in cfg.plant.outputs), strict=True)
-        words = " ".join(f"plant.{side}=[{','.join({'low': low, 'high': high}[side])}]" for side in missing)
+    names = ("outputs", "low", "high")
+    given = {name: None if OmegaConf.is_missing(cfg.plant, name) else cfg.plant[name] for name in names}
+    if None in given.values():
+        like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
+        if cfg.get("data") is not None and given["outputs"] is not None:  # where most of its samples lie
+            like = targets_like(load_data(cfg)[0], (), given) or like
+        words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
+        lacks = next(name for name in names if given[name] is None)
         raise ValueError(
-            f"plant.{missing[0]} is not given; say within which targets {', '.join(cfg.plant.outputs)} is to be held. "
-            f"But for the lowest and the highest {100 * OUTER:g} % of its samples the log lies within {words}: give "
-            "that, or less"
-        )
-    if missing:
-        raise ValueError(
-            f"plant.{missing[0]} is not given; say what is to be tracked, and within which targets, such as "
-            "plant.outputs=[angle] plant.low=[-0.5] plant.high=[0.5]"
+            f"plant.{lacks} is not given; say what is to be tracked, and within which targets, such as {words}"
         )
     build = instantiate(cfg.planning, _convert_="all")
     if not isinstance(build, partial) or build.func is not GradientPlanning:

@@ -347,7 +347,8 @@ def to_words(found: Identified, source: Source, columns: int | None = None) -> s
         f"one prediction of all data that the fit did not see{describe_restarts(source.validation)}, relative to the "
         "standard deviation of each state",
     ]
-    text += [f"  {state:<10} {_percent(error)}" for state, error in found.metrics["open_loop_nrmse"].items()]
+    for state, error in found.metrics["open_loop_nrmse"].items():
+        text.append(f"  {state:<10} " + (f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"))
     return "\n".join([*text, *verdict_lines(found.verdict)])
 
 
@@ -399,13 +400,7 @@ def _errors(model: SindyModel) -> list[str]:
 def describe_restarts(data: Transitions) -> str:
     """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
     gaps = int(data.begins().sum()) - 1
-    if gaps < 1:
-        return ""
-    return ", begun anew after its gap" if gaps == 1 else f", begun anew after each of its {gaps} gaps"
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.3g} %" if math.isfinite(error) else "runs away"
+    return f", begun anew after each of its {gaps} gaps" if gaps > 0 else ""
 
 
 def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[Finding] = ()) -> None:

@@ -224,19 +224,11 @@ class HoldOut:
         deviation = variance(data.x_next).sqrt()
         spread = (data.x_next - data.x_next.nanmean(0)).abs().nan_to_num().amax(0)
         floor = torch.maximum(resolution, EXACT * spread)
-        whole = cls(early, kept, steps, starts, later, real, before, errors, deviation, floor)
-        return whole.within(errors[:-1]) if len(errors) > 1 else whole
-
-    def within(self, errors: Tensor) -> HoldOut:
-        """Return the horizons, two or more, before the least of some errors, `(M, H, n_x)`, is as large as the states.
-
-        Beyond them nothing is told, as of an unstable plant.
-        """
-        tells = (errors / self.deviation).log().nanmean(-1).amin(0) < 0
-        count = max(2, int(tells.long().cumprod(0).sum()))
-        steps = self.steps[:count]
-        later, real = self.later[:, : steps[-1]], self.real[:, : steps[-1]]
-        return replace(self, steps=steps, later=later, real=real, others=self.others[:, :count])
+        if len(errors) > 1:  # where linear models are off by as much as the states, as of an unstable plant, none tells
+            tells = (errors[:-1] / deviation).log().nanmean(-1).amin(0) < 0
+            steps = steps[: max(2, int(tells.long().cumprod(0).sum()))]
+        later, real, errors = later[:, : steps[-1]], real[:, : steps[-1]], errors[:, : len(steps)]
+        return cls(early, kept, steps, starts, later, real, before, errors, deviation, floor)
 
     @cached_property
     def simple(self) -> Tensor:

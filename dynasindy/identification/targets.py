@@ -13,13 +13,11 @@ from dynasindy.findings import LogError
 from dynasindy.identification.source import Source
 from dynasindy.identification.verdict import logged_input_ranges
 from dynasindy.sindy import SindyModel
-from dynasindy.systems.base import Signature, turn_of
+from dynasindy.systems.base import turn_of
 from dynasindy.systems.equilibria import PERIOD, find_equilibria
 
 INNER = 0.1
 """Part of the samples beyond either end of the targets: the plant was at all of them, for some time."""
-OUTER = 0.01
-"""Part of the samples beyond either end of the range that a log has of a state, a few wild ones apart."""
 DIGITS = 2
 """Digits of the extent of the targets that are kept."""
 DEGREE = math.pi / 180
@@ -75,13 +73,10 @@ def targets_like(
             if box is not None:
                 outputs, (low, high) = some, box
                 break
-    extents = [b - a for a, b in zip(low, high, strict=True)]
-    found = {
-        "outputs": outputs,
-        "low": [_short(value, extent) for value, extent in zip(low, extents, strict=True)],
-        "high": [_short(value, extent) for value, extent in zip(high, extents, strict=True)],
-    }
-    return {key: found[key] for key in ("outputs", "low", "high") if given.get(key) is None}
+    found = {"outputs": outputs}
+    for key, values in (("low", low), ("high", high)):
+        found[key] = [_short(value, b - a) for value, a, b in zip(values, low, high, strict=True)]
+    return {key: words for key, words in found.items() if given.get(key) is None}
 
 
 def _usual(source: Source, name: str) -> tuple[float, float]:
@@ -126,38 +121,6 @@ def _held_within(
     return None
 
 
-def logged_range(source: Source, name: str) -> tuple[str, str]:
-    """Return the ends between which nearly all samples of a state lie, `OUTER` of them beyond each, as words to copy.
-
-    Args:
-        source: The log.
-        name: The state.
-
-    Raises:
-        ValueError: There is no such state, or the log has no sample of it.
-    """
-    column = source.training.x[:, source.signature.state_index(name)].double()
-    low, high = float(column.nanquantile(OUTER)), float(column.nanquantile(1 - OUTER))
-    if not math.isfinite(low + high):
-        raise ValueError(f"the log has no sample of {name}; choose an output that it has")
-    return _short(low, high - low, DIGITS + 1), _short(high, high - low, DIGITS + 1)
-
-
-def in_words(signature: Signature, targets: Mapping[str, Sequence[float]]) -> str:
-    """Return in one line what is to be held, and in which units.
-
-    Args:
-        signature: Names and units of the states.
-        targets: Lower and upper end of the targets of each output.
-    """
-    told = []
-    for name, (low, high) in targets.items():
-        unit = signature.state_units[signature.state_index(name)]
-        degrees = f" ({low / DEGREE:.4g} to {high / DEGREE:.4g} deg)" if unit == "rad" else ""
-        told.append(f"{name} from {low:g} to {high:g}{'' if unit == '-' else f' {unit}'}{degrees}")
-    return f"targets: {'; '.join(told)}"
-
-
 def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> None:
     """Refuse targets in degrees of an angle that is in radians.
 
@@ -182,9 +145,9 @@ def require_radians(source: Source, targets: Mapping[str, Sequence[float]]) -> N
             raise LogError("log.target_degrees", **facts, radians=[f"{end * DEGREE:.4g}" for end in ends])
 
 
-def _short(value: float, extent: float, digits: int = DIGITS) -> str:
+def _short(value: float, extent: float) -> str:
     """Return a number with as many digits as the extent of its targets asks for."""
     if not extent > 0:
-        return f"{value:.{digits}g}"
-    places = digits - 1 - math.floor(math.log10(extent))
+        return f"{value:.{DIGITS}g}"
+    places = DIGITS - 1 - math.floor(math.log10(extent))
     return f"{round(value, places):.{max(places, 0)}f}"

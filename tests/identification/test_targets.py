@@ -8,7 +8,7 @@ import torch
 from dynasindy.data.recording import Recording
 from dynasindy.findings import LogError
 from dynasindy.identification.source import Source
-from dynasindy.identification.targets import in_words, logged_range, require_radians, targets_like
+from dynasindy.identification.targets import require_radians, targets_like
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -33,14 +33,6 @@ def test_as_many_states_as_inputs_are_held_where_eight_tenths_of_the_log_are(sou
     }
 
 
-def test_the_range_of_a_log_is_told_without_its_outermost_hundredths(source):
-    # q goes evenly from 0 to 1000 m, T from 20 to 21.
-    assert [float(end) for end in logged_range(source, "q")] == pytest.approx([10, 990], abs=1)
-    assert [float(end) for end in logged_range(source, "T")] == pytest.approx([20.01, 20.99], abs=1e-3)
-    with pytest.raises(ValueError, match="choose"):
-        logged_range(source, "h")
-
-
 def test_what_was_given_stays(source):
     given = {"outputs": ["T"], "low": [20.0], "high": None}
     assert targets_like(source, ["w"], given) == {"high": ["20.90"]}
@@ -53,13 +45,6 @@ def swung(reach, unit="rad"):
     x = reach * torch.sin(0.1 * torch.arange(101.0)).unsqueeze(-1)
     data = Transitions.from_trajectory(x, torch.zeros(100, 1), 0.1)
     return Source.of(Recording(data, Signature(("angle",), (unit,), ("u",), (1.0,))))
-
-
-def test_targets_are_told_in_their_units_and_angles_in_degrees_too():
-    """Half a radian is 28.65 degrees."""
-    signature = Signature(("angle", "h", "n"), ("rad", "cm", "-"), ("u",), (1.0, 1.0, 1.0))
-    told = in_words(signature, {"angle": (-0.5, 0.5), "h": (8, 14), "n": (0, 1)})
-    assert told == "targets: angle from -0.5 to 0.5 rad (-28.65 to 28.65 deg); h from 8 to 14 cm; n from 0 to 1"
 
 
 def test_targets_in_degrees_of_an_angle_in_radians_are_refused_with_those_in_radians():
