@@ -103,11 +103,6 @@ def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[
     return found
 
 
-def _is_label(column: Array) -> bool:
-    """Tell whether a column holds whole numbers that change in few rows only."""
-    return len(column) > 1 and bool((np.diff(column) != 0).mean() < RARE and (column == column.round()).all())
-
-
 def _steps_of(column: Array) -> NDArray[np.int64]:
     """Return the rows in which a column has another number than before."""
     return np.flatnonzero(np.diff(column)) + 1
@@ -145,7 +140,8 @@ def _stepping(columns: Mapping[str, Array]) -> list[str]:
     There is none where one may be a label, several are no array of the same, or what would be a state stands, too.
     """
     standing = {name: _standing(column) for name, column in columns.items()}
-    found = [name for name, share in standing.items() if share > HELD and not _is_label(columns[name])]
+    steady = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}  # labels
+    found = [name for name, share in standing.items() if share > HELD and name not in steady]
     most = 0.5 * min((standing[name] for name in found), default=0.0)
     smooth = all(standing[name] < most for name in columns if name not in found)
     if not smooth or len(set(map(_stem, found))) != 1:
@@ -243,7 +239,12 @@ def infer(
     }
     out = [note("log.left_out", why=why, columns=columns) for why, columns in left_out.items() if columns]
     if not left or not found or not timed:
-        raise _without_roles(path, look, clock, list(found), out, dt)
+        live = {*look.numeric} - {*look.still, *look.counting, clock}
+        lacks = "time" if not timed else "command" if len(live) < 2 else "states" if found else "inputs"
+        facts: dict[str, Any] = {"columns": [*look.headings], "numbers": [*look.numeric], "clock": clock}
+        if look.numeric and lacks != "command":
+            facts["guess"] = guess_columns(look, clock if timed else None, [*found], dt)
+        raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     if led:
         out.append(weak("log.followed", columns=led, states=[*left, *led]))
     if guessed:
@@ -251,21 +252,6 @@ def infer(
     if findings is not None:
         findings += out
     return left, found
-
-
-def _without_roles(
-    path: str, look: ColumnSummary, clock: str, inputs: Sequence[str], out: Sequence[Finding], dt: float | None
-) -> LogError:
-    """Return what a file lacks, what was left out of it, and a guess at which column is what."""
-    timed = clock in look.headings
-    moving = [name for name in look.numeric if name not in {*look.still, *look.counting, clock}]
-    facts: dict[str, Any] = {"path": path, "columns": [*look.headings], "numbers": [*look.numeric], "clock": clock}
-    facts["left_out"] = [*out]
-    if timed and len(moving) < 2:
-        return LogError("log.no_roles", **facts, lacks="command")
-    lacks = "time" if not timed else "inputs" if not inputs else "states"
-    guess = guess_columns(look, clock if timed else None, inputs, dt) if look.numeric else None
-    return LogError("log.no_roles", **facts, lacks=lacks, guess=guess)
 
 
 RARE = 0.01

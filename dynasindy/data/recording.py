@@ -81,12 +81,8 @@ class Recording:
         stretches = len(data.segment.unique())
         many = f" in {stretches} stretches" if stretches > 1 else ""
         length, step = format_duration(len(data) * data.dt), format_duration(data.dt)
-        text = [
-            f"Recording of {len(data)} rows, {length} every {step}{many}: "
-            f"states {', '.join(states)}; inputs {', '.join(signature.input_names)}",
-            *lines_of(self.findings),
-        ]
-        return "\n".join(text)
+        head = f"Recording of {len(data)} rows, {length} every {step}{many}: states {', '.join(states)}"
+        return "\n".join([f"{head}; inputs {', '.join(signature.input_names)}", *lines_of(self.findings)])
 
 
 @dataclass
@@ -429,13 +425,13 @@ def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
                 f"{first.path} has a row every {own[0]:g} s and {part.path} every {period:g} s; allowed is one "
                 "sampling time: fit them one by one, or write them at one rate"
             )
-        for mine, others in ((part.states, first.states), (part.inputs, first.inputs)):
-            for name, column in mine.items():
-                if column.unit != others[name].unit:
-                    raise ValueError(
-                        f"{name} is in {others[name].unit} in {first.path} and in {column.unit} in {part.path}; "
-                        "allowed is one unit: write the files in the same one"
-                    )
+        others = {**first.states, **first.inputs}
+        for name, column in {**part.states, **part.inputs}.items():
+            if column.unit != others[name].unit:
+                raise ValueError(
+                    f"{name} is in {others[name].unit} in {first.path} and in {column.unit} in {part.path}; "
+                    "allowed is one unit: write the files in the same one"
+                )
     return own[0]
 
 

@@ -31,7 +31,7 @@ from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sentences import error_of, line, lines, setting, verdict_lines
-from dynasindy.sindy import FitReport, Refinement, Regression, SindyModel
+from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
 from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig
@@ -85,35 +85,18 @@ class LoggedData(LogReader, DataSource):
 
 
 @dataclass(frozen=True)
-class Identified:
-    """Hold a fitted model and its figures.
+class Identified(LogFit):
+    """Hold a fitted model, its report, the data as the model has them, and its figures.
 
     Attributes:
-        fit: the model, its report, and the data as the model has them, with one state more where one follows a signal.
         predicted: open-loop prediction of the validation data, `(N, n_x)`.
         metrics: error of each measured state, open loop and over each horizon.
         forecasts: errors from many start times; None where the validation data are too short for them.
     """
 
-    fit: LogFit
     predicted: Tensor
     metrics: dict[str, dict[str, float]]
     forecasts: ForecastErrors | None = None
-
-    @property
-    def model(self) -> SindyModel:
-        """The model."""
-        return self.fit.model
-
-    @property
-    def report(self) -> FitReport:
-        """The report of the fit."""
-        return self.fit.report
-
-    @property
-    def source(self) -> Source:
-        """The data as the model has them."""
-        return self.fit.source
 
     @property
     def quiet(self) -> list[Finding]:
@@ -132,7 +115,7 @@ class Identified:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations and the data hold."""
-        return self.fit.content + verdict.recording_findings(self.source.training, self.source.signature)
+        return super().content + verdict.recording_findings(self.source.training, self.source.signature)
 
     @cached_property
     def verdict(self) -> list[Finding]:
@@ -267,7 +250,7 @@ def identify_source(model: SindyModel, source: Source, horizons: Sequence[float]
     forecasts = forecast_errors(model, source.training, validation, horizons)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
-    return Identified(fit, predicted, metrics, forecasts)
+    return Identified(model, source, fit.report, predicted, metrics, forecasts)
 
 
 def before_fit(model: SindyModel, source: Source) -> list[Finding]:

@@ -123,17 +123,13 @@ class LogFit:
     source: Source
     report: FitReport
 
-    @property
+    @cached_property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
-        names = self.model.signature.state_names
-        followers = [
-            LagStateCandidate(self.model, signal, 0.0).finding()
-            for name, signal in self.model.followed.items()
-            if name == names[-1]
-        ]
-        found = equation_findings(self.model, self.report)
-        return [*found, *(each for each in followers if each), *idle_states(self.model, self.source.training)]
+        signal = self.model.followed.get(self.model.signature.state_names[-1])
+        follower = LagStateCandidate(self.model, signal, 0.0).finding() if signal else None
+        found = equation_findings(self.model, self.report), filter(None, [follower])
+        return [*chain(*found), *idle_states(self.model, self.source.training)]
 
 
 def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:

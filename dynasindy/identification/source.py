@@ -99,15 +99,11 @@ class Source:
         Args:
             known: the rate of each state, by its name.
         """
-        found = self._widened(known)
+        found = self.with_unmeasured(with_rates(self.signature, known))
         signature = with_rate_ranges(found.signature, found.whole, known)
         added = found.signature.state_names[self.signature.n_x :]
         findings = (note("log.unmeasured", state=name) for name in added)
         return replace(found, signature=signature, findings=(*found.findings, *findings))
-
-    def _widened(self, known: Mapping[str, str]) -> Source:
-        """Add a column for each rate that was not logged."""
-        return self.with_unmeasured(with_rates(self.signature, known))
 
     def with_unmeasured(self, signature: Signature) -> Source:
         """Return the data with the states of a signature that come behind those of the data, which no sensor sees.
@@ -129,14 +125,13 @@ class Source:
             ValueError: the model is of another plant, or its inputs have other ends.
         """
         if not same_input_ranges(self.signature, model.signature):
-            mine, theirs = (_reached(signature) for signature in (self.signature, model.signature))
+            mine, theirs = (_numbers(each)[:, 2:].tolist() for each in (self.signature, model.signature))
             raise ValueError(
-                f"the model has inputs with the ends {theirs}, the log with {mine}; give the ends of the actuator to "
-                f"both, low and high in {setting('data.inputs')}, or identify the log again, as earlier versions took "
-                f"the middle of "
-                "a range for zero"
+                f"the inputs {', '.join(model.signature.input_names)} have the ends {theirs} for the model and {mine} "
+                f"in the log, or another zero; give the ends of the actuator to both, low, high and rest in "
+                f"{setting('data.inputs')}, or identify the log again"
             )
-        source = self._widened(rates_of(model))
+        source = self.with_unmeasured(with_rates(self.signature, rates_of(model)))
         states, parts = source.signature.state_names, (source.training, source.validation)
         linear = [name in model.linear_inputs for name in model.signature.input_names]
         training, validation = (completed(part, states, model).with_linear_inputs(linear) for part in parts)
@@ -194,15 +189,6 @@ def _numbers(signature: Signature) -> NDArray[np.float64]:
     both = np.array(signature.input_ends or (WHOLE,) * signature.n_u)
     limits = np.array(signature.input_limits or (WHOLE,) * signature.n_u)
     return np.concatenate([both, signature.in_own_units(limits.T).T], -1)
-
-
-def _reached(signature: Signature) -> str:
-    """Return the ends of each input in its own unit, in words."""
-    pairs = zip(signature.input_names, _numbers(signature), strict=True)
-    return ", ".join(
-        f"{low:.6g} to {high:.6g}{f' for {name}' if signature.n_u > 1 else ''}, {0.5 * (a + b):.6g} taken as 0"
-        for name, (a, b, low, high) in pairs
-    )
 
 
 def rate_name(name: str, signature: Signature) -> str:
