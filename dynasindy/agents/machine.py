@@ -11,6 +11,7 @@ import ctypes
 import warnings
 from collections.abc import Sequence
 from importlib import resources
+from itertools import chain
 
 import torch
 from tensordict import TensorDictBase
@@ -83,9 +84,10 @@ class _MachineSteps(GradientSteps):
         super().__init__(loss, critics, actor)
         self._code = load_library(source("perceptron.c", "td3.c"), FUNCTIONS, fast=True, cached=True)
         self._code.room.restype = ctypes.c_long
-        gradients = [[_zeros(layer) for layer in layers] for layers in (loss.actor_layers, loss.critic_layers)]
+        learning = loss.actor_layers, loss.critic_layers
+        gradients = [[Layer(*map(torch.zeros_like, layer)) for layer in layers] for layers in learning]
         targets = loss.target_actor_layers, loss.target_critic_layers
-        networks = [loss.actor_layers, loss.critic_layers, *targets, *gradients]
+        networks = [*learning, *targets, *gradients]
         first, last = loss.actor_layers[0].weight, loss.critic_layers[-1].bias
         self.n_obs, self.n_u = first.shape[-1], loss.actor_layers[-1].bias.shape[-1]
         sizes = self.n_obs, self.n_u, last.shape[0]
@@ -194,10 +196,6 @@ class _Weights(ctypes.Structure):
     )
 
 
-def _zeros(layer: Layer) -> Layer:
-    return Layer(torch.zeros_like(layer.weight), torch.zeros_like(layer.bias))
-
-
 def network_pointers(layers: Sequence[Layer]) -> NetworkPointers:
     """Return where the tensors of layers lie; they must stay there, and not be freed, as long as it is used."""
     widths = [layers[0].weight.shape[-1], *(layer.bias.shape[-1] for layer in layers)]
@@ -206,10 +204,14 @@ def network_pointers(layers: Sequence[Layer]) -> NetworkPointers:
 
 
 def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer]) -> _Weights:
-    """Return what a step of Adam reads and writes."""
-    flat = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
-    slopes = [tensor for layer in gradients for tensor in (layer.weight, layer.bias)]
-    states = _adam_states(optimizer, flat)
+    """Return what a step of Adam reads and writes; what it has not made yet is made as it would."""
+    flat, slopes = (list(chain.from_iterable(each)) for each in (layers, gradients))
+    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
+    states = [optimizer.state[owners[tensor.data_ptr()]] for tensor in flat]
+    for tensor, state in zip(flat, states, strict=True):
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32)
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
     moments = ([state[name] for state in states] for name in ("exp_avg", "exp_avg_sq", "step"))
     sizes = (ctypes.c_long * len(flat))(*(tensor.numel() for tensor in flat))
     return _Weights(len(flat), sizes, *map(_pointers, (flat, slopes, *moments)))
@@ -218,16 +220,3 @@ def _weights(optimizer: Adam, layers: Sequence[Layer], gradients: Sequence[Layer
 def _pointers(tensors: Sequence[Tensor]) -> ctypes._Pointer[ctypes.c_void_p]:
     addresses = (ctypes.c_void_p * len(tensors))(*(tensor.data_ptr() for tensor in tensors))
     return ctypes.cast(addresses, Pointers)
-
-
-def _adam_states(optimizer: Adam, weights: Sequence[Tensor]) -> list[dict[str, Tensor]]:
-    """Return what Adam keeps of some weights; what it has not made yet is made as it would."""
-    owners = {parameter.data_ptr(): parameter for parameter in optimizer.param_groups[0]["params"]}
-    states = []
-    for tensor in weights:
-        state = optimizer.state[owners[tensor.data_ptr()]]
-        if not state:
-            state["step"] = torch.zeros((), dtype=torch.float32)
-            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(tensor), torch.zeros_like(tensor)
-        states.append(state)
-    return states

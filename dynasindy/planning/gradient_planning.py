@@ -21,13 +21,13 @@ from dynasindy.agents import TD3, Actor, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.limits import Count, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
-from dynasindy.planning.imitation import Improvement, WarmStart, arrives, hold, imagined_rewards, improve
+from dynasindy.planning.imitation import Imitation, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
 from dynasindy.planning.randomization import InputStrength, ModelEnsemble, draw_delays
 from dynasindy.planning.rollout import Network, Rows, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
-from dynasindy.systems import Diverged, Signature, System
+from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Task, Tracking
 
 DIVERGED = 100.0
@@ -193,10 +193,10 @@ class GradientPlanning(Planner):
         super().__init__(every)
         given = zip(FOLLOWING, (window, lr, updates, patience, substeps, warm_start, gain_range), strict=True)
         self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
-        sizes = {"check_every": check_every, "width": width}
-        _require_positive(
-            {**{k: v for k, v in self.given.items() if k not in ("updates", "warm_start", "gain_range")}, **sizes}
-        )
+        sizes: dict[str, Any] = {"check_every": check_every, "width": width}
+        sizes |= {key: self.given.get(key) for key in ("window", "lr", "patience", "substeps")}
+        if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:
+            raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
         if gain_range is not None and not 0 <= gain_range < 1:
             raise ValueError(f"gradient planning got gain_range={gain_range}; give a share of at least 0 and below 1")
         if not 0 <= input_delay <= 1:
@@ -208,8 +208,14 @@ class GradientPlanning(Planner):
                 f"real_starts={real_starts}, jumps={jumps}; rollouts and updates "
                 "must be >= 0 and the shares at most 1 together: mend planning"
             )
-        _require_memory(env.system.signature, rollouts, window or UNTOLD)
-        self.agent, self.replay, self.network = agent, replay, _on_cpu(_network(agent.policy))
+        signature, window = env.system.signature, window or UNTOLD
+        check_memory(
+            8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4),
+            f"{setting('planning.rollouts')}={rollouts} of {setting('planning.window')}={window} periods",
+        )
+        self.agent, self.replay, self.network = agent, replay, _network(agent.policy)
+        if not next(self.network.parameters()).is_cpu:
+            self.network = copy.deepcopy(self.network).cpu()  # where machine code moves the model
         self.more_updates, self.searches = more_updates, searches
         self.rollouts = rollouts
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
@@ -244,11 +250,11 @@ class GradientPlanning(Planner):
         rows.reach, rows.strength, rows.late = episodes.rows.reach, None, None
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
-        begun = WarmStart(-math.inf)
-        if rests is not None and pace.warm_start and (first or not arrives(self.network, self.env, rests, self.rng)):
+        begun, held = Imitation(-math.inf), rests is not None and pace.warm_start
+        if rests is not None and held and (first or not arrives(self.network, self.env, rests, self.rng)):
             begun = hold(self.network, self.env, rests, rows, self.test, self.rng)
-        elif rests is not None and pace.warm_start:
-            begun = WarmStart(self.test())  # a policy that holds the plant is given up for a better one only
+        elif held:
+            begun = Imitation(self.test())  # a policy that holds the plant is given up for a better one only
         if begun.afar:
             updates, lr = pace.updates, pace.lr  # a way from afar is new, in a later phase too
         if begun.afar or was_afar:
@@ -263,7 +269,6 @@ class GradientPlanning(Planner):
             if strength is not None:
                 rows.strength = strength.ends(len(rows.x))
                 best = self.test() if best > -math.inf else best
-        held = rests is not None and pace.warm_start
         best, done, made = self._descend(episodes, best, updates, lr, held)
         imagined, learnt = begun.imagined, begun.updates
         for _ in range(0 if "updates" in self.given else ROUNDS):
@@ -278,10 +283,12 @@ class GradientPlanning(Planner):
             done, made = done + more, made + steps
             if best - before <= GAIN * abs(before):
                 break
-        improved = Improvement(best, 0, 0)
+        improved = Imitation(best)
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
             improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
-        self._deploy()
+        for policy in (self.agent.policy, self.agent.deployed):  # of an agent on a GPU, or a running average
+            if (network := _network(policy)) is not self.network:
+                network.load_state_dict(self.network.state_dict())
         self.imagined_error = None if rests is None else self.steady_state_error()
         imagined += done * self.rollouts * pace.window + improved.imagined
         return Planned(imagined, learnt + made + improved.updates)
@@ -358,7 +365,7 @@ class GradientPlanning(Planner):
                     optimizer = _optimizer(self.network, rate)
                 if failures >= self.pace.patience or not made:
                     break
-        finite = self._finite()
+        finite = all(bool(weight.isfinite().all()) for weight in self.network.parameters())
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
             raise self._diverged(done, made, episodes.diverged, finite, rate)
@@ -382,9 +389,6 @@ class GradientPlanning(Planner):
     def _weights(self) -> dict[str, Tensor]:
         return copy.deepcopy(self.network.state_dict())
 
-    def _finite(self) -> bool:
-        return all(bool(weight.isfinite().all()) for weight in self.network.parameters())
-
     def _diverged(self, done: int, made: int, lost: int, finite: bool, lr: float) -> Diverged:
         windows = done * self.rollouts
         if not finite:
@@ -402,32 +406,10 @@ class GradientPlanning(Planner):
             f"windows diverged, and no policy has a finite imagined return, so the actor is left as it was; {mend}"
         )
 
-    def _deploy(self) -> None:
-        """Give the planned actor to an agent on a GPU, and to one that deploys a running average of its actor."""
-        for policy in (self.agent.policy, self.agent.deployed):
-            if (network := _network(policy)) is not self.network:
-                network.load_state_dict(self.network.state_dict())
-
-
-def _require_memory(signature: Signature, rollouts: int, window: int) -> None:
-    size = 8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4)
-    check_memory(size, f"{setting('planning.rollouts')}={rollouts} of {setting('planning.window')}={window} periods")
-
-
-def _require_positive(sizes: dict[str, Any]) -> None:
-    """Refuse sizes that are given and not positive."""
-    if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:
-        raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
-
 
 def _optimizer(network: nn.Module, lr: float) -> torch.optim.Adam:
     """Return a fresh optimiser of the policy."""
     return torch.optim.Adam(network.parameters(), lr=lr, betas=(0.9, 0.99), fused=True)
-
-
-def _on_cpu(network: nn.Module) -> nn.Module:
-    """Return a network itself, or its copy in the CPU's memory, where machine code moves the model."""
-    return network if next(network.parameters()).is_cpu else copy.deepcopy(network).cpu()
 
 
 def _network(policy: nn.Module) -> nn.Module:

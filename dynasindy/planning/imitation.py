@@ -32,7 +32,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
 from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, TrajectoryLibrary
-from dynasindy.planning.trajectory_search import cross_entropy
+from dynasindy.planning.trajectory_search import cross_entropy, signal
 from dynasindy.progress import track
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks import Tracking
@@ -58,20 +58,20 @@ class _Law(Protocol):
 
 
 @dataclass(frozen=True)
-class WarmStart:
-    """How a policy begins.
+class Imitation:
+    """What came of an imitation.
 
     Attributes:
-        score: What it earns in the model.
-        afar: Whether it imitates ways from afar.
+        score: What the policy earns in the model.
         imagined: Control periods that the search for ways has imagined.
         updates: Gradient updates of the imitation.
+        afar: Whether it imitates ways from afar.
     """
 
     score: float
-    afar: bool = False
     imagined: int = 0
     updates: int = 0
+    afar: bool = False
 
 
 def hold(
@@ -82,7 +82,7 @@ def hold(
     score: Callable[[Network], float],
     rng: torch.Generator,
     search: bool = True,
-) -> WarmStart:
+) -> Imitation:
     """Let a policy begin as the best of some laws, if that earns more than the policy as it is.
 
     Args:
@@ -108,13 +108,13 @@ def hold(
         else:
             rows.late = late
     if not earned or max(earned) <= best:
-        return WarmStart(best, imagined=imagined)
+        return Imitation(best, imagined)
     lessons = FROM_AFAR if afar else REGULATED
     _imitate(network, earned[max(earned)], env, rng, lessons)
     if (imitated := score(network)) > best:
-        return WarmStart(imitated, afar, imagined, math.prod(lessons))
+        return Imitation(imitated, imagined, math.prod(lessons), afar)
     network.load_state_dict(before)
-    return WarmStart(best, False, imagined, math.prod(lessons))
+    return Imitation(best, imagined, math.prod(lessons))
 
 
 @torch.no_grad()
@@ -209,21 +209,6 @@ GAINED = 0.1
 about which few ways tell."""
 
 
-@dataclass(frozen=True)
-class Improvement:
-    """What came of it.
-
-    Attributes:
-        score: What the policy earns in the model.
-        imagined: Control periods that were imagined.
-        updates: Gradient updates of the imitation.
-    """
-
-    score: float
-    imagined: int
-    updates: int
-
-
 def improve(
     network: nn.Module,
     env: ControlEnv,
@@ -232,7 +217,7 @@ def improve(
     rng: torch.Generator,
     periods: int,
     rounds: int,
-) -> Improvement:
+) -> Imitation:
     """Improve a policy by ways that earn more than its own; it is left as the best that it was.
 
     Args:
@@ -271,7 +256,7 @@ def improve(
         if now > best:
             best, weights = now, copy.deepcopy(network.state_dict())
     network.load_state_dict(weights)
-    return Improvement(best, imagined, updates)
+    return Imitation(best, imagined, updates)
 
 
 @torch.no_grad()
@@ -305,26 +290,23 @@ def _better(
     )
 
     def _earned(drawn: Tensor) -> Tensor:
-        flown = imagine(env, env.system, _OnTop(network, drawn, acting, env.task.limit), many, periods)
+        flown = imagine(env, env.system, _on_top(network, drawn, acting, env.task.limit), many, periods)
         return imagined_rewards(env, many, flown, least).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
-    return imagine(env, env.system, _OnTop(network, best, acting, env.task.limit), begun, periods)
+    return imagine(env, env.system, _on_top(network, best, acting, env.task.limit), begun, periods)
 
 
-class _OnTop:
-    """A policy with a signal on top of it for `acting` periods, knots `(rows, n_knots, n_u)`, for a single flight."""
+def _on_top(network: Network, knots: Tensor, acting: int, limit: Callable[[Tensor], Tensor]) -> Network:
+    """Return a policy with a signal on top for `acting` periods, knots `(rows, n_knots, n_u)`, for a single flight."""
+    added = iter(signal(knots, acting, lambda u: u))
 
-    def __init__(self, network: Network, knots: Tensor, acting: int, limit: Callable[[Tensor], Tensor]) -> None:
-        lines = torch.nn.functional.interpolate(knots.mT, size=acting, mode="linear", align_corners=True)
-        self.network, self.signal, self.limit, self.k = network, lines.permute(2, 0, 1), limit, 0
+    def _act(observation: Tensor) -> Tensor:
+        u, more = network(observation), next(added, None)
+        return u if more is None else limit(u + more)
 
-    def __call__(self, observation: Tensor) -> Tensor:
-        """Return the inputs `(rows, n_u)` of the next control period."""
-        u, k = self.network(observation), self.k
-        self.k += 1
-        return self.limit(u + self.signal[k]) if k < len(self.signal) else u
+    return _act
 
 
 def imagined_rewards(env: ControlEnv, rows: Rows, window: Window, least: float = math.inf) -> Tensor:

@@ -10,9 +10,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from itertools import chain, combinations_with_replacement
 
 import numpy as np
 import torch
@@ -179,7 +178,20 @@ def regulated(a: Tensor, b: Tensor, dt: float, q: Tensor, r: float, step: float 
         r: Weight of each squared input.
         step: Of the difference equation that the model is [s]; None of a differential equation.
     """
-    return _riccati(*_discretize(a, b, dt, step), q, r)
+    a, b = _discretize(a, b, dt, step)
+    for discount in (1.0, DISCOUNT):
+        f, g, cost = discount * a.numpy(), discount * b.numpy(), r * np.eye(b.shape[1])
+        try:
+            p = solve_discrete_are(f, g, np.diag(q.numpy()), cost)
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        gain = np.linalg.solve(cost + g.T @ p @ g, g.T @ p @ f)
+        closed = f - g @ gain
+        radius = float(np.abs(np.linalg.eigvals(closed)).max())
+        if radius < 1 - 1e-6:
+            slowest = -1.0 / float(np.log(max(radius, 1e-3)))
+            return _Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest, torch.as_tensor(closed))
+    return None
 
 
 def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> tuple[Tensor, Tensor]:
@@ -198,28 +210,7 @@ def _discretize(a: Tensor, b: Tensor, dt: float, step: float | None = None) -> t
     return sampled[:, : len(a)], sampled[:, len(a) :]
 
 
-def _riccati(a: Tensor, b: Tensor, q: Tensor, r: float) -> _Solved | None:
-    """Return the law of the least quadratic cost for x[k+1] = a x[k] + b u[k], q `(n_x,)`, or None without one."""
-    for discount in (1.0, DISCOUNT):
-        f, g, cost = discount * a.numpy(), discount * b.numpy(), r * np.eye(b.shape[1])
-        try:
-            p = solve_discrete_are(f, g, np.diag(q.numpy()), cost)
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        gain = np.linalg.solve(cost + g.T @ p @ g, g.T @ p @ f)
-        closed = f - g @ gain
-        radius = float(np.abs(np.linalg.eigvals(closed)).max())
-        if radius < 1 - 1e-6:
-            slowest = -1.0 / float(np.log(max(radius, 1e-3)))
-            return _Solved(torch.as_tensor(gain), torch.as_tensor(p), slowest, torch.as_tensor(closed))
-    return None
-
-
 def _terms(r: Tensor) -> Tensor:
     """Return all monomials of targets `(*batch, n_r)` up to the degree, `(*batch, n_terms)`."""
-    products: Sequence[Tensor] = [
-        r[..., list(places)].prod(-1)
-        for degree in range(DEGREE + 1)
-        for places in combinations_with_replacement(range(r.shape[-1]), degree)
-    ]
-    return torch.stack(list(products), -1)
+    places = (combinations_with_replacement(range(r.shape[-1]), degree) for degree in range(DEGREE + 1))
+    return torch.stack([r[..., list(each)].prod(-1) for each in chain.from_iterable(places)], -1)

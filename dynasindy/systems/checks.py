@@ -70,15 +70,20 @@ def require_plant(system: System, begins: Callable[[torch.Size], Tensor], bounds
     with torch.no_grad():
         for shape in shapes(n_x, n_u):
             x = begins(torch.Size(shape))
-            _require_finite_start(system, rates(system, x, torch.zeros(*shape, n_u, dtype=x.dtype)))
+            finite = rates(system, x, torch.zeros(*shape, n_u, dtype=x.dtype)).isfinite().flatten(0, -2).all(0).tolist()
+            if bad := [name for name, ok in zip(system.signature.state_names, finite, strict=True) if not ok]:
+                raise ValueError(
+                    f"system {type(system).__name__} gives rates of change that are not finite, of {', '.join(bad)}, "
+                    "where episodes begin; they have to be finite: mend the system or its constants"
+                )
         x, u = _places(system, begins(torch.Size((1,)))[0], bounds)
         dx = rates(system, x, u)
         _require_rows_apart(system, dx, rates(system, x.flip(0), u.flip(0)).flip(0))
-    bad = ~dx.isfinite().all(-1)
-    if not bool(bad.any()):
+    finite_rows = dx.isfinite().all(-1)
+    if bool(finite_rows.all()):
         return
     told = _where(system, x, u, dx)
-    if bool(bad.all()):
+    if not bool(finite_rows.any()):
         raise ValueError(f"{told}; they have to be finite: mend the system or its constants")
     warnings.warn(
         f"{told}; if the plant cannot be there, leave it out by plant.bounds, and if it can, mend the system",
@@ -99,17 +104,6 @@ def _where(system: System, x: Tensor, u: Tensor, dx: Tensor) -> str:
         f"{', '.join(place)}, and at {int(bad.any(-1).sum())} of {len(bad)} places that were tried within plant.bounds "
         "and the ranges of the states"
     )
-
-
-def _require_finite_start(system: System, dx: Tensor) -> None:
-    """Refuse rates `(*batch, n_x)` that are not finite where episodes begin."""
-    finite = dx.isfinite().flatten(0, -2).all(0).tolist()
-    if not all(finite):
-        bad = ", ".join(n for n, ok in zip(system.signature.state_names, finite, strict=True) if not ok)
-        raise ValueError(
-            f"system {type(system).__name__} gives rates of change that are not finite, of {bad}, where episodes "
-            "begin; they have to be finite: mend the system or its constants"
-        )
 
 
 def _require_rows_apart(system: System, dx: Tensor, turned: Tensor) -> None:
