@@ -16,7 +16,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -261,33 +261,14 @@ def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, A
 
 
 def append_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Append rows to a file, after a line of headings if it is new: all of them, or none where the disk is full.
+    """Append rows to a table, or begin it: all of them, or none where the disk is full. One process writes at a time.
 
     Raises:
         LinkError: A link stands there.
+        DamagedFileError: What is there is no table.
         ValueError: A row has another column.
-        OSError: The file cannot be written.
     """
-    cells = _ordered(columns, rows)
-    _require_replaceable(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NO_LINK, 0o666)
-    try:
-        size = os.fstat(descriptor).st_size
-        with os.fdopen(descriptor, "wb", buffering=0, closefd=False) as file:
-            text = memoryview(_csv(cells if size else [columns, *cells], "\n").encode("utf-8"))
-            try:
-                while text:
-                    text = text[file.write(text) :]
-            except BaseException:
-                with suppress(OSError):
-                    os.ftruncate(descriptor, size)
-                raise
-    except OSError as error:
-        error.filename = error.filename or str(path)
-        raise
-    finally:
-        os.close(descriptor)
+    write_rows(path, columns, [*read_rows(path), *rows])
 
 
 def _ordered(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> list[list[object]]:
