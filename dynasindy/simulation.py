@@ -103,10 +103,9 @@ class Simulation:
         from dynasindy.viz.response import tracking
 
         shown, places = self.evaluation, list(self.evaluation.columns)
-        names = [f"{name} [{unit}]" for name, unit in shown.units.items()]
         target = np.repeat(self.targets[run : run + 1], len(self.time), 0)
         outputs, inputs = {"controller": self.states[run][:, places]}, {"controller": self.inputs[run]}
-        return tracking(shown.time, target, outputs, inputs, names, shown.signature)
+        return tracking(shown.time, target, outputs, inputs, shown.output_names, shown.signature)
 
     def _repr_png_(self) -> bytes:
         """Return the figure of the first run, which a notebook shows."""
@@ -206,21 +205,18 @@ def excite(
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
     """Return the targets of each run, in the order of the outputs."""
     if isinstance(targets, Mapping):
-        if unknown := [name for name in targets if name not in outputs]:
+        for name in {*targets} ^ {*outputs}:
             raise ValueError(
-                f"targets has '{unknown[0]}', which is not tracked; give {', '.join(outputs)}"
-                f"{did_you_mean(unknown[0], outputs)}"
+                f"targets are of {', '.join(targets)}; give where each of {', '.join(outputs)} is to be"
+                f"{did_you_mean(name, outputs)}"
             )
-        if absent := [name for name in outputs if name not in targets]:
-            raise ValueError(f"targets lacks {absent[0]}; give where each of {', '.join(outputs)} is to be")
         lists = [np.atleast_1d(np.asarray(targets[name], float)) for name in outputs]
         if len(counts := {len(each) for each in lists} - {1}) > 1:
             raise ValueError(
                 f"targets has lists of {' and '.join(map(str, sorted(counts)))} values; give as many for each of "
                 f"{', '.join(outputs)}, or one for all runs"
             )
-        columns = np.broadcast_arrays(*lists)
-        rows = np.stack(columns, -1)
+        rows = np.stack(np.broadcast_arrays(*lists), -1)
     else:
         rows = np.atleast_2d(np.asarray(targets, float))
     if rows.ndim != 2 or rows.shape[1] != len(outputs) or not np.isfinite(rows).all():

@@ -133,7 +133,7 @@ def guess_rest(loop: ClosedLoop, r: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def _covariance_at(loop: ClosedLoop, z: Tensor, phase: str = RESTS) -> Tensor:
+def _covariance_at(loop: ClosedLoop, z: Tensor) -> Tensor:
     """Return the covariance of the observer where the plant stays at `z` and nothing is lost, `(*batch, n_o, n_o)`."""
     covariance = loop.uncertain(z)
     if loop.observer is None:
@@ -141,7 +141,7 @@ def _covariance_at(loop: ClosedLoop, z: Tensor, phase: str = RESTS) -> Tensor:
     watched = loop.watched(z)  # once: where nothing moves, the slopes of the observer's model stay as they are
     for k in range(SETTLED):
         if k % OFTEN == 0:
-            report_progress(phase, note=f"observer after {k} of {SETTLED} control periods")
+            report_progress(RESTS, note=f"observer after {k} of {SETTLED} control periods")
         before, covariance = covariance, watched(covariance)
         size = covariance.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)
         if bool(((covariance - before).abs() < 1e-9 * size).all()):
@@ -191,9 +191,7 @@ def without_dry_friction(loop: ClosedLoop, rest: RestingLoop, r: Tensor) -> Line
     return _linearise(loop.varied(smooth.unsqueeze(0)), rest.z, rest.covariance, r.double())[0].finite()
 
 
-def find_rest(
-    loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0, phase: str = RESTS
-) -> RestingLoop:
+def find_rest(loop: ClosedLoop, r: Tensor, start: RestingLoop | None = None, seconds: float = 20.0) -> RestingLoop:
     """Find where loops rest, by Newton's method; where it fails, or the loop is not stable, by letting it run first.
 
     Args:
@@ -201,19 +199,18 @@ def find_rest(
         r: References, `(rows, n_r)`.
         start: Where to begin, such as the same loops with other coefficients; by default where the model rests.
         seconds: How long the loop may run [s].
-        phase: What is under way, in words.
     """
     r = r.double()
     z = guess_rest(loop, r) if start is None else start.z
-    covariance = _covariance_at(loop, z, phase) if start is None else start.covariance
-    found, still = _newton(loop, z, covariance, r, phase)
+    covariance = _covariance_at(loop, z) if start is None else start.covariance
+    found, still = _newton(loop, z, covariance, r)
     linear, _, u = _linearise(loop, found, covariance, r)
     stable = torch.from_numpy(linear.finite().radius < 1)
     lost = (~(still & stable)).nonzero().flatten()  # with dry friction there are rests that no flight reaches
     ran = torch.zeros(len(r), loop.task.n_r, dtype=torch.float64)
     if len(lost):
-        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds, phase)
-        again, calm = _newton(loop.rows(lost), moved, spread, r[lost], phase)
+        moved, spread, ran[lost] = _run(loop.rows(lost), z[lost], covariance[lost], r[lost], seconds)
+        again, calm = _newton(loop.rows(lost), moved, spread, r[lost])
         new = calm | ~still[lost]
         lost, again, spread, calm = lost[new], again[new], spread[new], calm[new]
         found, covariance = found.index_copy(0, lost, again), covariance.index_copy(0, lost, spread)
@@ -233,26 +230,24 @@ def at_end(periods: int, dt: float) -> int:
     return max(1, min(round(LAST / dt), round(SHARE * periods)))
 
 
-def _run(
-    loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float, phase: str
-) -> tuple[Tensor, Tensor, Tensor]:
+def _run(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, seconds: float) -> tuple[Tensor, Tensor, Tensor]:
     """Let loops run; return vectors, covariances, and the mean absolute error over the last seconds, `(rows, n_r)`."""
     steps = math.ceil(seconds / loop.dt)
     last = at_end(steps, loop.dt)
     errors: list[Tensor] = []
     for k in range(steps):
-        report_progress(phase, note=f"{k} of {steps} control periods of flights of the {len(r)} that are left")
+        report_progress(RESTS, note=f"{k} of {steps} control periods of flights of the {len(r)} that are left")
         z, covariance, _ = loop.step(z, covariance, r)
         errors = [*errors, (r - z[:, loop.parts["x"]][:, loop.task.outputs]).abs()][-last:]
     return z, covariance, torch.stack(errors).mean(0).nan_to_num(torch.inf, torch.inf)
 
 
-def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor, phase: str) -> tuple[Tensor, Tensor]:
+def _newton(loop: ClosedLoop, z: Tensor, covariance: Tensor, r: Tensor) -> tuple[Tensor, Tensor]:
     """Return vectors at rest, as far as they are found, and whether they are, bool `(rows,)`."""
     scale, unit = loop.scale, np.eye(loop.size)
     z, still, left = z.clone(), torch.zeros(len(z), dtype=torch.bool), torch.arange(len(z))
     for k in range(NEWTON):
-        report_progress(phase, note=f"step {k + 1} of Newton's method")
+        report_progress(RESTS, note=f"step {k + 1} of Newton's method")
         linear, moved, _ = _linearise(loop.rows(left), z[left], covariance[left], r[left])
         calm = ((moved / scale).abs() < STILL).all(-1)
         still[left] = calm

@@ -9,15 +9,11 @@ from torch import Tensor
 
 from dynasindy.checking.closed_loop import ClosedLoop
 from dynasindy.checking.linear_loop import RestingLoop, find_rest
+from dynasindy.progress import reporting_as
 from dynasindy.sindy import SindyModel
 
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
-
-
-PHASE = "plants that differ from the model"
-"""What is under way, in words."""
-
 
 WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
 """How they were drawn by that share."""
@@ -90,8 +86,9 @@ def spread(
         torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
     )
     for k, target in enumerate(r.double() if count else []):
-        start, phase = nominal.select(torch.full((count,), k)), f"{PHASE}, target {k + 1} of {len(r)}"
-        found = find_rest(loop.varied(changed), target.expand(count, -1), start, seconds, phase)
+        start = nominal.select(torch.full((count,), k))
+        with reporting_as(f"plants that differ from the model, target {k + 1} of {len(r)}"):
+            found = find_rest(loop.varied(changed), target.expand(count, -1), start, seconds)
         radii[k] = torch.from_numpy(found.linear.radius).where(found.still, torch.inf)
         errors[k] = found.error
     return Spread(radii, errors, how)

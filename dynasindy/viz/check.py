@@ -38,8 +38,6 @@ from dynasindy.viz.style import (
     zero_order_hold,
 )
 
-LISTED = 3
-"""Targets without a curve that are listed by name."""
 EDGE = 0.08
 """Room between what stays near its target and the edge of an axis that cuts off what runs away [height of the axis]."""
 NAMED = 9
@@ -73,18 +71,6 @@ def _in_words(found: Check, target: Tensor) -> str:
     return MINUS.sub("\N{MINUS SIGN}", ", ".join(words))
 
 
-def _left_out(found: Check) -> str:
-    """Say which targets have no curve of an open loop, and why; nothing if all have one."""
-    lost = [k for k, ok in enumerate(found.stable.tolist()) if not ok]
-    text = []
-    for words, still in (("the closed loop is not stable", True), ("the closed loop never comes to rest", False)):
-        if targets := [k for k in lost if bool(found.rest.still[k]) is still]:
-            names = [f"({_in_words(found, found.targets[k])})" for k in targets[:LISTED]]
-            more = len(targets) - len(names)
-            text.append(f"{words} at {', '.join([*names, *([f'{more} more'] if more else [])])}")
-    return f"\nleft out, {len(lost)} of {len(found.targets)} targets: {'; '.join(text)}" if lost else ""
-
-
 def _nyquist(found: Check, limits: Thresholds) -> Figure:
     names, disk = found.loop.signature.input_names, limits.disk
     stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
@@ -93,7 +79,9 @@ def _nyquist(found: Check, limits: Thresholds) -> Figure:
         _in_words(found, found.targets[k]): np.asarray(open_loop_response(row, frequencies(row)))
         for k, row in zip(stable, rows, strict=True)
     }
-    title = f"Loop opened at each input{_left_out(found)}"
+    count = len(found.targets)
+    lost = f"; left out, as the closed loop is not stable: {count - len(stable)} of {count} targets"
+    title = f"Loop opened at each input{lost * (len(stable) < count)}"
     figure, axes = panels(1, len(names), (4.2 * len(names) + 2.2, 4.5), title, sharex=False)
     angle = np.linspace(0, 2 * np.pi, 200)
     # Inside of this circle, some factor between (2 - disk)/(2 + disk) and its inverse makes the loop unstable.

@@ -69,8 +69,8 @@ def tracking(
         reference: `(T, n_r)`, or as many rows as the outputs; None of a task that has none.
         outputs: `(T, n_r)` per controller, or `(T + 1, n_r)` with those after the last period.
         inputs: `(T, n_u)` per controller, in [-1, 1]; adds one panel per input, in its own unit.
-        names: tracked states, with their units unless these are rad: `height [m]`.
-        signature: tells the inputs, their units and ranges.
+        names: tracked states.
+        signature: tells the units of states, and inputs with their units and ranges.
         title: of the figure.
         settling: Whether a reference that stays has what the step metrics use: the settling band and the final seconds.
     """
@@ -84,7 +84,7 @@ def tracking(
             axis.plot(_row_times(seconds, target), target[:, i], label="reference", **look)
         for (of, y), look in zip(outputs.items(), line_styles(outputs).values(), strict=True):
             axis.plot(_row_times(seconds, array(y)), array(y)[:, i], label=of, **look)
-        axis.set_ylabel(label(*_with_unit(name)))
+        axis.set_ylabel(label(name, signature.state_units[signature.state_index(name)]))
         if settling and target is not None and bool((target == target[0]).all()):
             _draw_settling(axis, seconds, float(target[0, i]), [float(array(y)[0, i]) for y in outputs.values()])
     for i, axis in enumerate(axes[len(names) :]):
@@ -105,6 +105,7 @@ def error_fan(
     outputs: ArrayLike,
     references: ArrayLike,
     names: Sequence[str] = AXES,
+    signature: Signature = SIGNATURE,
     title: str = "Tracking error over all references",
     band: Sequence[float] = (0.01,),
 ) -> Figure:
@@ -114,7 +115,8 @@ def error_fan(
         time: `(T,)` [s].
         outputs: `(N, T, n_r)`.
         references: `(N, T, n_r)`.
-        names: tracked states, with their units unless these are rad.
+        names: tracked states.
+        signature: tells their units.
         title: of the figure.
         band: half width of the band that is paid for, of each output or of all.
     """
@@ -127,7 +129,7 @@ def error_fan(
         axis.fill_between(seconds, p05[:, i], p95[:, i], color=BLUE, alpha=0.15, lw=0, label="5 to 95 %")
         axis.fill_between(seconds, p25[:, i], p75[:, i], color=BLUE, alpha=0.3, lw=0, label="middle half")
         axis.plot(seconds, p50[:, i], color=BLUE, label="median")
-        unit = _with_unit(name)[1]
+        unit = signature.state_units[signature.state_index(name)]
         least_paid = " ".join([f"{bands[i]:.3g}", *([unit] if unit != "-" else [])])
         text = f"the reward pays a bonus below {least_paid}"
         axis.axhline(bands[i], color=BLACK, linestyle=":", linewidth=1.0, label=text)
@@ -138,7 +140,7 @@ def error_fan(
         least = float(inner.min(where=inner > 0, initial=bands[i]))
         least = min(least, float(np.quantile(outer, 0.1))) if len(outer) else least
         axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
-        axis.set_ylabel(f"|error| of {label(*_with_unit(name))}")
+        axis.set_ylabel(f"|error| of {label(name, unit)}")
     legend_above(axes[0])
     time_axis(axes[-1], time_span(seconds))
     axes[-1].set_xlim(*time_span(seconds))
@@ -174,7 +176,7 @@ def draw_evaluation(
     states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
     x = torch.cat([states[episode.row], following[episode.row, -1:]])  # and the state after the last period
     columns = list(evaluation.columns) or list(range(signature.n_x))  # all states where the task has no references
-    names = [f"{signature.state_names[k]} [{signature.state_units[k]}]" for k in columns]
+    names = [signature.state_names[k] for k in columns]
     reference = evaluation.references[episode.row] if evaluation.columns else None
     target = None if reference is None else torch.cat([reference, reference[-1:]])
     inputs = {label: evaluation.inputs[episode.row]}
@@ -185,6 +187,7 @@ def draw_evaluation(
             evaluation.outputs,
             evaluation.references,
             names,
+            signature,
             f"{scenario}: error over all references",
             [0.01 * box for box in evaluation.boxes] or [0.01],
         )
@@ -203,7 +206,6 @@ def draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) ->
         guard: Tells the ranges of the outputs within which a flight goes on; drawn where they are near.
         name: Of the flight, such as `flight_1`.
     """
-    units = [f"{output} [{unit}]" for output, unit in zip(shown.names, shown.units, strict=True)]
     measured = {"measured": shown.outputs}
     planned = max(shown.planned, len(shown.time)) * wiring.dt
     title = f"{name.replace('_', ' ').capitalize()} on the rig"
@@ -211,14 +213,15 @@ def draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) ->
     if shown.fault:
         title += f", ended after {format_duration(ended, planned)} of {format_duration(planned)} by {shown.fault}"
     inputs = {"measured": shown.inputs}
-    figure = tracking(shown.time, shown.references, measured, inputs, units, wiring.signature, title, False)
+    figure = tracking(shown.time, shown.references, measured, inputs, shown.names, wiring.signature, title, False)
     for column, (axis, output) in enumerate(zip(figure.axes, shown.names, strict=False)):
         if np.isnan(shown.outputs[:, column]).all():
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", va="center", color=GREY)
         for line in axis.lines:
             if line.get_label() == "reference":  # a target is held, and the next one follows at once
                 line.set_drawstyle("steps-post")
-        _mark_isolated_samples(axis, shown.time, shown.outputs[:, column])
+            else:  # a line shows nothing of a sample between two that were lost
+                line.set(marker=".", markersize=2.0)
         _draw_range(figure, axis, guard.ranges.get(output, ()))
     for axis in figure.axes:
         if shown.fault:
@@ -246,12 +249,6 @@ def draw_rig_excitation(samples: tuple[Array, Array, Array], wiring: Wiring, gua
         _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
     legend_above(figure.axes[0])
     return figure
-
-
-def _with_unit(name: str) -> tuple[str, str]:
-    """Return the name and the unit of `name [unit]`."""
-    bare, _, unit = name.partition(" [")
-    return bare, unit.removesuffix("]") or "rad"
 
 
 def _row_times(seconds: Array, rows: Array) -> Array:
@@ -286,12 +283,3 @@ def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:
         if bottom - room < end < top + room:
             axis.axhline(end, color=ORANGE, linestyle="-.", linewidth=1.0)
             figure.axes[0].plot([], [], color=ORANGE, linestyle="-.", linewidth=1.0, label="range of the guard")
-
-
-def _mark_isolated_samples(axis: Axes, time: Array, values: Array) -> None:
-    """Mark samples between two that were lost, of which a line shows nothing."""
-    known = np.isfinite(np.concatenate([[np.nan], values, [np.nan]]))
-    alone = known[1:-1] & ~known[:-2] & ~known[2:]
-    if alone.any():
-        measured = next(line for line in axis.lines if line.get_label() == "measured")
-        axis.plot(time[alone], values[alone], ".", color=measured.get_color(), markersize=3.0)

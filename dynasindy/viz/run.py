@@ -104,11 +104,10 @@ def _response(table: Table, signature: Signature, which: str, controller: str) -
     outputs = tracked or signature.state_names
     time, inputs = periods(table, signature.input_names)
     y, u = {controller: stacked(table, outputs)}, {controller: inputs}
-    names = [f"{name} [{signature.state_units[signature.state_index(name)]}]" for name in outputs]
     reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
     step = reference is not None and bool((reference == reference[0]).all())
     title = "\n".join(filter(None, ["Step response" if step else "Response", which]))
-    return tracking(time, reference, y, u, names, signature, title)
+    return tracking(time, reference, y, u, outputs, signature, title)
 
 
 def periods(table: Table, inputs: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

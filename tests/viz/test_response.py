@@ -180,8 +180,5 @@ def test_samples_between_lost_ones_are_drawn_as_points() -> None:
     outputs = MEASURED.copy()
     outputs[[1, 3]] = np.nan
     axis = draw_flight(replace(ENDED, outputs=outputs), WIRING, Guard(), "flight_1").axes[0]
-    drawn = [line for line in axis.lines if line.get_marker() == "."]
-    assert drawn[0].get_xdata() == pytest.approx([0.0, 0.2, 0.4])
-    assert drawn[0].get_color() == axis.lines[1].get_color()
-    whole = draw_flight(ENDED, WIRING, Guard(), "flight_1").axes[0]
-    assert not [line for line in whole.lines if line.get_marker() == "."]
+    (drawn,) = [line for line in axis.lines if line.get_marker() == "."]
+    assert np.isfinite(drawn.get_ydata()).tolist() == [True, False, True, False, True]

@@ -96,13 +96,13 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
 
 def _first_states(results: Results, plant: str, experiment: str) -> Made:
     errors, picture = _states(results, plant, experiment, "first", "before")
-    yield from _judge_first_model(errors)
+    yield _judge_model({name: error for name, error in errors.items() if name.startswith("omega_")})
     yield picture
 
 
 def _last_states(results: Results, plant: str, experiment: str) -> Made:
     errors, picture = _states(results, plant, experiment, "last", "after")
-    yield _judge_last_model(errors)
+    yield _judge_model(errors)
     yield picture
     # The excitation applied to the final model, as the paper does.
     run = results.run(plant, experiment)
@@ -112,7 +112,7 @@ def _last_states(results: Results, plant: str, experiment: str) -> Made:
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
-    yield _judge_last_model(_state_errors(x[1:].numpy(), predicted.numpy()))
+    yield _judge_model(_state_errors(x[1:].numpy(), predicted.numpy()))
 
 
 def _states(results: Results, plant: str, experiment: str, episode: str, when: str) -> tuple[dict[str, float], Picture]:
@@ -245,12 +245,7 @@ def _judge_learning(episode: Array, error: Array, opened: Array, below: float) -
     return [_judge_statement(ours, fallen or bool((error < below).all()))]
 
 
-def _judge_first_model(errors: Mapping[str, float]) -> list[Finding]:
-    """Judge the model of the excitation alone by the RMSE of each rotor speed [% of its range]."""
-    return [_judge_last_model({name: error for name, error in errors.items() if name.startswith("omega_")})]
-
-
-def _judge_last_model(errors: Mapping[str, float]) -> Finding:
+def _judge_model(errors: Mapping[str, float]) -> Finding:
     """Judge a model by the RMSE of each state [% of its range]."""
     words = ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
     return _judge_statement(f"RMSE in % of range: {words}", max(errors.values()) < paper.CLOSE.value)

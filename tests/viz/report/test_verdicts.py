@@ -64,8 +64,7 @@ CASES = [
         HOLDS,
         SHORT,
     ),
-    ("CLOSE", lambda rate: sections._judge_last_model(errors(rate)), 5.0, HOLDS, SHORT),
-    ("CLOSE", lambda rate: sections._judge_first_model(errors(0.0) | {"omega_p": rate})[0], 5.0, HOLDS, SHORT),
+    ("CLOSE", lambda rate: sections._judge_model(errors(rate)), 5.0, HOLDS, SHORT),
     (
         "COEFFICIENT",
         lambda off: sections._judge_coefficients({"y": {"u": 2.0 * (1 + off / 100)}}, {"y": {"u": 2.0}})[0],
