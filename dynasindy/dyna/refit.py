@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 
 import torch
@@ -11,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.dyna.components import Components, LoopSettings
-from dynasindy.envs.rollout_data import LoggedPeriods, measurements_and_inputs, transitions
+from dynasindy.envs.rollout_data import measurements_and_inputs, transitions
 from dynasindy.planning import ModelError, replay_error
 from dynasindy.progress import report_progress
 from dynasindy.sindy import WorldModel
@@ -129,11 +130,11 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
     held_out = torch.zeros(rollout.numel(), dtype=torch.bool)
     held_out[(starts.unsqueeze(-1) + torch.arange(length)).flatten()] = True
     adds, take_back = _adds(parts), parts.world_model.kept()
-    logged = LoggedPeriods(rollout, parts.model_env.log_dt) if adds else None
+    logged = partial(transitions, rollout, parts.model_env.log_dt) if adds else None
     before, shown_for = replay_error(parts.model_env, rollout, starts, length), parts.world_model.delay
     report: object
     try:
-        report = fit(parts, held_out) if logged is None else _added(parts, logged.transitions(~held_out))
+        report = fit(parts, held_out) if logged is None else _added(parts, logged(~held_out))
         later = (parts.world_model.delay - shown_for) / parts.plant.dt
         after = replay_error(parts.model_env, _acting(rollout, later), starts, length)
         kept = after.state_error <= max(WORSE * before.state_error, NEGLIGIBLE)
@@ -145,7 +146,7 @@ def refit(parts: Components, settings: LoopSettings, rollout: TensorDictBase) ->
             before = replay_error(parts.model_env, rollout, starts, length)
     if logged is not None:
         # The next refit reads what this one was tested by, and what one that was taken back was made of.
-        parts.world_model.absorb(logged.transitions(held_out if kept else None))
+        parts.world_model.absorb(logged(held_out if kept else None))
     _observe(parts, rollout)
     return Refit(report, before.state_error, after.state_error, kept, after if kept else before)
 

@@ -18,7 +18,7 @@ from dynasindy.systems.transitions import Transitions
 from dynasindy.text import did_you_mean
 
 
-def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
+def transitions(rows: TensorDictBase, log_dt: float, among: Tensor | None = None) -> Transitions:
     """Return the logged samples of real control periods as transitions, in float64.
 
     Of a plant behind sensors these are the measured samples, NaN where nothing was measured.
@@ -28,31 +28,15 @@ def transitions(rows: TensorDictBase, log_dt: float) -> Transitions:
         rows: Control periods `(T,)` in the order of time, with `state` or, behind sensors, `measurement`,
             `action`, ("next", "samples") and ("next", "at_stop").
         log_dt: Time between samples [s].
+        among: Which of these periods to return, bool `(T,)`; all if omitted.
 
     Returns:
         Up to `T * substeps` transitions.
     """
-    return LoggedPeriods(rows, log_dt).transitions()
-
-
-class LoggedPeriods:
-    """Hold the logged samples of real control periods, of which some or others are read; see `transitions`.
-
-    Args:
-        rows: Control periods, `(T,)`.
-        log_dt: Time between samples [s].
-    """
-
-    def __init__(self, rows: TensorDictBase, log_dt: float) -> None:
-        samples = rows["next", "samples"].double()
-        start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
-        self._fine = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
-        self._free = ~rows["next", "at_stop"].reshape(-1)
-
-    def transitions(self, among: Tensor | None = None) -> Transitions:
-        """Return what `transitions` does, of the periods that `among`, bool `(T,)`, tells; of all if omitted."""
-        free = self._free if among is None else self._free & among
-        return self._fine.select(free.repeat_interleave(self._fine.substeps))
+    samples, free = rows["next", "samples"].double(), ~rows["next", "at_stop"].reshape(-1)
+    start = rows["measurement"] if "measurement" in set(rows.keys()) else rows["state"]
+    logged = Transitions.from_samples(start.double(), rows["action"].double(), samples, log_dt)
+    return logged.select((free if among is None else free & among).repeat_interleave(logged.substeps))
 
 
 def measurements_and_inputs(rows: TensorDictBase) -> tuple[Tensor, Tensor]:

@@ -1,10 +1,10 @@
-"""Statistics over seeds, and Markdown tables of runs: interquartile means with stratified bootstrap intervals."""
+"""Statistics over seeds, and Markdown tables of runs: interquartile means with bootstrap intervals."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -13,9 +13,6 @@ from torch import Tensor
 
 from dynasindy.safe_io import escape_markdown, read_json, reading
 from dynasindy.text import format_duration
-
-Statistic = Callable[[Tensor], Tensor]
-"""Reduces the last dimension."""
 
 
 def interquartile_mean(values: Tensor) -> Tensor:
@@ -28,44 +25,18 @@ def interquartile_mean(values: Tensor) -> Tensor:
     return values.sort(dim=-1).values[..., drop : n - drop].mean(-1)
 
 
-def bootstrap_interval(
-    scores: Tensor,
-    statistic: Statistic = interquartile_mean,
-    confidence: float = 0.95,
-    resamples: int = 2000,
-    seed: int = 0,
-) -> tuple[Tensor, Tensor]:
-    """Return the percentile bootstrap interval of a statistic over seeds and tasks.
-
-    Seeds are drawn with replacement within each task (stratified), then the statistic is taken over all
-    seeds and tasks together.
+def bootstrap_interval(scores: Tensor, resamples: int = 2000, seed: int = 0) -> tuple[Tensor, Tensor]:
+    """Return the 95 % percentile bootstrap interval of the interquartile mean over seeds, each end `(*batch,)`.
 
     Args:
-        scores: `(*batch, n_seeds, n_tasks)` one score per seed and task.
-        statistic: reduction of the last dimension.
-        confidence: share of the resampled statistics inside the interval, in (0, 1).
+        scores: `(*batch, n_seeds)`, drawn with replacement.
         resamples: number of bootstrap resamples.
         seed: seed of the resampling, kept apart from torch's global generator.
-
-    Returns:
-        Lower and upper end, each `(*batch,)`.
-
-    Raises:
-        ValueError: if `confidence` is not in (0, 1) or `scores` has fewer than two dimensions.
     """
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence is {confidence}; it must be between 0 and 1, for example 0.95")
-    if scores.ndim < 2:
-        raise ValueError(
-            f"scores has shape {tuple(scores.shape)}; it must be (*batch, n_seeds, n_tasks), add a task axis"
-        )
-    n_seeds, n_tasks = scores.shape[-2:]
-    generator = torch.Generator().manual_seed(seed)
-    draws = torch.randint(n_seeds, (resamples, n_seeds, n_tasks), generator=generator).to(scores.device)
-    resampled = scores[..., draws, torch.arange(n_tasks, device=scores.device)]
-    estimates = statistic(resampled.flatten(-2)).double()
-    tail = (1.0 - confidence) / 2.0
-    low, high = torch.quantile(estimates, torch.tensor([tail, 1.0 - tail], dtype=torch.double), dim=-1)
+    n = scores.shape[-1]
+    draws = torch.randint(n, (resamples, n), generator=torch.Generator().manual_seed(seed))
+    estimates = interquartile_mean(scores[..., draws]).double()
+    low, high = torch.quantile(estimates, torch.tensor([0.025, 0.975], dtype=torch.double), dim=-1)
     return low.to(scores), high.to(scores)
 
 
@@ -175,7 +146,7 @@ def over_seeds(values: Sequence[float], digits: int = 3, infinite: str = "inf") 
     scores = torch.tensor(list(values), dtype=torch.float64).nan_to_num(posinf=HUGE)
     if len(scores) < FEWEST:
         return ", ".join(_short(score, digits, infinite) for score in scores.tolist())
-    numbers = (interquartile_mean(scores), *bootstrap_interval(scores.unsqueeze(-1)))
+    numbers = (interquartile_mean(scores), *bootstrap_interval(scores))
     middle, low, high = (_short(n.item(), digits, infinite) for n in numbers)
     return f"{middle} [{low}, {high}]"
 

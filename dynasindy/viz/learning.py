@@ -167,7 +167,7 @@ def _draw_bands(axis: Axes, curves: Curves, episode: ArrayLike | None = None) ->
                 axis.plot(x, row, label="_" * (number > 0) + label, **look)
             continue
         by_episode = torch.as_tensor(rows.T)
-        low, high = bootstrap_interval(by_episode.unsqueeze(-1), resamples=1000, seed=0)
+        low, high = bootstrap_interval(by_episode, resamples=1000)
         axis.plot(x, interquartile_mean(by_episode).numpy(), label=label, **look)
         axis.fill_between(x, low.numpy(), high.numpy(), color=line["color"], alpha=0.2, linewidth=0, label=f"_{label}")
         if len(x) == 1:
