@@ -227,7 +227,7 @@ def forecast_errors(
     usual = [k for k in steps if k * validation.dt >= time / 10] or steps
     middle = usual[len(usual) // 2]
     length = _length(model, training, fit, [k for k in usual if k <= middle])
-    predicted = predict_from(model, validation, starts, later, length)
+    predicted = predict_from(model, validation, starting_states(model, validation, starts, length), later)
     linear = LinearModel.fit(training, middle, fit)
     held = _last_seen(validation)[starts].unsqueeze(1).expand_as(real)
     both = (predicted, linear.predict(validation, starts, later), held)
@@ -275,7 +275,7 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     most = LOST * torch.tensor(model.signature.x_scale, dtype=torch.float64)
 
     def _cost(length: int) -> float:
-        predicted = predict_from(model, data, starts, later, length)
+        predicted = predict_from(model, data, starting_states(model, data, starts, length), later)
         return float(errors_over(predicted, real, steps).clamp(ALIKE * most, most).log().nanmean())
 
     best, least = longest, math.inf
@@ -286,11 +286,15 @@ def _length(model: SindyModel, data: Transitions, longest: int, steps: Sequence[
     return best
 
 
-def predict_from(model: SindyModel, data: Transitions, starts: Tensor, later: Tensor, length: int) -> Tensor:
-    """Return what a model predicts for some rows after each start, `(S, T, n_x)`, infinite where it runs away."""
-    late = delay_inputs(data, model.delay)
-    begin = estimate(model, late, starts - length, length)[1]
-    return _simulated(model, begin, late.inputs_of(later), data.dt).nan_to_num(math.inf, math.inf, -math.inf)
+def starting_states(model: SindyModel, data: Transitions, starts: Tensor, length: int) -> Tensor:
+    """Return the states at some rows, `(S, n_x)`, that a model tells from so many samples before each."""
+    return estimate(model, delay_inputs(data, model.delay), starts - length, length)[1]
+
+
+def predict_from(model: SindyModel, data: Transitions, begin: Tensor, later: Tensor) -> Tensor:
+    """Return what a model predicts for some rows from states on, `(S, T, n_x)`, infinite where it runs away."""
+    inputs = delay_inputs(data, model.delay).inputs_of(later)
+    return _simulated(model, begin, inputs, data.dt).nan_to_num(math.inf, math.inf, -math.inf)
 
 
 def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, starts: Tensor, steps: int) -> Tensor:
@@ -307,7 +311,8 @@ def predict_ahead(model: SindyModel, training: Transitions, data: Transitions, s
     """
     longest = min(max(round(characteristic(training) / 4 / data.dt), SHORTEST_FIT), LONGEST_FIT, int(starts.min()))
     length = int(starts.min()) if len(starts) == 1 else _length(model, training, longest, [steps])
-    return predict_from(model, data, starts, starts.unsqueeze(-1) + torch.arange(steps), length)
+    begin = starting_states(model, data, starts, length)
+    return predict_from(model, data, begin, starts.unsqueeze(-1) + torch.arange(steps))
 
 
 def start_rows(data: Transitions, before: int, after: int = 1) -> tuple[Tensor, int]:

@@ -29,6 +29,7 @@ from dynasindy.identification.forecast_errors import (
     predict_from,
     samples_after,
     start_rows,
+    starting_states,
 )
 from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.identification.source import Source, rate_name, rates_of
@@ -94,6 +95,8 @@ LATEST = 30
 """Samples within which a delay is looked for, at least."""
 EXACT = 1e-5
 """Error that is as good as none, whatever a sensor resolves [ranges of the state]."""
+RESOLVED = 1.2
+"""Times what a sensor resolves up to which an error leaves nothing to be found."""
 LAG_STATES = 3
 """States that follow a signal that are tried, those first that regressions prefer."""
 FAILURES = ArithmeticError, ValueError, RuntimeError
@@ -239,14 +242,18 @@ class HoldOut:
     def errors(self, model: SindyModel, source: Source) -> Tensor:
         """Return the errors of a model over each horizon, `(H, n_x)`, by the best way to estimate where it starts."""
         kept, n_x = source.training.select(~self.early), self.real.shape[-1]
-        found = torch.full_like(self.simple, math.inf)
+        near = self.steps[: -(-len(self.steps) // 2)]  # what is farther says little of where a prediction began
+        begun, least = None, math.inf
         for length in dict.fromkeys(max(3, self.before >> k) for k in (0, 1, 2, 4)):
             with _attempt():
-                guess = predict_from(model, kept, self.starts, self.later, length)[..., :n_x]
-                errors = errors_over(guess, self.real, self.steps)
-                if errors.clamp_max(1e9).log().nanmean() < found.clamp_max(1e9).log().nanmean():
-                    found = errors
-        return found
+                begin = starting_states(model, kept, self.starts, length)
+                guess = predict_from(model, kept, begin, self.later[:, : near[-1]])[..., :n_x]
+                cost = float(errors_over(guess, self.real[:, : near[-1]], near).clamp_max(1e9).log().nanmean())
+                if cost < least:
+                    begun, least = begin, cost
+        if begun is None:
+            return torch.full_like(self.simple, math.inf)
+        return errors_over(predict_from(model, kept, begun, self.later)[..., :n_x], self.real, self.steps)
 
     def score(self, errors: Tensor) -> float:
         """Return the mean logarithm of errors by those of the best simple model, and more where they are larger."""
@@ -261,8 +268,8 @@ class HoldOut:
         return (errors.maximum(least).minimum(most) / self.simple.maximum(least)).log()
 
     def exact(self, errors: Tensor) -> bool:
-        """Tell whether no error is larger than what a sensor resolves."""
-        return bool(((errors <= 1.05 * self.floor) | self.simple.isnan()).all())
+        """Tell whether no error is much larger than what a sensor resolves."""
+        return bool(((errors <= RESOLVED * self.floor) | self.simple.isnan()).all())
 
 
 @dataclass(frozen=True)
@@ -296,6 +303,14 @@ class Candidate:
     def states(self) -> tuple[str, ...]:
         """Names of its states but for those that follow a signal."""
         return tuple(n for n in self.source.signature.state_names if n not in self.model.followed)
+
+    @property
+    def equations(self) -> frozenset[tuple[object, ...]]:
+        """Which function stands in the equation of which state, and how inputs move; whatever the coefficients are."""
+        names, features = self.source.signature.state_names, self.model.library.features
+        terms = (self.model.coefficients != 0).nonzero().tolist()
+        moves = zip(self.source.signature.input_names, self.source.training.linear_inputs.tolist(), strict=True)
+        return frozenset([*((names[i], frozenset(map(_unfitted, features[k].factors))) for k, i in terms), *moves])
 
 
 @dataclass
@@ -381,14 +396,19 @@ class _Search:
             if behind and (lagging := self._with_lag_states(linear[0])) is not linear[0]:
                 self._select(lagging)
         near = {each.states for each in self._near(self.tried)} if self.tried else set()
+        better = {each.states: each.structure for each in reversed(linear)}  # of two with the same states
         for model, source in structures if self.builder is not None else ():
-            if not near or source.signature.state_names in near:
+            names = source.signature.state_names
+            if (not near or names in near) and better.get(names, model) is model:
                 self._regressed(model, source)
         if self.builder is not None and self.tried:
             self._with_larger_library()
             if self._with_lag_states(before := self.best) is not before:
                 self._with_larger_library()
-        for each in self._near(sorted(self.tried, key=lambda each: each.score))[:LEADERS] if self.tried else ():
+        leaders = dict[object, Candidate]()
+        for each in sorted(self._near(self.tried), key=lambda each: each.score) if self.tried else ():
+            leaders.setdefault(each.equations, each)
+        for each in list(leaders.values())[:LEADERS]:
             self._windows(each)
 
     def _near(self, candidates: Sequence[Candidate]) -> list[Candidate]:
