@@ -165,8 +165,9 @@ def test_an_observer_makes_up_for_a_delay(exact, late):
     controller = dynasindy.plan(late, {"theta": (-0.6, 0.6)}, exact, **SHORT)
     assert list(controller.observer.sensors.channels) == ["theta", "Omega"]
     plant, x = ControlEnv(Pendulum(), controller.setup.task, 0.04, dtype=torch.float64), torch.zeros(2).double()
-    waiting, shown, act = [torch.zeros(1).double()] * 2, [], controller._law._act
-    controller._law._act = lambda seen: (shown.append(seen["state"]), act(seen))[1]
+    waiting, shown, policy = [torch.zeros(1).double()] * 2, [], controller.policy
+    shows = lambda seen: (shown.append(seen["state"]), policy(seen))[1]  # noqa: E731
+    controller = Controller(shows, controller.setup, controller.observer, controller.integral)
     for _ in range(40):
         waiting.append(torch.from_numpy(controller.act(x.tolist(), [0.4])))
         ahead = x

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -26,7 +27,14 @@ from dynasindy.systems import Signature, Stops
 from dynasindy.tasks import Tracking
 from dynasindy.text import did_you_mean
 
-Values = float | Sequence[float] | NDArray[np.float64] | Tensor | Mapping[str, float]
+if TYPE_CHECKING:
+    from dynasindy.control.c_code import Native
+
+if TYPE_CHECKING:
+    pass
+
+Array = NDArray[np.float64]
+Values = float | Sequence[float] | Array | Tensor | Mapping[str, float]
 """Numbers in the order of the signature, or by name."""
 
 
@@ -167,7 +175,8 @@ class Controller:
         if observer is not None and not observer.learnt:
             raise ValueError("a controller got an observer that has not learnt from data; call its `learn` first")
         self.policy, self.setup, self.observer, self.integral = policy, setup, observer, integral
-        self._warned = False
+        self._warned, self._prepared = False, False
+        self._native: Native | None = None
         self.reset()
 
     @property
@@ -208,14 +217,17 @@ class Controller:
         """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
         self._law = ControlLaw(self.policy, self.setup, self.observer, self.integral)
         self._memory, self._begun = self._law.reset(), False
+        if self._native is not None:
+            self._native.reset()
 
     @property
-    def estimate(self) -> NDArray[np.float64] | None:
+    def estimate(self) -> Array | None:
         """State of the plant at the last call of `act`, as far as the observer knows, `(n_x,)`; None without it."""
         if self.observer is None or not self._begun:
             return None
-        mean: NDArray[np.float64] = self._memory.mean[: self.signature.n_x].numpy().copy()
-        return mean
+        mean = self._memory.mean.numpy() if self._native is None else self._native.state[1:]
+        found: Array = mean[: self.signature.n_x].copy()
+        return found
 
     def targets_in_words(self) -> list[str]:
         """Return the range of targets that each output was planned for, `h3 from 8 to 25 cm`; none if not known."""
@@ -224,8 +236,12 @@ class Controller:
         rows = zip(self.outputs, *(ends or ((), ())), units, strict=False)
         return [f"{name} from {low:g} to {high:g} {unit}" for name, low, high, unit in rows]
 
-    def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> NDArray[np.float64]:
+    def act(self, measurement: Values, reference: Values, rate: Values | None = None) -> Array:
         """Return the inputs of the control period that begins now, `(n_u,)`, in [-1, 1].
+
+        The first call compiles the controller, where there is a compiler and the controller is one that
+        `dynasindy.export.controller_sources` writes; the code is kept for later processes. If the parts of a controller
+        are changed after it, make another controller of them.
 
         Args:
             measurement: What was measured now: states in the order of the signature, or by name. NaN, or a name that is
@@ -239,75 +255,94 @@ class Controller:
             ValueError: A number is missing, infinite, of a name that does not exist, or so large that no action
                 follows from it; the controller is then as it was before the call.
         """
-        y = self._numbers("measurement", measurement, self.signature.state_names, math.nan)
-        if self.observer is not None:
-            y[[i for i, name in enumerate(self.signature.state_names) if name not in self.measured]] = math.nan
-        self._require("measurement", y, self.signature.state_names, gaps=self.observer is not None)
-        r = self._numbers("reference", reference, self.outputs, math.nan)
-        slope = self._numbers("rate", {} if rate is None else rate, self.outputs, 0.0)
-        for name, values in (("reference", r), ("rate", slope)):
-            self._require(name, values, self.outputs, gaps=False)
-        self._warn_far(r)
+        if not self._prepared:
+            self._prepare()
+        y = self._numbers("measurement", measurement, self._names)
+        y[self._unseen] = math.nan
+        r = self._numbers("reference", reference, self._outputs)
+        slope = np.zeros(len(r)) if rate is None else self._numbers("rate", rate, self._outputs)
         try:
-            action, memory = self._law.step(self._memory, y, r, slope)
-            if not all(bool(values.isfinite().all()) for values in (action, *memory)):
-                raise ArithmeticError
-        except (ArithmeticError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
+            if self._native is not None:
+                found = self._native.act(y, r, slope)
+            else:
+                self._require_finite(y, r, slope)
+                action, memory = self._law.step(self._memory, *map(torch.from_numpy, (y, r, slope)))
+                if not all(bool(values.isfinite().all()) for values in (action, *memory)):
+                    raise ArithmeticError
+                found, self._memory = action.double().numpy().copy(), memory
+        except (ArithmeticError, ValueError, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
+            self._require_finite(y, r, slope)
             raise ValueError(
                 f"no action follows from measurement {y.tolist()} and reference {r.tolist()}, as numbers grow beyond "
                 "all limits; the controller is as before: give values of the plant's range, or call its reset"
             ) from error
-        self._memory, self._begun = memory, True
-        found: NDArray[np.float64] = action.double().numpy().copy()
+        self._begun = True
+        if not self._warned:
+            self._warn_far(r)
         return found
 
-    def _refused(self, what: str, name: str, names: Sequence[str]) -> ValueError:
-        """Return the error that a name of nothing ends in, with what can be given."""
-        measured = list(self.measured) if what == "measurement" else list(names)
-        estimated = ", ".join(each for each in names if each not in measured)
-        more = f"; leave out {estimated}, which the controller estimates" if estimated else ""
-        hint = did_you_mean(name, measured)
-        return ValueError(f"{what} has '{name}', which does not exist; allowed are {', '.join(measured)}{more}{hint}")
+    def _prepare(self) -> None:
+        """Compile the controller, where it can be, and note what calls have to know."""
+        from dynasindy.control.c_code import Native, controller_sources
 
-    def _warn_far(self, r: Tensor) -> None:
+        with suppress(OSError, ValueError):  # no compiler, or a policy or a model that is not written in C
+            self._native = Native(controller_sources(self))
+        self._names, self._outputs = self.signature.state_names, self.outputs
+        self._unseen = [i for i, name in enumerate(self._names) if name not in self.measured]
+        low, high = np.array(self.setup.task.ends or ([-math.inf], [math.inf]))
+        self._near = low - self.setup.task.boxes().numpy(), high + self.setup.task.boxes().numpy()
+        self._prepared = True
+
+    def _warn_far(self, r: Array) -> None:
         """Warn once of a reference that lies more than a target range beyond the targets of the plan."""
-        task = self.setup.task
-        if self._warned or task.ends is None:
-            return
-        low, high = torch.tensor(task.ends, dtype=torch.float64)
-        far = torch.maximum(r - high, low - r) > task.boxes()
-        if bool(far.any()):
-            self._warned, k = True, int(far.nonzero()[0])
+        far = (r < self._near[0]) | (r > self._near[1])
+        if far.any():
+            self._warned, k = True, int(far.argmax())
             warnings.warn(
-                f"the reference of {self.outputs[k]} is {r[k].item():g}; the controller was planned for "
+                f"the reference of {self.outputs[k]} is {r[k]:g}; the controller was planned for "
                 f"{self.targets_in_words()[k]}, and nothing is known of what it does so far from that: give a "
                 "reference in this range, or plan for a wider one",
                 stacklevel=3,
             )
 
-    def _numbers(self, what: str, given: Values, names: Sequence[str], missing: float) -> Tensor:
-        """Return numbers in the order of names, float64."""
+    def _numbers(self, what: str, given: Values, names: Sequence[str]) -> Array:
+        """Return numbers in the order of names."""
         if isinstance(given, Mapping):
-            if unknown := [name for name in given if name not in names]:
-                raise self._refused(what, unknown[0], names)
-            if what == "reference" and (absent := [name for name in names if name not in given]):
-                raise ValueError(f"{what} lacks {absent[0]}; give where each of {', '.join(names)} is to be")
-            given = [float(given.get(name, missing)) for name in names]
-        values = torch.as_tensor(given, dtype=torch.float64).flatten()
-        if values.numel() != len(names):
+            given = self._by_name(what, given, names)
+        elif isinstance(given, Tensor):
+            given = given.detach().cpu()
+        values: Array = np.array(given, dtype=np.float64).reshape(-1)
+        if values.size != len(names):
             by_name = ", or those that are measured by name" if what == "measurement" else ""
-            raise ValueError(f"{what} has {values.numel()} numbers; give one for each of {', '.join(names)}{by_name}")
-        return values.clone()
+            raise ValueError(f"{what} has {values.size} numbers; give one for each of {', '.join(names)}{by_name}")
+        return values
 
-    @staticmethod
-    def _require(what: str, values: Tensor, names: Sequence[str], gaps: bool) -> None:
-        wrong = values.isinf() if gaps else ~values.isfinite()
-        if bool(wrong.any()):
-            place = int(wrong.nonzero()[0])
-            more = (
-                "; only a controller with sensors and an observer does without a state" if what == "measurement" else ""
+    def _by_name(self, what: str, given: Mapping[str, float], names: Sequence[str]) -> list[float]:
+        """Return numbers in the order of names: NaN of measurements that are not there, zero of rates."""
+        if unknown := [name for name in given if name not in names]:
+            measured = self.measured if what == "measurement" else names
+            estimated = ", ".join(each for each in names if each not in measured)
+            raise ValueError(
+                f"{what} has '{unknown[0]}', which does not exist; allowed are {', '.join(measured)}"
+                + (f"; leave out {estimated}, which the controller estimates" if estimated else "")
+                + did_you_mean(unknown[0], list(measured))
             )
-            raise ValueError(f"{what} of {names[place]} is {values[place].item()}; give a finite number{more}")
+        if what == "reference" and (absent := [name for name in names if name not in given]):
+            raise ValueError(f"{what} lacks {absent[0]}; give where each of {', '.join(names)} is to be")
+        return [float(given.get(name, 0.0 if what == "rate" else math.nan)) for name in names]
+
+    def _require_finite(self, y: Array, r: Array, slope: Array) -> None:
+        """Refuse numbers that are not finite; measurements may be missing where an observer estimates the states."""
+        more = "; only a controller with sensors and an observer does without a state"
+        known = y if self.observer is None else np.where(np.isnan(y), 0.0, y)
+        for what, values, names, hint in (
+            ("measurement", known, self._names, more),
+            ("reference", r, self._outputs, ""),
+            ("rate", slope, self._outputs, ""),
+        ):
+            if (wrong := np.flatnonzero(~np.isfinite(values))).size:
+                place = int(wrong[0])
+                raise ValueError(f"{what} of {names[place]} is {values[place]}; give a finite number{hint}")
 
 
 def _line(r: Tensor, slope: Tensor | float, t: float) -> Tensor:

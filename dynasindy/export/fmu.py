@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.export.c_code import controller_sources, stop_ends
-from dynasindy.export.expressions import fill, formulas, number
+from dynasindy.control.c_code import controller_sources, fill, stop_ends
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
+from dynasindy.sindy.formulas import formulas, number
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, compile_library, compiler
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynasindy.export.expressions import comment, formulas, identifiers, right_sides
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.equations import equations_to_latex
+from dynasindy.sindy.formulas import comment, formulas, identifiers, right_sides
 from dynasindy.systems.machine import Program
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS
 

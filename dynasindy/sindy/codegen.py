@@ -55,7 +55,7 @@ Term = tuple[dict[Factor, int], float]  # powers of elementary functions, and th
 class Writer:
     """Collect lines of code with infix operators; every value is written once, and what is called is formulas' own.
 
-    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.export.expressions`.
+    Another language overrides how numbers, functions and sums of two are written, see `dynasindy.sindy.formulas`.
 
     Args:
         signature: names of the states and inputs, which are `x[0]`, ..., `u[0]`, ... in the code, as numbers are

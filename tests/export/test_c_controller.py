@@ -1,6 +1,6 @@
 """The controller in C flies plants behind sensors as the one in Python does."""
 
-import ctypes
+import copy
 import math
 import os
 import re
@@ -14,12 +14,11 @@ from dynasindy.agents.networks import actor
 from dynasindy.control import Controller, load, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import network
-from dynasindy.export import controller_sources
-from dynasindy.export.c_code import Native
+from dynasindy.export import Native, controller_sources
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Signature, Stops, Tras, integrate
-from dynasindy.systems.compiler import compiler
+from dynasindy.systems.compiler import compile_library, compiler
 from dynasindy.tasks import Step, Tracking, TrackingReward
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")
@@ -44,6 +43,13 @@ def flown(act, plant, controller, r, rate, periods=60):
     return np.array(inputs)
 
 
+def by_torch(controller):
+    """The same controller with a policy of which C knows nothing."""
+    return Controller(
+        lambda shown: controller.policy(shown), controller.setup, controller.observer, controller.integral
+    )
+
+
 def apart(controller, act, plant, n_r):
     """The largest difference of a controller's inputs from those of another form of it, along a moving reference."""
     amplitude, omega = 0.3, 2.0
@@ -54,14 +60,27 @@ def apart(controller, act, plant, n_r):
     def rate(k):
         return [amplitude * omega * math.cos(omega * k * controller.dt)] * n_r
 
-    controller.reset()
-    expected = flown(controller.act, plant, controller, r, rate)
+    expected = flown(by_torch(controller).act, plant, controller, r, rate)
     assert expected.std() > 0.005
     return np.abs(flown(act, plant, controller, r, rate) - expected).max()
 
 
 def difference(controller, plant, n_r):
     return apart(controller, Native(controller_sources(controller)).act, plant, n_r)
+
+
+@needs_compiler
+def test_a_controller_acts_by_its_own_code_where_it_can(pendulum):
+    """Its numbers are those of the exported C; with a policy that is not ours they are those of torch."""
+    controller, native = pendulum(integral={}), Native(controller_sources(pendulum(integral={})))
+    readings = [[0.1 * math.sin(0.3 * k), math.nan] for k in range(20)]
+    ours = [controller.act(y, [0.3])[0] for y in readings]
+    assert ours == [native.act(y, [0.3])[0] for y in readings]
+    other = by_torch(controller)
+    np.testing.assert_allclose([other.act(y, [0.3])[0] for y in readings], ours, atol=1e-6)
+    np.testing.assert_allclose(other.estimate, controller.estimate, atol=1e-9)
+    copied = copy.deepcopy(controller)
+    assert controller.act([0.2, math.nan], [0.3]) == copied.act([0.2, math.nan], [0.3])
 
 
 KINDS = [
@@ -79,8 +98,11 @@ KINDS = [
 
 @needs_compiler
 @pytest.mark.parametrize("settings", KINDS, ids=str)
-def test_it_flies_a_pendulum_as_python_does(pendulum, settings):
+def test_it_flies_a_pendulum_as_python_does(pendulum, tmp_path, settings):
     assert difference(pendulum(**settings), Pendulum(), 1) < 1e-6
+    for name, text in controller_sources(pendulum(**settings)).files().items():
+        (tmp_path / name).write_text(text)
+    compile_library([tmp_path / "controller.c"], tmp_path / "controller.so")  # without a warning of any kind
 
 
 @needs_compiler
@@ -116,9 +138,10 @@ def from_hot(act, controller, periods=60):
 @pytest.mark.parametrize("pushed", [True, False])
 def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pushed):
     controller = oven(pushed)
-    expected = from_hot(controller.act, controller)
+    other = by_torch(controller)
+    expected = from_hot(other.act, controller)
     assert expected[:, 0].std() > 0.005
-    estimate = controller.estimate[1]  # of a store that is between what it was at first and the air, not near zero
+    estimate = other.estimate[1]  # of a store that is between what it was at first and the air, not near zero
     assert 60 < estimate < 85
     found = from_hot(Native(controller_sources(controller)).act, controller)
     np.testing.assert_allclose(found, expected, atol=1e-6)
@@ -132,9 +155,9 @@ def test_a_one_sided_actuator_is_off_where_the_first_call_is_refused_and_never_s
     controller = pendulum(observer=observer, signature=signature)
     network(controller).layers()[-1].bias.sub_(0.19)  # about zero
     native = Native(controller_sources(controller))
-    y, r, u = np.array([0.1, 0.2]), np.array([math.nan]), np.array([0.7])
-    places = [array.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for array in (y, r, u)]
-    assert native._act(native.state, places[0], places[1], None, places[2]) != 0
+    with pytest.raises(ValueError, match="not finite"):
+        native.act([0.1, 0.2], [math.nan])
+    u = native._u
     assert signature.in_own_units(u).tolist() == [0.0]
     found = np.array([native.act([0.3 * math.sin(k), 0.1], [0.3], [0.0]) for k in range(60)])
     assert found.min() == 0.0 < found.max() <= 1.0
@@ -167,7 +190,8 @@ def test_a_model_that_explodes_leaves_a_finite_input(pendulum):
     controller.observer.stops = Stops((0,), (1,), (-0.6,), (math.inf,))
     controller.observer.model.set_coefficients(controller.observer.model.coefficients * -400.0)
     native = Native(controller_sources(controller))
-    expected = [controller.act([0.4 * math.sin(k), math.nan], [0.3])[0] for k in range(3)]
+    other = by_torch(controller)
+    expected = [other.act([0.4 * math.sin(k), math.nan], [0.3])[0] for k in range(3)]
     found = [native.act([0.4 * math.sin(k), math.nan], [0.3])[0] for k in range(30)]
     assert np.isfinite(found).all()
     np.testing.assert_allclose(found[:3], expected, atol=1e-6)
@@ -288,7 +312,7 @@ def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, oven, r
     }[kind]()
     readings = glitched(controller, 0, 40 if kind == "rotors" else 120)
     r = [70.0 if kind == "oven" else 0.1] * len(controller.outputs)
-    expected = answers(controller.act, readings, r)
+    expected = answers(by_torch(controller).act, readings, r)
     found = answers(Native(controller_sources(controller)).act, readings, r)
     refused = [bool(np.isinf(y).any()) for y in readings]
     assert [u is None for u in expected] == refused == [u is None for u in found]
@@ -315,7 +339,7 @@ def test_a_refused_call_leaves_the_controller_as_it_was(pendulum):
     controller = pendulum(integral={"gain": 3.0})
     native = Native(controller_sources(controller))
     whole, kept = [], []
-    for act in (controller.act, native.act):
+    for act in (by_torch(controller).act, native.act):
         for k in range(40):
             y = [0.2 * math.sin(0.1 * k), math.nan]
             (whole if k % 7 == 3 else kept).append(answers(act, [y], [1e308 if k % 7 == 3 else 0.1])[0])

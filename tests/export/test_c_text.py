@@ -6,7 +6,8 @@ import re
 import jinja2
 import pytest
 
-from dynasindy.export.expressions import c_number, comment, fill, identifiers, module_name, number
+from dynasindy.control.c_code import fill
+from dynasindy.sindy.formulas import c_number, comment, identifiers, module_name, number
 
 
 def test_identifiers_are_of_ascii_letters_and_differ():

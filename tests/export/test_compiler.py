@@ -2,8 +2,8 @@
 
 import pytest
 
+from dynasindy.control.c_code import Native
 from dynasindy.export import controller_sources
-from dynasindy.export.c_code import Native
 from dynasindy.systems.compiler import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler on this computer")

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from dynasindy import __version__
+from dynasindy.control.c_code import Native
 from dynasindy.export import controller_sources, fmu
-from dynasindy.export.c_code import Native
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature

@@ -81,7 +81,7 @@ def test_it_flies_two_rotors_as_python_does(rotors, tmp_path):
 @pytest.mark.parametrize("pushed", [True, False])
 def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pushed, tmp_path):
     controller = oven(pushed)
-    expected = flights_in_c.from_hot(controller.act, controller)
+    expected = flights_in_c.from_hot(flights_in_c.by_torch(controller).act, controller)
     found = flights_in_c.from_hot(written(controller, tmp_path).act, controller)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
@@ -89,7 +89,7 @@ def test_a_store_that_nobody_measures_begins_at_80_degrees_as_in_python(oven, pu
 def test_broken_samples_are_answered_as_in_python_call_by_call(pendulum, tmp_path):
     controller = pendulum(integral={"gain": 3.0}, **SHORT)
     readings, u = flights_in_c.glitched(controller, 0), np.zeros(1)
-    expected = flights_in_c.answers(controller.act, readings, [0.1])
+    expected = flights_in_c.answers(flights_in_c.by_torch(controller).act, readings, [0.1])
     step = written(controller, tmp_path)
     for y, answer in zip(readings, expected, strict=True):
         u = u if answer is None else answer  # a call that is refused returns what the one before did

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.export.expressions import formulas
 from dynasindy.sindy import SindyModel
+from dynasindy.sindy.formulas import formulas
 from dynasindy.sindy.functions import FORMULA_FUNCTIONS, register_function
 from dynasindy.systems import Signature
 

@@ -1,4 +1,4 @@
-"""Names, numbers and equations as parts of other languages, and the templates of C that they are filled into.
+"""Names, numbers and equations of a model as parts of other languages.
 
 Equations are written by the code that writes them for torch, `dynasindy.sindy.codegen`: what terms share is computed
 once, operators are infix, and what is called are `FORMULA_FUNCTIONS` alone.
@@ -12,15 +12,11 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections.abc import Iterable
 
-import jinja2
-import numpy as np
-
-from dynasindy.sindy import SindyModel
 from dynasindy.sindy.codegen import InfixWriter
 from dynasindy.sindy.equations import mapping
+from dynasindy.sindy.model import SindyModel
 from dynasindy.systems.machine import Program
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
@@ -81,8 +77,7 @@ def c_number(value: float) -> str:
 
 def single(value: float) -> str:
     """Return a number of single precision for C, exact to its last bit."""
-    written = np.format_float_scientific(np.float32(value), unique=True, trim="0")
-    return f"{written}f"
+    return f"{value:.8e}f"
 
 
 def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
@@ -94,31 +89,6 @@ def rows(written: Iterable[str], indent: str = "    ", width: int = 100) -> str:
             line = ""
         line += f"{word}, "
     return "\n".join(indent + text for text in [*lines, line.rstrip().rstrip(",")])
-
-
-def block(lines: Iterable[str]) -> str:
-    """Return lines of any words as lines within a comment of C."""
-    wrapped = [
-        part
-        for line in lines
-        for part in textwrap.wrap(comment(line), 110, subsequent_indent="      ", break_on_hyphens=False) or [""]
-    ]
-    return "\n".join(f" * {line}".rstrip() for line in wrapped)
-
-
-def fill(template: str, /, **words: object) -> str:
-    """Return the text of a template of Jinja in `dynasindy/export/c`, whose statements are lines that begin with `@`.
-
-    What is filled in is not looked at again, so that words of a file cannot open gaps of their own.
-    """
-    loader = jinja2.PackageLoader("dynasindy.export", "c")
-    made = jinja2.Environment(
-        loader=loader, undefined=jinja2.StrictUndefined, line_statement_prefix="@", keep_trailing_newline=True
-    )
-    made.filters |= {"number": number, "c_number": c_number, "comment": comment, "block": block}
-    made.filters["numbers"] = lambda values: ", ".join(map(number, values))
-    made.filters["floats"] = lambda values: rows(map(single, values.tolist()))
-    return made.get_template(template).render(words)
 
 
 def formulas(model: SindyModel) -> Program:

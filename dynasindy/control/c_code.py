@@ -1,41 +1,74 @@
 """A controller as C99, observer, integral action, observation and policy, or a model alone: no Python, no library.
 
-The text is put together from `dynasindy/export/c`, with the numbers of the controller as constants and with what it
+The text is put together from `dynasindy/control/c`, with the numbers of the controller as constants and with what it
 does not have left out. It allocates nothing and keeps everything that changes in a struct of the caller.
 """
 
 from __future__ import annotations
 
 import ctypes
-import tempfile
+import textwrap
 import timeit
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from functools import cache, partial
 from typing import Any
 
+import jinja2
 import numpy as np
-from numpy.typing import NDArray
 
-from dynasindy.control import Controller
+from dynasindy.control.controller import Array, Controller
 from dynasindy.control.files import network, require_sparse, require_states
 from dynasindy.control.integral import IntegralAction
-from dynasindy.export.expressions import (
+from dynasindy.sensing import Observer
+from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.formulas import (
+    c_number,
     comment,
-    fill,
     formulas,
     identifiers,
     module_name,
     number,
     right_sides,
+    rows,
+    single,
 )
-from dynasindy.sensing import Observer
-from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
-from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, Stops
 from dynasindy.systems.base import WHOLE
-from dynasindy.systems.compiler import SUFFIX, compile_library
+from dynasindy.systems.compiler import load_library
+
+
+def block(lines: Iterable[str]) -> str:
+    """Return lines of any words as lines within a comment of C."""
+    wrapped = [
+        part
+        for line in lines
+        for part in textwrap.wrap(comment(line), 110, subsequent_indent="      ", break_on_hyphens=False) or [""]
+    ]
+    return "\n".join(f" * {line}".rstrip() for line in wrapped)
+
+
+def fill(template: str, /, **words: object) -> str:
+    """Return the text of a template of Jinja in `dynasindy/control/c`, whose statements are lines that begin with `@`.
+
+    What is filled in is not looked at again, so that words of a file cannot open gaps of their own.
+    """
+    return _templates().get_template(template).render(words)
+
+
+@cache
+def _templates() -> jinja2.Environment:
+    found = jinja2.Environment(
+        loader=jinja2.PackageLoader("dynasindy.control", "c"),
+        undefined=jinja2.StrictUndefined,
+        line_statement_prefix="@",
+        keep_trailing_newline=True,
+    )
+    found.filters |= {"number": number, "c_number": c_number, "comment": comment, "block": block}
+    found.filters["numbers"] = lambda values: ", ".join(map(number, values))
+    found.filters["floats"] = lambda values: rows(map(single, values.tolist()))
+    return found
 
 
 @dataclass(frozen=True)
@@ -234,45 +267,52 @@ class Native:
     Args:
         sources: The controller.
 
+    Attributes:
+        state: Its struct in C, as numbers.
+
     Raises:
         FileNotFoundError: There is no compiler.
         ValueError: The compiler refuses the sources.
+        OSError: What the compiler wrote cannot be loaded.
     """
 
     def __init__(self, sources: ControllerSources) -> None:
-        name = sources.name
-        more = f'''#include "{name}.h"
+        name, self._sources = sources.name, sources
+        more = f"""
+unsigned long size(void)
+{{
+    return sizeof({name}_state) / sizeof(double);
+}}
 
-unsigned long size(void);
-unsigned long size(void) {{ return sizeof({name}_state); }}
-
-void many({name}_state *s, const double *y, double *u, int n);
-void many({name}_state *s, const double *y, double *u, int n)
+void many({name}_state *s, const double *y, const double *r, const double *rate, double *u, int n)
 {{
     while (n--)
-        {name}_act(s, y, y, y, u);
+        {name}_act(s, y, r, rate, u);
 }}
-'''
-        # A folder of its own each time: a library that is loaded must not be overwritten.
-        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as place:
-            for file, text in {**sources.files(), "more.c": more}.items():
-                (Path(place) / file).write_text(text, encoding="utf-8")
-            units = [Path(place) / f"{name}.c", Path(place) / "more.c"]
-            loaded = ctypes.CDLL(str(compile_library(units, Path(place) / f"loaded{SUFFIX}")))
-        self.shape, self._many = sources.shape, loaded.many
-        self._reset, self._act = (getattr(loaded, f"{name}_{function}") for function in ("reset", "act"))
-        numbers = ctypes.POINTER(ctypes.c_double)
-        self._reset.argtypes, self._reset.restype = [ctypes.c_void_p], None
-        self._act.argtypes, self._act.restype = [ctypes.c_void_p, *[numbers] * 4], ctypes.c_int
-        loaded.size.restype = ctypes.c_ulong
-        self.state = ctypes.create_string_buffer(loaded.size())
-        self.reset()
+"""
+        text = sources.header + sources.source.replace(f'#include "{name}.h"\n', "") + more
+        code = load_library(text, (f"{name}_act", "many", "size"), fast=False, cached=True)
+        n_x, n_u, n_r = sources.shape
+        self.state, self._u = np.zeros(code.size()), np.zeros(n_u)
+        self._given = np.zeros(n_x), np.zeros(n_r), np.zeros(n_r)
+        places = [ctypes.c_void_p(array.ctypes.data) for array in (self.state, *self._given, self._u)]
+        self._act, self._many = partial(code[f"{name}_act"], *places), partial(code["many"], *places)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return what a copy is made of, which the library itself is not."""
+        return Native, (self._sources,), self.state
+
+    def __setstate__(self, state: Array) -> None:
+        """Go on where the copied one was."""
+        self.state[:] = state
 
     def reset(self) -> None:
         """Forget what was measured."""
-        self._reset(self.state)
+        self.state[:] = 0.0
 
-    def act(self, y: Sequence[float], r: Sequence[float], rate: Sequence[float] | None = None) -> NDArray[np.float64]:
+    def act(
+        self, y: Sequence[float] | Array, r: Sequence[float] | Array, rate: Sequence[float] | Array | None = None
+    ) -> Array:
         """Return the inputs of the control period that begins now, `(n_u,)`.
 
         Args:
@@ -283,31 +323,21 @@ void many({name}_state *s, const double *y, double *u, int n)
         Raises:
             ValueError: There are more or fewer numbers than there have to be, or one is not finite.
         """
-        n_x, n_u, n_r = self.shape
-        u = np.empty(n_u)
-        slope = None if rate is None else _numbers(rate, n_r)
-        if self._act(self.state, _numbers(y, n_x), _numbers(r, n_r), slope, _pointer(u)):
+        for place, values in zip(self._given, (y, r, [0.0] * len(r) if rate is None else rate), strict=True):
+            if len(values) != len(place):
+                raise ValueError(f"{len(values)} numbers are given where {len(place)} belong")
+            place[:] = values
+        if self._act():
             raise ValueError("a measurement, a reference or an input is not finite; give finite numbers")
-        return u
+        return self._u.copy()
 
     def microseconds(self) -> float:
         """Return the time that a call takes on this computer, the best of five [us]."""
-        # One array serves as measurements, references and rates. Zeros would end in numbers too small to be added fast.
-        given, u, calls, best = np.full(max(self.shape), 0.1), np.empty(self.shape[1]), 1, 0.0
+        for values in self._given:  # zeros would end in numbers too small to be added fast
+            values[:] = 0.1
+        calls, best = 1, 0.0
         while best < 0.02:
             calls *= 4
-            call = partial(self._many, self.state, _pointer(given), _pointer(u), ctypes.c_int(calls))
-            best = min(timeit.repeat(call, number=1, repeat=5))
+            best = min(timeit.repeat(partial(self._many, calls), number=1, repeat=5))
         self.reset()
         return 1e6 * best / calls
-
-
-def _numbers(values: Sequence[float], count: int) -> object:
-    array = np.ascontiguousarray(values, dtype=np.float64)
-    if array.shape != (count,):
-        raise ValueError(f"{array.size} numbers are given where {count} belong")
-    return _pointer(array)
-
-
-def _pointer(values: NDArray[np.float64]) -> object:
-    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
