@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 from dynasindy.sentences import sentence
@@ -54,7 +55,7 @@ class FindingError(ValueError):
         return str(self.finding)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt, (type(self), self.finding.code, dict(self.finding.values))
+        return partial(type(self), **self.finding.values), (self.finding.code,)
 
 
 class LogError(FindingError):
@@ -79,10 +80,6 @@ def wrong(code: str, **values: Any) -> Finding:
 def records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """Return findings as JSON can hold them."""
     return [finding.record() for finding in findings]
-
-
-def _rebuilt(kind: type[FindingError], code: str, values: dict[str, Any]) -> FindingError:
-    return kind(code, **values)
 
 
 def _plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TextIO, TypeVar, cast
@@ -212,26 +212,21 @@ class Progress:
 
 
 class _Detachable:
-    """A file whose reader may close it, as a terminal: from then on nothing is written, and the work goes on."""
+    """A file whose reader may close it, as a terminal: what is written then is lost, and the work goes on."""
 
     def __init__(self, file: TextIO) -> None:
-        self.file, self.closed = file, False
+        self.file = file
 
     def write(self, text: str) -> int:
         """Write a text, unless the file is closed."""
-        self._attempt(self.file.write, text)
+        with suppress(OSError):
+            self.file.write(text)
         return len(text)
 
     def flush(self) -> None:
         """Flush the file, unless it is closed."""
-        self._attempt(self.file.flush)
-
-    def _attempt(self, action: Callable[..., object], *arguments: str) -> None:
-        if not self.closed:
-            try:
-                action(*arguments)
-            except OSError:
-                self.closed = True
+        with suppress(OSError):
+            self.file.flush()
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.file, name)
