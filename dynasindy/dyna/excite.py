@@ -75,37 +75,27 @@ def fit_local_model(rows: TensorDict, parts: PlantComponents) -> LocalModel | No
         rows: Control periods on the plant, `(T,)`.
         parts: The plant, its period, its sensors and the ranges of its states.
     """
-    return _of_states(rows, parts) if parts.sensing is None else _of_measurements(rows, parts)
-
-
-def _of_states(rows: TensorDict, parts: PlantComponents) -> LocalModel | None:
-    scale, home = _scale(parts), rows["state"][0].double()
-    data = transitions(rows, parts.plant.log_dt)
-    middle = (0.5 * (data.x + data.x_next) - home) / scale
-    near = (middle.abs() <= NEAR).all(-1)
-    n_x, n_u = len(scale), data.u.shape[-1]
-    if int(near.sum()) < ENOUGH * (n_x + n_u + 1):
-        return None
-    columns = torch.cat([middle, data.u, torch.ones_like(middle[:, :1])], -1)[near]
-    slopes = ((data.x_next - data.x) / data.dt / scale)[near]
-    # The smallest solution where the data leave a choice.
-    a, b, c = torch.linalg.lstsq(columns, slopes, driver="gelsd").solution.split([n_x, n_u, 1])
-    scale = scale.unsqueeze(-1)
-    return LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
-
-
-def _of_measurements(rows: TensorDict, parts: PlantComponents) -> LocalModel | None:
-    assert parts.sensing is not None
-    signature, sensors = parts.plant.system.signature, parts.sensing.observer.sensors
-    scale, home = _scale(parts), rows["state"][0].double()
-    n_x, n_u = len(scale), len(signature.input_names)
+    signature, home = parts.plant.system.signature, rows["state"][0].double()
+    scale, n_x, n_u = torch.tensor(signature.x_scale, dtype=torch.float64), signature.n_x, signature.n_u
+    if parts.sensing is None:
+        data = transitions(rows, parts.plant.log_dt)
+        middle = (0.5 * (data.x + data.x_next) - home) / scale
+        near = (middle.abs() <= NEAR).all(-1)
+        if int(near.sum()) < ENOUGH * (n_x + n_u + 1):
+            return None
+        columns = torch.cat([middle, data.u, torch.ones_like(middle[:, :1])], -1)[near]
+        slopes = ((data.x_next - data.x) / data.dt / scale)[near]
+        # The smallest solution where the data leave a choice.
+        a, b, c = torch.linalg.lstsq(columns, slopes, driver="gelsd").solution.split([n_x, n_u, 1])
+        scale = scale.unsqueeze(-1)
+        return LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
     # Of the rates, which were not measured, nothing is known yet.
     away = ((rows["measurement"] - home) / scale).abs()
     data = transitions(rows[~(away > NEAR).any(-1)], parts.plant.log_dt)
     if len(data) < ENOUGH * (n_x + n_u + 1):
         return None
-    names = signature.state_names
-    known = {a: b for a, b in (sensors.rates or {}).items() if a in names and b in names}
+    names, rates = signature.state_names, parts.sensing.observer.sensors.rates or {}
+    known = {a: b for a, b in rates.items() if a in names and b in names}
     refinement = Refinement(method="trajectory")
     model = SindyModel(signature, partial(polynomial, degree=1), Regression(method="bic"), refinement, known)
     try:
@@ -117,10 +107,6 @@ def _of_measurements(rows: TensorDict, parts: PlantComponents) -> LocalModel | N
     c, slopes = model(at[:, :n_x], at[:, n_x:]).split([1, n_x + n_u])
     a, b = (slopes - c).mT.split([n_x, n_u], -1)
     return LocalModel(home, a, b, c[0], model)
-
-
-def _scale(parts: PlantComponents) -> Tensor:
-    return torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
 
 
 BEYOND = 10.0
@@ -317,24 +303,19 @@ class RegulatedExcitation:
         found = fit_local_model(rows, parts)
         if found is None:
             return
-        if self.signal.gain is None and not self._regulates(found, parts):
-            return
+        if self.signal.gain is None:
+            scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+            solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
+            if solved is None:
+                return
+            self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
+            against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
+            self.mean = against.clamp(-MARGIN, MARGIN)
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]
             parts.sensing.observer.lean(found.model, [measurements_and_inputs(tried) for tried in tries])
             self.ends = _free_ends(found, parts)
-
-    def _regulates(self, found: LocalModel, parts: PlantComponents) -> bool:
-        """Take the regulator of a linear model, and return whether there is one."""
-        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-        solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
-        if solved is None:
-            return False
-        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
-        against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
-        self.mean = against.clamp(-MARGIN, MARGIN)
-        return True
 
 
 def _free_ends(found: LocalModel, parts: PlantComponents) -> Tensor:

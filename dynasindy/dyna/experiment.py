@@ -73,10 +73,20 @@ class Recipe:
         device = device_of(self.device)
         there = {} if device.type == "cpu" else {"device": device}
         agent = self.agent(n_obs=plant.task.n_o, n_u=signature.n_u, seed=seeds[2], **there)
-        sensing = self._sensing(plant, world_model, seeds[5])
+        sensing = None
+        if self.sensors is not None:
+            generator = torch.Generator().manual_seed(seeds[5])
+            sensing = Sensing(plant, Observer(world_model, self.sensors, plant), generator)
         keys = {} if sensing is None else {"keys": MEASURED_KEYS}
         replay = self.replay(seed=seeds[3], **keys, **there)
-        _check_storages(replay, plant)
+        learned = 4 * (2 * plant.task.n_o + signature.n_u + 1)  # float32, of both storages and of a batch
+        real, model = (buffer.storage.max_size for buffer in (replay.real, replay.model))
+        logged = real * (2 + plant.substeps) * signature.n_x * plant.float_type.itemsize
+        check_memory(
+            (real + model + replay.batch_size) * learned + logged,
+            f"replay.capacity={real}, model_capacity={model}, batch_size={replay.batch_size} with "
+            f"env.substeps={plant.substeps} samples a row",
+        )
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
         excitation.check_gain(signature.state_names)
         if excitation.n_steps > plant.task.max_steps:
@@ -96,20 +106,3 @@ class Recipe:
             gate=self.gate,
             sensing=sensing,
         )
-
-    def _sensing(self, plant: ControlEnv, world_model: WorldModel, seed: int) -> Sensing | None:
-        if self.sensors is None:
-            return None
-        return Sensing(plant, Observer(world_model, self.sensors, plant), torch.Generator().manual_seed(seed))
-
-
-def _check_storages(replay: DynaReplay, plant: ControlEnv) -> None:
-    """Refuse storages that memory could not hold when they are full."""
-    n_o, n_x, n_u = plant.task.n_o, plant.system.signature.n_x, plant.system.signature.n_u
-    learned = 4 * (2 * n_o + n_u + 1)  # float32, of both storages and of a batch
-    real, model = (buffer.storage.max_size for buffer in (replay.real, replay.model))
-    check_memory(
-        (real + model + replay.batch_size) * learned + real * (2 + plant.substeps) * n_x * plant.float_type.itemsize,
-        f"replay.capacity={real}, model_capacity={model}, batch_size={replay.batch_size} with "
-        f"env.substeps={plant.substeps} samples a row",
-    )

@@ -151,10 +151,7 @@ def _read(file: Path, wanted: int) -> dict[str, Tensor] | None:
         raise ValueError(
             f"{file} unpacks to {size} bytes, the agent's weights are {wanted}; restore it, or train again"
         )
-    if not isinstance(saved, dict) or not all(isinstance(name, str) and _is_plain(w) for name, w in saved.items()):
+    if not isinstance(saved, dict) or not all(isinstance(name, str) for name in saved):
         return None
-    return saved
-
-
-def _is_plain(weight: object) -> bool:
-    return isinstance(weight, Tensor) and weight.layout == torch.strided and weight.device.type == "cpu"
+    plain = (isinstance(w, Tensor) and w.layout == torch.strided and w.device.type == "cpu" for w in saved.values())
+    return saved if all(plain) else None

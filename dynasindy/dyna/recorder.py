@@ -52,6 +52,8 @@ GATE_COLUMNS = (
 )
 
 
+HEADLINE = ("return", "steady_state_error/", "rmse/")
+"""How the figures of an evaluation begin that belong in the progress table."""
 IDENTIFICATION = "identification.txt"
 """Name of the file of what the fit of the excitation says of itself."""
 FIRST = "The first fit, of the excitation alone; model.json has the equations of the last fit that was kept."
@@ -165,7 +167,8 @@ class Recorder(Callback):
             "model_trusted": float(episode.trusted),
             **self._spent(cost),
         }
-        row |= {f"evaluated_{key}": value if due else None for key, value in _headline(self.latest).items()}
+        shown = {key: value for key, value in self.latest.items() if key.startswith(HEADLINE)}
+        row |= {f"evaluated_{key}": value if due else None for key, value in shown.items()}
         came = f"return {row['return']:.1f}, open-loop reward error {error.reward_error:.3g}"
         self.progress(episode.number, f"{came}, real steps {cost.real_steps}")
         self.rows.append(row)
@@ -174,8 +177,10 @@ class Recorder(Callback):
         if due or time.perf_counter() - self.written > WRITTEN_EVERY:
             self.write_tables()
         if episode.number in (1, self.episodes):
-            when = "first" if episode.number == 1 else "last"
-            self._write_prediction(f"prediction_{when}_episode", episode)
+            when, names = "first" if episode.number == 1 else "last", self.plant.system.signature.state_names
+            states, columns = torch.cat([following["state"], error.states], -1), [f"predicted_{name}" for name in names]
+            # These are the states at the end of each control period, so the first is one period old.
+            self._write_series(f"prediction_{when}_episode", [*names, *columns], states, first=1)
 
     def reached(self, place: Place) -> None:
         """Save the state, if it is due."""
@@ -338,12 +343,6 @@ class Recorder(Callback):
         # A period more, and no more digits than there are.
         return [[round(a * self.plant.dt, 9), round(b * self.plant.dt, 9)] for a, b in zip(starts, ends, strict=True)]
 
-    def _write_prediction(self, name: str, episode: Episode) -> None:
-        states = self.plant.system.signature.state_names
-        values = torch.cat([episode.rollout["next", "state"], episode.error.states], -1)
-        # These are the states at the end of each control period, so the first is one period old.
-        self._write_series(name, [*states, *(f"predicted_{state}" for state in states)], values, first=1)
-
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         # Double precision, so that the fifth period of 0.05 s is at 0.25 s and not at 0.25000000372.
         time_column = (first + torch.arange(len(values), dtype=torch.float64)).unsqueeze(-1) * self.plant.dt
@@ -361,8 +360,3 @@ def _with_gaps(values: Tensor, counts: Tensor) -> Tensor:
     found = torch.full((len(values) + int(begun[-1]), values.shape[1]), math.nan, dtype=values.dtype)
     found[torch.arange(len(values)) + begun] = values
     return found
-
-
-def _headline(summary: Summary) -> Summary:
-    """Return the figures of an evaluation that belong in the progress table."""
-    return {k: v for k, v in summary.items() if k == "return" or k.startswith(("steady_state_error/", "rmse/"))}

@@ -147,6 +147,12 @@ def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str])
         raise MemoryError(f"{where}; {saver.summary(folder)}") from error
 
 
+NIS = (
+    "Observer: its normalised innovation squared is {:.2g}. It is 1 where measurements stray from what it expects as "
+    "far as its noise levels say, larger where they stray further."
+)
+
+
 def run_report(metrics: dict[str, Any], folder: Path) -> str:
     """Return what a user reads at the end: equations, step tracking, cost, folder."""
     cost = metrics["cost"]
@@ -159,7 +165,8 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
     checked = [Finding.from_record(record) for record in (metrics.get("check") or {}).get("findings", ())]
     untrained = metrics["untrained"]["return"]
     title = f"Policy on the plant, scenario '{metrics['scenario']}' (untrained return {untrained:.1f})"
-    steady = metrics.get("steady_seconds", 5.0)
+    steady, nis = metrics.get("steady_seconds", 5.0), (metrics.get("observer") or {}).get("nis")
+    of_plant = (metrics.get("planning") or "").partition(": ")[2]  # settings, which stand before that, are in the file
     lines.append(to_text(metrics["evaluation"], title, metrics.get("units"), steady, width()))
     lines += [
         "",
@@ -169,26 +176,10 @@ def run_report(metrics: dict[str, Any], folder: Path) -> str:
         f"plant for {cost['evaluation_steps']} periods more, from which nothing was learnt.",
         *(line(each) for each in findings if not each.code.startswith("run.")),
         *([f"Reward: {metrics['reward']}"] if metrics.get("reward") else []),
-        *_of_plant(metrics.get("planning") or ""),
-        *_of_observer(metrics.get("observer") or {}),
+        *([f"The model says of the plant: {of_plant}."] if of_plant else []),
+        *([] if nis is None else [NIS.format(nis)]),
         *(f"{str(each)[:1].upper()}{str(each)[1:]}." for each in findings if each.code.startswith("run.")),
         *([f"Check on the model, {folder / 'check'}: {check_summary(checked)}"] if checked else []),
         f"Run folder: {folder}",
     ]
     return "\n".join(lines)
-
-
-def _of_observer(observer: Mapping[str, Any]) -> list[str]:
-    """Say whether the observer's errors on the data are as large as its noise levels say."""
-    if (nis := observer.get("nis")) is None:
-        return []
-    return [
-        f"Observer: its normalised innovation squared is {nis:.2g}. It is 1 where measurements stray from what it "
-        "expects as far as its noise levels say, larger where they stray further."
-    ]
-
-
-def _of_plant(planning: str) -> list[str]:
-    """Return what the planning found out of the plant; its settings, which stand before that, are in `metrics.json`."""
-    why = planning.partition(": ")[2]
-    return [f"The model says of the plant: {why}."] if why else []

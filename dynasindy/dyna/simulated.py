@@ -105,7 +105,14 @@ class Simulated(DataSource):
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
         signal.check_gain(system.signature.state_names)
         seconds = VALIDATION * period if self.validation_seconds is None else self.validation_seconds
-        self._check_length(signal, seconds)
+        dt = self._step(period)
+        steps = max(signal.duration, seconds) / dt * self.substeps
+        if steps > LONGEST:
+            raise ValueError(
+                f"excitation.duration={signal.duration:g} s or data.validation_seconds={seconds:g} s, with "
+                f"data.dt={dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are "
+                f"{LONGEST:g}, an arbitrary limit: shorten it"
+            )
         unseen = self._unseen(signal, seconds)
         stays = signal.first == 1 and signal.gain is None
         training, validation, findings = (self._open_loop if stays else self._held)(system, signal, unseen)
@@ -118,18 +125,6 @@ class Simulated(DataSource):
     def _step(self, period: float) -> float:
         """Return the time between two samples [s]."""
         return period / self.samples if self.dt is None else self.dt
-
-    def _samples_in(self, period: float) -> int:
-        """Return the samples in a control period [s]."""
-        dt = self._step(period)
-        samples = round(period / dt)
-        if samples < 1 or abs(samples * dt - period) > 1e-6 * period:
-            raise ValueError(
-                f"data.dt is {dt:g} s, and this plant is excited as in training, in control periods of {period:g} s; "
-                "allowed is a time that divides the period into equal parts: leave data.dt out, and give the number of "
-                f"parts, such as data.samples={math.ceil(period / dt)}"
-            )
-        return samples
 
     def _unseen(self, signal: Excitation, seconds: float) -> Excitation:
         """Return the signal of the validation."""
@@ -144,16 +139,6 @@ class Simulated(DataSource):
             first=signal.first,
             gain=None if signal.gain is None else signal.gain.tolist(),
         )
-
-    def _check_length(self, signal: Excitation, seconds: float) -> None:
-        dt = self._step(signal.dt)
-        steps = max(signal.duration, seconds) / dt * self.substeps
-        if steps > LONGEST:
-            raise ValueError(
-                f"excitation.duration={signal.duration:g} s or data.validation_seconds={seconds:g} s, with "
-                f"data.dt={dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are "
-                f"{LONGEST:g}, an arbitrary limit: shorten it"
-            )
 
     def _open_loop(
         self, system: System, signal: Excitation, unseen: Excitation
@@ -188,7 +173,14 @@ class Simulated(DataSource):
 
     def _bench(self, system: System, signal: Excitation, seed: int) -> PlantComponents:
         """Return the plant of which nothing is wanted but that it moves."""
-        signature = system.signature
+        signature, dt = system.signature, self._step(signal.dt)
+        samples = round(signal.dt / dt)
+        if samples < 1 or abs(samples * dt - signal.dt) > 1e-6 * signal.dt:
+            raise ValueError(
+                f"data.dt is {dt:g} s, and this plant is excited as in training, in control periods of {signal.dt:g} "
+                "s; allowed is a time that divides the period into equal parts: leave data.dt out, and give the number "
+                f"of parts, such as data.samples={math.ceil(signal.dt / dt)}"
+            )
         task = Tracking(
             signature,
             RandomStep([0.0], [0.0]),
@@ -199,8 +191,7 @@ class Simulated(DataSource):
             start=self.start,
             bounds=self.bounds,
         )
-        steps = self._samples_in(signal.dt) * self.substeps
-        plant = ControlEnv(system, task, signal.dt, steps, dtype=torch.float64, seed=seed)
+        plant = ControlEnv(system, task, signal.dt, samples * self.substeps, dtype=torch.float64, seed=seed)
         return PlantComponents(plant=plant, env=plant, excitation=signal)
 
     def _start(self, system: System, seed: int, batch: tuple[int, ...] = ()) -> Tensor:

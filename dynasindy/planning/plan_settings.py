@@ -100,7 +100,11 @@ def find_task_equilibria(env: ControlEnv) -> Equilibria | None:
         return None
     generator = torch.Generator().manual_seed(0)
     start = task.initial_state(torch.Size((16,)), generator).double().mean(0)
-    targets = _targets(task, generator)
+    # References that fill the task's, which are those that it draws at the start of an episode.
+    drawn = task.sample(torch.Size((8 * REFERENCES,)), generator)
+    values = task.reference(drawn, torch.zeros(len(drawn), 1)).double()
+    low, high = values.amin(0), values.amax(0)
+    targets = low + (high - low) * SobolEngine(len(low), scramble=True, seed=0).draw(REFERENCES).double()
     return find_equilibria(env.system, task.outputs, targets, start, env.dt, task.input_limits)
 
 
@@ -225,12 +229,3 @@ def _fate(slopes: list[Tensor], grown: float, seconds: float, step: float | None
         halving = format_duration(-math.log(2) / fastest, digits=2)
         return f"the plant is stable, without control a deviation decays, at the slowest by half every {halving}"
     return "without control a deviation hardly changes in an episode"
-
-
-def _targets(task: Tracking, generator: torch.Generator) -> Tensor:
-    """Return references that fill the task's: what it draws at the start of an episode."""
-    drawn = task.sample(torch.Size((8 * REFERENCES,)), generator)
-    values = task.reference(drawn, torch.zeros(len(drawn), 1)).double()
-    low, high = values.amin(0), values.amax(0)
-    points = SobolEngine(values.shape[-1], scramble=True, seed=0).draw(REFERENCES).double()
-    return low + (high - low) * points

@@ -113,15 +113,13 @@ def _found(search: _Search, targets: Tensor, left: float) -> Equilibria:
 
 def slopes(system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Return df/dx, `(n, n_x, n_x)`, and df/du, `(n, n_x, n_u)`, by central differences [1/s]."""
-    scale = torch.tensor(system.signature.x_scale, dtype=x.dtype)
+    scale, n_x = torch.tensor(system.signature.x_scale, dtype=x.dtype), x.shape[-1]
 
-    def _along_x(step: Tensor) -> Tensor:
-        return system(x.unsqueeze(1) + step * scale, u.unsqueeze(1).expand(-1, len(step), -1))
+    def _along(step: Tensor) -> Tensor:
+        return system(x.unsqueeze(1) + step[:, :n_x] * scale, u.unsqueeze(1) + step[:, n_x:])
 
-    def _along_u(step: Tensor) -> Tensor:
-        return system(x.unsqueeze(1).expand(-1, len(step), -1), u.unsqueeze(1) + step)
-
-    return _slope(_along_x, x.shape[-1], x.dtype) / scale, _slope(_along_u, u.shape[-1], x.dtype)
+    found = _slope(_along, n_x + u.shape[-1], x.dtype)
+    return found[..., :n_x] / scale, found[..., n_x:]
 
 
 @torch.no_grad()
