@@ -134,11 +134,7 @@ def main() -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """Make a folder, before the work that fills it, and make sure that it can be written.
-
-    Raises:
-        OSError: It cannot.
-    """
+    """Make a folder, before the work that fills it, and make sure that it can be written."""
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryFile(dir=folder):  # permissions alone do not tell
         pass
@@ -204,9 +200,7 @@ def plant_settings() -> frozenset[str]:
 def help_page(name: str, words: Sequence[str]) -> str:
     """Return the help of a command: what it does, and its files of conf/, whose comments say what each key means.
 
-    Args:
-        name: Command.
-        words: The other words of the command line. `group` asks for its options, `group=option` for the file of one.
+    Of its words, `group` asks for the options of one, `group=option` for the file of one.
     """
     groups = {place.name: group_options(place.name, words) for place in sorted(CONF.iterdir()) if place.is_dir()}
     asked = []

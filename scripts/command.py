@@ -49,11 +49,6 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     A run folder without files is removed; one with files keeps them, and the line, as `error.txt`. A finished run stays
     as it is: a sweep leaves the line beside its folder. A job of a sweep that fails does not end the others. Set
     DYNASINDY_TRACEBACK=1 to see where an error comes from.
-
-    Args:
-        config_name: File `conf/NAME.yaml`.
-        task: What is done with its settings.
-        progress: Whether what is under way is shown.
     """
 
     def job(cfg: DictConfig) -> None:
@@ -218,9 +213,6 @@ def complete(words: list[str]) -> list[str]:
 
     The same sweep has the same folder, so that the same command goes on with it; a resumed run keeps its own. A model
     that is given without data and without a plant, `model=model.json`, stands in the place of a log's.
-
-    Raises:
-        FileNotFoundError: The folder to resume is no run folder.
     """
     implied = []
     given = dict(word.split("=", 1) for word in words if "=" in word)

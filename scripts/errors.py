@@ -69,14 +69,7 @@ def of_user(error: BaseException) -> str:
 def in_words(error: BaseException, config_name: str, settings: object = None) -> str:
     """Return the innermost message of an error on one line, with what is allowed where it names a key.
 
-    Args:
-        error: The error.
-        config_name: The command.
-        settings: Its settings as they were given, which say of a key that takes its value from another from which one;
-            the message then names that one, where the value was given.
-
-    Raises:
-        BrokenPipeError: The error is that, which is nobody's mistake.
+    A key that takes its value from another one in the `settings` of the command is named as that one.
     """
     part = ""
     while isinstance(error, InstantiationException) and error.__cause__ is not None:
@@ -192,14 +185,7 @@ def _taken_from(key: str, node: object) -> str:
 
 
 def unknown_name(name: str, names: Iterable[str], where: str, elsewhere: Iterable[str] = ()) -> str:
-    """Return which names are allowed instead of one that does not exist in a group.
-
-    Args:
-        name: The one that does not exist.
-        names: Those that are allowed.
-        where: The group.
-        elsewhere: All keys that exist, with their groups, of which one may be meant.
-    """
+    """Return which names are allowed instead of one that does not exist in a group, or is a key of another one."""
     names = sorted(names)
     same = [key for key in elsewhere if key.rpartition(".")[2] == name.rpartition(".")[2]]
     meant = [repr(key) for key in same if key.count(".") == same[0].count(".")][:3]

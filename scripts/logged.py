@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +28,7 @@ from dynasindy.identification.source import PERIOD, Source, closest_period, rate
 from dynasindy.identification.targets import require_radians, targets_like
 from dynasindy.planning import GradientPlanning
 from dynasindy.progress import say
-from dynasindy.safe_io import output_folder, read_json, reading, write_json, write_text
+from dynasindy.safe_io import output_folder, read_json, write_json, write_text
 from dynasindy.sentences import command_word, lines
 from dynasindy.sindy import SindyModel
 from dynasindy.viz.controllers import controller_name
@@ -131,13 +132,11 @@ def _digests(cfg: DictConfig) -> dict[str, str]:
 
 def _finished(folder: Path, settings: str, read: Mapping[str, Any]) -> bool | None:
     """Return whether a finished job of the same settings and files is controlled by its forecast, None without one."""
-    kept, origin, metrics = (folder / name for name in ("config.yaml", "origin.json", "metrics.json"))
-    if not (all(file.is_file() for file in (kept, origin, metrics)) and kept.read_text() == settings):
-        return None
-    if read_json(origin).get("read") != read["read"]:
-        return None
-    with reading(metrics):
-        return bool(read_json(metrics)["prediction"]["controlled"])
+    with suppress(OSError, KeyError, ValueError):
+        origin, metrics = (read_json(folder / f"{name}.json") for name in ("origin", "metrics"))
+        if (folder / "config.yaml").read_text() == settings and origin["read"] == read["read"]:
+            return bool(metrics["prediction"]["controlled"])
+    return None
 
 
 def _planning_settings(cfg: DictConfig) -> dict[str, object]:

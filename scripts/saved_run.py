@@ -27,15 +27,9 @@ NO_PLANT = {"rig": "is a session on a rig", "data": "was planned from a log", "m
 
 
 def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
-    """Return the resolved configuration of a run, of which nothing but admitted parts can be built.
+    """Return the resolved configuration of a run, of which nothing but parts of dynasindy and plug-ins can be built.
 
-    Args:
-        folder: Run folder; it may be anybody's.
-        plugins: Packages of parts that the user names, beside dynasindy; those of DYNASINDY_PLUGINS count too.
-
-    Raises:
-        FileNotFoundError: The folder is not one of a run.
-        ValueError: The configuration is damaged, or names something to build that is not admitted.
+    The folder may be anybody's.
     """
     file = folder / "config.yaml"
     if not file.is_file():
@@ -54,12 +48,7 @@ def load_config(folder: Path, plugins: Sequence[str] = ()) -> DictConfig:
 
 
 def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
-    """Return the real environment of a run and its deployed policy.
-
-    Raises:
-        FileNotFoundError: The run did not end, it has no policy.
-        ValueError: The configuration builds no environment and agent, or the saved policy does not fit the agent.
-    """
+    """Return the real environment of a run and its deployed policy."""
     system = instantiate(config.system)
     task = instantiate(config.task, _convert_="all")(signature=system.signature)
     env = instantiate(config.env)(system=system, task=task)
@@ -76,12 +65,7 @@ def load_policy(config: DictConfig, folder: Path) -> tuple[ControlEnv, Policy]:
 
 
 def load_sensing(config: DictConfig, folder: Path, env: ControlEnv) -> Sensing | None:
-    """Return the sensors and the observer through which the policy of a run sees the plant, None if it sees all states.
-
-    Raises:
-        FileNotFoundError: The run left no model or observer.
-        ValueError: The configuration builds no sensors, or a file is damaged.
-    """
+    """Return sensors and observer through which the policy of a run sees the plant, None if it sees all states."""
     sensors = instantiate(config.get("sensors"), _convert_="all")
     if sensors is None:
         if not (folder / "observer.json").is_file():

@@ -75,6 +75,11 @@ TOP: dict[str, Any] = {
     **{"flights": int, "seconds": Annotated[float, Field(gt=0, le=1e5)] | None},
 }
 """Keys of any command's config, besides those of what it builds, and those whose types import TorchRL."""
+IMPORTED = {
+    **{"sensors": "dynasindy.sensing.Sensors", "excitation": "dynasindy.excitation.Excitation"},
+    **{"scenario": "dynasindy.evaluation.scenarios.Scenario", "guard": "dynasindy.rig.Guard"},
+}
+"""Keys whose types are imported where they are given."""
 EXPORTING: dict[str, Any] = {
     **{"formats": list[Literal["c", "onnx", "fmu", "model"]], "folder": str | None, "fmi": Literal[2, 3]},
 }
@@ -89,12 +94,7 @@ CHECKING: dict[str, Any] = {
 def check(cfg: DictConfig, file: str = "") -> None:
     """Check every value of a composed config, and make numbers of those that were written as text.
 
-    Args:
-        cfg: The config of any command.
-        file: Where it was read from, if it is a finished run's, which has all parts of an experiment.
-
-    Raises:
-        ValueError: A value is not what its key allows, or an argument does not exist or is not given.
+    One that was read from a `file`, a finished run's, has all parts of an experiment.
     """
     _require_global(cfg)
     try:
@@ -154,23 +154,10 @@ def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
         for name in sorted(parts.keys() - tree.keys() - {"sensors"}) if finished else ():
             raise ValueError(f"'{name}' is not given; restore it, or train again")
         hints = parts | hints
-    else:
-        if tree.get("sensors") is not None:
-            from dynasindy.sensing import Sensors
-
-            hints["sensors"] = Sensors
-        if "excitation" in tree:
-            from dynasindy.excitation import Excitation
-
-            hints["excitation"] = Callable[..., Excitation]
-    if "scenario" in tree:
-        from dynasindy.evaluation.scenarios import Scenario
-
-        hints["scenario"] = Scenario
-    if "guard" in tree:
-        from dynasindy.rig import Guard
-
-        hints["guard"] = Guard
+    for key, place in IMPORTED.items():
+        if key in tree and key not in hints and not (key == "sensors" and tree[key] is None):
+            kind = pkgutil.resolve_name(place)
+            hints[key] = Callable[..., kind] if key == "excitation" else kind
     return hints
 
 

@@ -34,12 +34,7 @@ PLUGINS = "DYNASINDY_PLUGINS"
 
 
 def read_config(file: Path) -> DictConfig:
-    """Return the settings of a run's config.yaml, in which nothing is named that would be looked up or built.
-
-    Raises:
-        FileNotFoundError: It does not exist.
-        DamagedFileError: It is no plain YAML: too large or deep, with tags, aliases or interpolations, or not YAML.
-    """
+    """Return the settings of a run's config.yaml: small and plain YAML, without tags, aliases and interpolations."""
     text, depth = read_text(file, LARGEST), 0
     with reading(file):
         try:
@@ -81,16 +76,7 @@ def packages(tree: Any) -> list[str]:
 
 
 def require_trusted(tree: Any, plugins: Sequence[str] = (), where: str = "config.yaml") -> None:
-    """Refuse settings that would build anything but a part of the package or of a plug-in.
-
-    Args:
-        tree: Settings as plain containers, all that they hold included.
-        plugins: Packages that the user names.
-        where: Words for the file.
-
-    Raises:
-        ValueError: `_target_` is none of them, or another word of Hydra's is used.
-    """
+    """Refuse settings, as plain containers, that would build anything but a part of the package or of a plug-in."""
     for key, node in nodes(tree):
         if words := [word for word in node if str(word).startswith("_") and word not in ("_target_", "_partial_")]:
             raise ValueError(f"{where} has {words[0]} in '{key}', which no run writes: remove it")
