@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,34 +38,8 @@ FEWEST = 10
 """Rows of a recording that begins anew; single rows in disorder are none."""
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Say which column is the time.
-
-    Attributes:
-        heading: Heading of the column, as the file has it or as it was named.
-        unit: Its unit; empty where nobody says one.
-    """
-
-    heading: str
-    unit: str = ""
-
-    def seconds(self, path: str) -> float:
-        """Return how many seconds the unit is; without a unit it is seconds.
-
-        Args:
-            path: The file, for the message.
-
-        Raises:
-            ValueError: The unit is not one of time.
-        """
-        if self.unit and self.unit.lower() not in SECONDS:
-            raise LogError("log.time_unit", file=path, column=self.heading, unit=self.unit, units=[*SECONDS])
-        return SECONDS.get(self.unit.lower(), 1.0)
-
-
-def clock_of(headings: Sequence[str], time: str = CLOCK) -> Clock:
-    """Return the column of time: the one that is named, or the only one that can be meant.
+def clock_of(headings: Sequence[str], time: str = CLOCK) -> tuple[str, str]:
+    """Return heading and unit of the column of time: the one that is named, or the only one that can be meant.
 
     Where nobody named one and no heading is `time`, it is `Time`, `t` or `t_ms`, or `T` with a unit of time, for alone
     it may be a temperature. What is not there is returned as it was named. A unit may be said with the name, in any
@@ -77,16 +50,14 @@ def clock_of(headings: Sequence[str], time: str = CLOCK) -> Clock:
         time: Heading or name of the column; `time` if nobody named one.
     """
     if time in headings:
-        return Clock(time, parts_of(time)[1])
+        return time, parts_of(time)[1]
     if named := named_by(time, headings):
-        return Clock(named[0] if len(named) == 1 else time, split_unit(named[0])[1])
+        return named[0] if len(named) == 1 else time, split_unit(named[0])[1]
     name, unit = split_unit(time)
     if unit and name in headings:
-        return Clock(name, unit)
-    if time != CLOCK:
-        return Clock(time)
-    meant = [Clock(heading, parts_of(heading)[1]) for heading in headings if is_clock(heading)]
-    return meant[0] if len(meant) == 1 else Clock(time)
+        return name, unit
+    meant = [heading for heading in headings if time == CLOCK and is_clock(heading)]
+    return (meant[0], parts_of(meant[0])[1]) if len(meant) == 1 else (time, "")
 
 
 def is_counter(column: Array) -> bool:
@@ -294,7 +265,7 @@ def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) 
     return values + np.cumsum(np.bincount(starts, lifts, len(values))), [found]
 
 
-def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple[Array, list[Finding]]:
+def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Array, list[Finding]]:
     """Return the times of all rows [s], `(rows,)`, and what was found: which column they are, in which unit.
 
     A column of whole numbers without a unit is a counter where the sampling time is given.
@@ -302,24 +273,27 @@ def in_seconds(path: str, table: Table, clock: Clock, dt: float | None) -> tuple
     Args:
         path: The file, for messages.
         table: Rows of the file, the first column that of time.
-        clock: Which column it is.
+        unit: Its unit; empty where nobody says one.
         dt: Sampling time that was given [s].
 
     Raises:
         ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
-    values, name = table.values[:, 0], split_unit(clock.heading)[0]
-    clock = replace(clock, unit="" if table.dated else clock.unit or _unix_unit(values))
-    values, again = _unwrap_counter(values, table, clock.seconds(path), dt)
-    t, counts = values * clock.seconds(path), not clock.unit and not table.dated and is_counter(values)
+    values, heading, name = table.values[:, 0], table.headings[0], split_unit(table.headings[0])[0]
+    unit = "" if table.dated else unit or _unix_unit(values)
+    if unit and unit.lower() not in SECONDS:
+        raise LogError("log.time_unit", file=path, column=heading, unit=unit, units=[*SECONDS])
+    seconds = SECONDS.get(unit.lower(), 1.0)
+    values, again = _unwrap_counter(values, table, seconds, dt)
+    t, counts = values * seconds, not unit and not table.dated and is_counter(values)
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, [note("log.row_counter", column=name, dt=dt)]
     if counts and (step := float(np.median(np.diff(values)))) >= COARSE:
-        raise LogError("log.whole_time", file=path, column=clock.heading, step=step)
-    t, coarse = _even_times(path, t, values, clock.seconds(path), dt)
+        raise LogError("log.whole_time", file=path, column=heading, step=step)
+    t, coarse = _even_times(path, t, values, seconds, dt)
     tick, period = coarse or (0.0, period_of(t) if len(t) > 1 else 0.0)
-    findings = [note("log.time", column=name, unit=clock.unit, dates=bool(table.dated), dt=period)]
+    findings = [note("log.time", column=name, unit=unit, dates=bool(table.dated), dt=period)]
     findings += [note("log.coarse_clock", column=name, tick=tick, dt=period)] if coarse else []
     findings += [weak("log.whole_seconds", column=name)] if counts else []
     return t, [*findings, *again]

@@ -16,9 +16,17 @@ import pandas as pd
 import torch
 from numpy.typing import NDArray
 
-from dynasindy.data.actuator_scaling import actuator_ranges, with_actuator_ranges
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
-from dynasindy.data.columns import Column, as_map, columns_of, find_clock, infer, with_units
+from dynasindy.data.columns import (
+    Column,
+    actuator_ranges,
+    as_map,
+    columns_of,
+    find_clock,
+    infer,
+    with_actuator_ranges,
+    with_units,
+)
 from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample
@@ -177,7 +185,9 @@ class LogReader:
         """
         left_out, after = list[Finding](), list[Finding]()
         time, states, inputs = self._columns(plant, left_out)
-        self._require_names([*states, *inputs])
+        for name in (both := [*states, *inputs]):
+            if not NAME.fullmatch(name) or both.count(name) > 1:  # as a function or number in an equation, or twice
+                raise LogError("log.name", file=str(self), name=name)
         names = [c.name for c in (*states.values(), *inputs.values()) if c.name]
         if double := [heading for heading in names if names.count(heading) > 1]:
             taken = [name for name, c in {**states, **inputs}.items() if c.name == double[0]]
@@ -264,12 +274,6 @@ class LogReader:
         findings += best[2]
         return best[:2]
 
-    def _require_names(self, names: Sequence[str]) -> None:
-        """Refuse names that could not be told from functions and numbers in an equation, or that are there twice."""
-        for name in names:
-            if not NAME.fullmatch(name) or names.count(name) > 1:
-                raise LogError("log.name", file=str(self), name=name)
-
     def __str__(self) -> str:
         """Name the files."""
         return ", ".join(self.paths)
@@ -282,16 +286,21 @@ class LogReader:
     def _part(self, path: str, time: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
         findings: list[Finding] = []
-        clock = clock_of(read_columns(Path(path)).headings, time)
-        names = [clock.heading, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
+        clock, unit = clock_of(read_columns(Path(path)).headings, time)
+        names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = select_columns(Path(path), names, self.dt)
         findings += table.findings
         states_end = len(names) - len(inputs)
         table = self._complete(path, _hold_inputs(table, states_end, findings), states_end, findings)
         states = with_units(states, table.headings, True, self.known_rates([*states]))
         inputs = with_units(inputs, table.headings, False)
-        t, of_time = in_seconds(path, table, clock, self.dt)
-        self._check_time(path, t, table)
+        t, of_time = in_seconds(path, table, unit, self.dt)
+        if len(t) < 2:
+            raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
+        if (back := np.diff(t) <= 0).any():
+            k = int(back.argmax())
+            place = {"line": int(table.lines[k + 1]), "column": clock}
+            raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
         values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
         x = {
             s: _without_spikes(s, values[c.name] * c.scale, table.lines, findings) for s, c in states.items() if c.name
@@ -333,15 +342,6 @@ class LogReader:
         for (name, column), samples in zip(states.items(), data.x_next.unbind(-1), strict=True):
             if column.name and (count := int(samples.isfinite().sum())) < LEAST:
                 raise LogError("log.too_few", count=count, **facts, state=name)
-
-    def _check_time(self, path: str, t: Array, table: Table) -> None:
-        steps = np.diff(t)
-        if len(t) < 2:
-            raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
-        if (steps <= 0).any():
-            k = int(np.flatnonzero(steps <= 0)[0])
-            place = {"line": int(table.lines[k + 1]), "column": table.headings[0]}
-            raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
 
 
 def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Table:

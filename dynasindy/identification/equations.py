@@ -21,8 +21,8 @@ TOLD = 0.02
 """Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
-def _nonlinearity(model: SindyModel, state: int, name: str) -> tuple[str, float, float] | None:
-    """Return the dead zone or the saturation of an input, or of a state that stands for it, in an equation, with ends.
+def _nonlinearity(model: SindyModel, state: int, name: str) -> Finding | None:
+    """Return the dead zone or the saturation of an input, or of a state that stands for it, in an equation.
 
     One that a saturation lacks is infinite. `slopes` are below the first of `edges`, between them, and above the last.
     """
@@ -45,8 +45,14 @@ def _nonlinearity(model: SindyModel, state: int, name: str) -> tuple[str, float,
     if all(still) or True not in still:
         return None
     if still[0] or still[-1]:
-        return "saturation", (rising[0] if still[0] else -math.inf), (rising[-1] if still[-1] else math.inf)
-    return "dead zone", rising[still.index(True) - 1], rising[still.index(True)]
+        kind, ends = "saturation", [rising[0] if still[0] else -math.inf, rising[-1] if still[-1] else math.inf]
+    else:
+        kind, ends = "dead zone", rising[still.index(True) - 1 : still.index(True) + 1]
+    signature = model.signature
+    place = signature.input_names.index(model.followed.get(name, name))
+    low, high = signature.in_own_units(np.tile(np.array(ends)[:, None], signature.n_u))[:, place].tolist()
+    unit = signature.input_units[place] if signature.input_units else "-"
+    return note("model.input_nonlinearity", input=name, kind=kind, low=low, high=high, unit=unit)
 
 
 def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
@@ -68,20 +74,10 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
         if any(_is_dry(model.library.features[k], names[i], size) and model.coefficients[k, i] < 0 for k in used):
             findings.append(note("model.dry_friction", state=names[i]))
         for name in [*model.signature.input_names, *model.followed]:
-            bend = _nonlinearity(model, i, name)
-            if bend is not None and (found := _bend(name, *bend, model)) not in findings:
+            found = _nonlinearity(model, i, name)
+            if found is not None and found not in findings:
                 findings.append(found)
     return findings
-
-
-def _bend(name: str, kind: str, low: float, high: float, model: SindyModel) -> Finding:
-    """Return a dead zone or a saturation in the unit of its actuator."""
-    signature = model.signature
-    place = signature.input_names.index(model.followed.get(name, name))
-    ends = np.tile(np.array([[low], [high]]), signature.n_u)
-    low, high = signature.in_own_units(ends)[:, place].tolist()
-    unit = signature.input_units[place] if signature.input_units else "-"
-    return note("model.input_nonlinearity", input=name, kind=kind, low=low, high=high, unit=unit)
 
 
 def hidden_states(model: SindyModel, data: Transitions) -> list[str]:

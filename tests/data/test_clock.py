@@ -48,8 +48,8 @@ def test_the_period_of_a_log_is_the_decimal_number_that_was_written(tmp_path):
     ],
 )
 def test_time_is_found_where_only_one_heading_can_mean_it(headings, clock):
-    assert clock_of(headings).heading == clock
-    assert clock_of(headings, "a").heading == "a"
+    assert clock_of(headings)[0] == clock
+    assert clock_of(headings, "a")[0] == "a"
 
 
 @pytest.mark.parametrize(
