@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from dynasindy.sindy.codegen import advance, write_functions
-from dynasindy.sindy.library import Factor, Library
-from dynasindy.systems.compiler import compiler
-from dynasindy.systems.interpreter import MeasurementUpdate, Slopes
+from dynasindy.sindy.library import Library
+from dynasindy.systems.interpreter import MeasurementUpdate, simulate_sensitivities
 from dynasindy.systems.steps import Rates
 
 
@@ -72,93 +70,64 @@ class Parameters:
         return mask
 
 
-class Propagator:
-    """Integrate states and sensitivities by the same Runge-Kutta steps as the model's own prediction.
+def sensitivities(
+    library: Library,
+    xi: Tensor,
+    parameters: Parameters,
+    x: Tensor,
+    u: Tensor,
+    dt: float,
+    substeps: int,
+    u_end: Tensor | None = None,
+    update: MeasurementUpdate | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Return states after intervals that follow each other, and their derivatives by what the first begins with.
+
+    The Runge-Kutta steps are those of the model's own prediction.
 
     Args:
-        library: candidate functions.
+        library: candidate functions; by the numbers inside its fitted factors is differentiated.
         xi: coefficients, `(n_features, n_x)`.
         parameters: coefficients to differentiate by.
-        shapes: factors by whose numbers to differentiate.
+        x: states at the start, `(W, n_x)`.
+        u: inputs at the start of each interval, `(W, L, n_u)`.
+        dt: length of an interval [s].
+        substeps: Runge-Kutta steps in it; a difference equation has its own.
+        u_end: inputs at its end, see `Transitions`.
+        update: what corrects the states after each interval.
+
+    Returns:
+        States, `(W, L, n_x)`, and derivatives by the states x, the fitted elements of the gain, the shapes and the
+        coefficients, `(W, L, n_x, n_x + G + S + P)`.
     """
+    used = (xi != 0).any(-1).index_fill(0, parameters.features, True)
+    own, shapes = ((used.cumsum(0) - 1)[parameters.features], parameters.states), library.shapes
+    library, xi = library.subset(used.nonzero().flatten().tolist()), xi[used]
+    with suppress(ValueError, OSError):  # a function has no formula, or there is no compiler
+        return simulate_sensitivities(*write_functions(library, shapes), xi, own, x, u, dt, substeps, u_end, update)
+    fitted = torch.zeros(2, 0).long() if update is None or update.free is None else update.free
+    sizes = [x.shape[1], fitted.shape[1], len(shapes), len(parameters)]
 
-    def __init__(self, library: Library, xi: Tensor, parameters: Parameters, shapes: Sequence[Factor] = ()) -> None:
-        used = (xi != 0).any(-1)
-        used[parameters.features] = True
-        rows = used.nonzero().squeeze(-1)
-        self.xi = xi[rows]
-        position = torch.zeros(len(used), dtype=torch.int64)
-        position[rows] = torch.arange(len(rows))
-        self._own = position[parameters.features], parameters.states
-        self.n_x, self.shapes = xi.shape[1], tuple(shapes)
-        self._library = library.subset(rows.tolist())
+    def _ends(changes: Tensor) -> Tensor:
+        start, gain, numbers, values = changes.split(sizes)
+        moved = xi.index_put(own, values, accumulate=True)
 
-    @cached_property
-    def _code(self) -> Slopes | None:
-        """The functions as instructions; None where one of them has no formula, or nothing compiles these."""
-        if compiler() is None:
-            return None
-        try:
-            return Slopes(*write_functions(self._library, self.shapes))
-        except (ValueError, OSError):
-            return None
+        def _field(x: Tensor, u: Tensor) -> Tensor:
+            theta = library(x, u)
+            return (theta + library.by_shapes(x, u, shapes) @ numbers if shapes else theta) @ moved
 
-    def trajectories(
-        self,
-        x: Tensor,
-        u: Tensor,
-        dt: float,
-        substeps: int,
-        u_end: Tensor | None = None,
-        update: MeasurementUpdate | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Return states after intervals that follow each other, and their derivatives by what the first begins with.
+        corrected = update
+        if update is not None:
+            corrected = update._replace(gain=update.gain.index_put(tuple(fitted), gain, accumulate=True))
+        return advance(Rates(_field, library.step), x + start, u, dt, substeps, u_end, corrected)
 
-        Args:
-            x: states at the start, `(W, n_x)`.
-            u: inputs at the start of each interval, `(W, L, n_u)`.
-            dt: length of an interval [s].
-            substeps: Runge-Kutta steps in it; a difference equation has its own.
-            u_end: inputs at its end, see `Transitions`.
-            update: what corrects the states after each interval.
-
-        Returns:
-            States, `(W, L, n_x)`, and derivatives by the states x, the fitted elements of the gain, the shapes and the
-            coefficients, `(W, L, n_x, n_x + G + S + P)`.
-        """
-        if self._code:
-            return self._code.trajectories(self.xi, self._own, x, u, dt, substeps, u_end, update)
-        return self._by_autograd(x, u, dt, substeps, u_end, update)
-
-    def _by_autograd(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, u_end: Tensor | None, update: MeasurementUpdate | None
-    ) -> tuple[Tensor, Tensor]:
-        """Return the same by torch code, one direction at a time."""
-        fitted = torch.zeros(2, 0).long() if update is None or update.free is None else update.free
-        sizes = [self.n_x, fitted.shape[1], len(self.shapes), len(self._own[0])]
-
-        def _ends(changes: Tensor) -> Tensor:
-            start, gain, numbers, values = changes.split(sizes)
-            xi = self.xi.index_put(self._own, values, accumulate=True)
-
-            def _field(x: Tensor, u: Tensor) -> Tensor:
-                theta = self._library(x, u)
-                return (theta + self._library.by_shapes(x, u, self.shapes) @ numbers if self.shapes else theta) @ xi
-
-            corrected = update
-            if update is not None:
-                changed = update.gain.index_put(tuple(fitted), gain, accumulate=True)
-                corrected = update._replace(gain=changed)
-            field = Rates(_field, self._library.step)
-            return advance(field, x + start, u, dt, substeps, u_end, corrected)
-
-        none = x.new_zeros(sum(sizes))
-        found = [torch.func.jvp(_ends, (none,), (unit,)) for unit in torch.eye(len(none), dtype=x.dtype)]
-        return found[0][0], torch.stack([each[1] for each in found], -1)
+    none = x.new_zeros(sum(sizes))
+    found = [torch.func.jvp(_ends, (none,), (unit,)) for unit in torch.eye(len(none), dtype=x.dtype)]
+    return found[0][0], torch.stack([each[1] for each in found], -1)
 
 
 def slopes_by_state(library: Library, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
     """Return the derivatives of the rates by the states, `(N, n_x, n_x)`: of a step of 1 s by them, less one."""
-    none = Parameters.where(torch.zeros_like(xi, dtype=torch.bool))
-    slopes = Propagator(library.with_step(1.0), xi, none).trajectories(x, u.unsqueeze(1), 1.0, 1)[1]
-    return slopes[:, 0] - torch.eye(xi.shape[1], dtype=slopes.dtype)
+    n_x, none = xi.shape[1], Parameters.where(torch.zeros_like(xi, dtype=torch.bool))
+    slopes = sensitivities(library.with_step(1.0), xi, none, x, u.unsqueeze(1), 1.0, 1)[1][:, 0, :, :n_x]
+    return slopes - torch.eye(n_x, dtype=slopes.dtype)

@@ -17,7 +17,7 @@ from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.sensitivity import Parameters, Propagator, slopes_by_state
+from dynasindy.sindy.sensitivity import Parameters, sensitivities, slopes_by_state
 from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
 
@@ -251,9 +251,9 @@ class Flow:
         D numbers of the gain and the delay are fitted.
         """
         estimate, windows = self.estimate, self.windows
-        propagator = Propagator(estimate.library, estimate.xi, self.parameters, estimate.library.shapes)
-        update, inputs = estimate.measurement_update(windows), (windows.inputs, windows.dt, windows.substeps)
-        s = propagator.trajectories(estimate.nodes, *inputs, windows.last_inputs, update)[1]
+        begin = estimate.nodes, windows.inputs, windows.dt, windows.substeps, windows.last_inputs
+        update = estimate.measurement_update(windows)
+        s = sensitivities(estimate.library, estimate.xi, self.parameters, *begin, update)[1]
         if windows.history is None:
             return s
         later = _states_of(estimate, windows.delayed(estimate.delay + STEP * windows.dt))

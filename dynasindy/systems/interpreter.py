@@ -79,52 +79,43 @@ class MeasurementUpdate(NamedTuple):
         return x + (self.measured[:, period] - x).nan_to_num() @ self.gain.mT
 
 
-class Slopes:
-    """Differentiate a model that is sparse in functions: dx/dt = Xi' Theta(x, u).
+def simulate_sensitivities(
+    functions: Program,
+    shapes: Sequence[int | None],
+    xi: Tensor,
+    parameters: tuple[Tensor, Tensor],
+    x: Tensor,
+    u: Tensor,
+    dt: float,
+    substeps: int,
+    u_end: Tensor | None = None,
+    update: MeasurementUpdate | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Advance states of a model that is sparse in functions, dx/dt = Xi' Theta(x, u), otherwise as `simulate_program`.
 
     Args:
         functions: formulas of the functions, as a program whose results they are.
         shapes: places among its constants of the numbers by which to differentiate, too, None of one that it lacks.
+        xi: coefficients, `(n_functions, n_x)`.
+        parameters: function and state of each coefficient by which to differentiate, `(P,)` int64 both.
+        x: states at the start of the first period, `(rows, n_x)` float64.
+        u: inputs at the start of each period, `(rows, T, n_u)` float64.
+        dt: length of a period [s].
+        substeps: Runge-Kutta steps in it; a difference equation has its own.
+        u_end: inputs at the end of each period, see `Transitions`.
+        update: what corrects the states after each period.
+
+    Returns:
+        States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the fitted
+        elements of the gain, the shapes and the coefficients, `(rows, T, n_x, n_x + G + S + P)`.
 
     Raises:
         ValueError: a formula holds something that is none, or the compiler refuses the instructions' text.
         FileNotFoundError: there is no compiler.
     """
-
-    def __init__(self, functions: Program, shapes: Sequence[int | None] = ()) -> None:
-        self.program = functions
-        _library()
-        self._listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
-
-    def trajectories(
-        self,
-        xi: Tensor,
-        parameters: tuple[Tensor, Tensor],
-        x: Tensor,
-        u: Tensor,
-        dt: float,
-        substeps: int,
-        u_end: Tensor | None = None,
-        update: MeasurementUpdate | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """Return states after periods that follow each other, and their derivatives by what they depend on.
-
-        Args:
-            xi: coefficients, `(n_functions, n_x)`.
-            parameters: function and state of each coefficient by which to differentiate, `(P,)` int64 both.
-            x: states at the start of the first period, `(rows, n_x)` float64.
-            u: inputs at the start of each period, `(rows, T, n_u)` float64.
-            dt: length of a period [s].
-            substeps: Runge-Kutta steps in it; a difference equation has its own.
-            u_end: inputs at the end of each period, see `Transitions`.
-            update: what corrects the states after each period.
-
-        Returns:
-            States at the end of each period, `(rows, T, n_x)`, and their derivatives by the states x, the fitted
-            elements of the gain, the shapes and the coefficients, `(rows, T, n_x, n_x + G + S + P)`.
-        """
-        steps = steps_of(self.program.step, dt, substeps)
-        return _simulated(self._listing, self.program, xi, parameters, x, u, u_end, steps, update)
+    listing = _Listing(replace(functions, constants=(), step=None), len(functions.constants), (*shapes,))
+    steps = steps_of(functions.step, dt, substeps)
+    return _simulated(listing, functions, xi, parameters, x, u, u_end, steps, update)
 
 
 def _simulated(
@@ -138,7 +129,7 @@ def _simulated(
     steps: Steps,
     update: MeasurementUpdate | None,
 ) -> tuple[Tensor, Tensor]:
-    """Return states at the ends of periods, and their derivatives as `Slopes.trajectories`; no columns if unasked."""
+    """Return states at ends of periods, and their derivatives as `simulate_sensitivities`; no columns if unasked."""
     n_x, n_shapes, (rows, periods, n_u) = program.n_x, listing.shapes, u.shape
     features, states = (xi != 0).nonzero(as_tuple=True)
     rates = torch.stack([states, listing.functions[features]]).int(), xi[features, states]
@@ -198,7 +189,7 @@ class _Listing:
     Args:
         program: the functions, its constants left out.
         constants: how many there are.
-        shapes: see `Slopes`; None for no slopes at all.
+        shapes: see `simulate_sensitivities`; None for no slopes at all.
 
     Attributes:
         code: operation, operands and result of each, `(N, 4)` int32.

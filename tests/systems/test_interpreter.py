@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.systems.interpreter import Slopes, simulate_program
+from dynasindy.systems.interpreter import simulate_program, simulate_sensitivities
 from dynasindy.systems.machine import Program
 
 ROWS = 70  # more than are handled at once, and no multiple of that
@@ -57,5 +57,5 @@ def test_rates_of_a_sparse_model_have_the_slopes_on_paper():
     (a, b), v = x.T.numpy(), u[:, 0].numpy()
     wanted = [[1 + 2 * np.cos(a), v * b], [-3 * b * np.cos(a), 1 - 3 * np.sin(a)]]
     none = torch.zeros(0, dtype=torch.int64)
-    found = Slopes(functions).trajectories(xi, (none, none), x, u.unsqueeze(1), 1.0, 1)[1][:, 0]
+    found = simulate_sensitivities(functions, (), xi, (none, none), x, u.unsqueeze(1), 1.0, 1)[1][:, 0]
     np.testing.assert_allclose(found.permute(1, 2, 0), wanted, rtol=1e-11, atol=1e-12)
