@@ -153,14 +153,12 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descen
     return flow.estimate if best is None else best[0].estimate
 
 
-def _descend(estimate: Estimate, support: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Tensor]:
-    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back."""
-    flow = _descended(Flow.of(estimate, Parameters.where(support), windows), descent)[0]
-    return flow.estimate, flow.parameters.support(support.shape)
-
-
 def _descended(flow: Flow, descent: Descent) -> tuple[Flow, Linearised | None]:
-    """Return the trajectories after that, and the linear model there; none where no coefficient is left."""
+    """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back.
+
+    Returns:
+        The trajectories after that, and the linear model there; none where no coefficient is left.
+    """
     before: tuple[Flow, Linearised] | None = None
     model: Linearised | None = None
     left, allowed, enough, windows = math.inf, 0.0, ROUGH, flow.windows
@@ -307,7 +305,8 @@ def refine_trajectory(
         whole, windows = flow.estimate, flow.windows
         if joined is None:
             windows = replace(windows, joined=_grows(flow)[1])
-        found, _ = _descend(whole, support, windows, _priced(len(data)))
+        flow = Flow.of(whole, Parameters.where(support), windows)
+        found = _descended(flow, _priced(len(data)))[0].estimate
     else:
         found, windows = _finely(found, free, windows, descent)
     found = _without_delay(found, free, windows, descent)
@@ -340,7 +339,7 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -
     if wanted <= windows.substeps:
         return found, windows
     windows = replace(windows, substeps=wanted)
-    return _descend(found, support, windows, descent)[0], windows
+    return _descended(Flow.of(found, Parameters.where(support), windows), descent)[0].estimate, windows
 
 
 def _grows(flow: Flow) -> tuple[float, Tensor]:
@@ -420,14 +419,6 @@ TURNED = ("sin", "cos", "per_cos2")
 """How the names of the functions of angles begin, of one angle, or of the sum or the difference of two."""
 
 
-def prior_widths(library: Library) -> Tensor:
-    """Return how many rates of change of its equation a term may be, `(n_features,)`; infinite if not known."""
-    factors = (factor for feature in library.features for factor in feature.factors)
-    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
-    turned = [bool(angles & feature.variables) for feature in library.features]
-    return torch.where(torch.tensor(turned), SHARE, torch.inf).to(torch.float64)
-
-
 def coefficient_prior(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
     """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
 
@@ -435,18 +426,13 @@ def coefficient_prior(library: Library, xi: Tensor, x: Tensor, data: Transitions
     change are those that a first guess xi tells at states `(N, n_x)`, or those of the states over a window of samples,
     whichever are larger.
     """
-    theta = library(x, data.u.to(x.dtype))
-    rates = torch.maximum((theta @ xi).square().mean(0).sqrt(), _moved(x, data, window))
-    sizes = theta.square().mean(0).sqrt()
-    told = (sizes > 0).unsqueeze(-1) & (rates > 0) & sizes.isfinite().unsqueeze(-1) & rates.isfinite()
-    return torch.where(
-        told, prior_widths(library).unsqueeze(-1) * rates / sizes.clamp_min(1e-300).unsqueeze(-1), torch.inf
-    )
-
-
-def _moved(x: Tensor, data: Transitions, window: int) -> Tensor:
-    """Return rates of change over a window of samples of one stretch, root-mean-square, `(n_x,)`."""
+    factors = (factor for feature in library.features for factor in feature.factors)
+    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
+    turned = torch.tensor([bool(angles & feature.variables) for feature in library.features]).unsqueeze(-1)
     window = max(1, min(window, len(x) - 1))
     within = data.segment[window:] == data.segment[:-window]
     moved = (x[window:] - x[:-window])[within] / (window * data.dt)
-    return moved.square().mean(0).sqrt() if len(moved) else torch.zeros_like(x[0])
+    theta = library(x, data.u.to(x.dtype))
+    rates = (theta @ xi).square().mean(0).sqrt().maximum(moved.square().mean(0).nan_to_num().sqrt())
+    widths = SHARE * rates / theta.square().mean(0).sqrt().unsqueeze(-1)
+    return torch.where(turned & (widths > 0) & widths.isfinite(), widths, torch.inf)
