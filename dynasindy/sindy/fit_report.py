@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -111,10 +110,10 @@ class FitReport:
             were fitted, that of its change in a step.
         findings: what a reader would not expect.
         dt: time that a transition takes [s].
+        covariance: how well the coefficients are known; None where that is not told.
         unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
             that nobody measured a part that stays unexplained says nothing.
         delay_at_end: see `Refined`.
-        told: how well the coefficients are known, or what computes it; None where that is not told.
         unscaled: states that no sensor sees and of which nothing tells the unit.
     """
 
@@ -125,22 +124,27 @@ class FitReport:
     _source: tuple[Library, Tensor, RunningSums] = field(repr=False)
     findings: tuple[Finding, ...] = ()
     dt: float | None = None
-    told: Covariance | Callable[[], Covariance | None] | None = field(default=None, repr=False)
+    covariance: Covariance | None = field(default=None, repr=False)
     unmeasured: frozenset[str] = frozenset()
     delay_at_end: bool = False
     unscaled: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, library: Library, coefficients: Tensor, sums: RunningSums, seconds: float, **more: Any) -> FitReport:
-        """Summarise the coefficients of a fit against the sums it was made from; `more` are other attributes."""
+    def of(
+        cls,
+        library: Library,
+        coefficients: Tensor,
+        sums: RunningSums,
+        seconds: float,
+        residual: dict[str, float] | None = None,
+        **more: Any,
+    ) -> FitReport:
+        """Summarise the coefficients of a fit against the sums it was made from, but for what is given."""
         relative = sums.residual(coefficients) / sums.norms()[sums.n_features :].clamp_min(1e-300)
-        names = library.signature.state_names
-        found: dict[str, Any] = {
-            "samples": sums.count,
-            "terms": dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True)),
-            "residual": dict(zip(names, relative.tolist(), strict=True)),
-        }
-        return cls(seconds=seconds, _source=(library, coefficients.clone(), sums.copy()), **found | more)
+        names, source = library.signature.state_names, (library, coefficients.clone(), sums.copy())
+        terms = dict(zip(names, (coefficients != 0).sum(0).tolist(), strict=True))
+        residual = residual or dict(zip(names, relative.tolist(), strict=True))
+        return cls(**{"samples": sums.count} | more, seconds=seconds, terms=terms, residual=residual, _source=source)
 
     def told_apart(self) -> Tensor:
         """Return the part of each function that the others of its equation leave over, 0 to 1, `(n_features, n_x)`.
@@ -160,11 +164,6 @@ class FitReport:
         """Judge what the samples can tell; computed when first asked for."""
         library, _, sums = self._source
         return Identifiability.of(library, sums)
-
-    @cached_property
-    def covariance(self) -> Covariance | None:
-        """How well the coefficients are known; None where that is not told. Computed when first asked for."""
-        return self.told() if callable(self.told) else self.told
 
     @property
     def accuracy(self) -> list[Finding]:

@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +32,7 @@ from dynasindy.sindy.codegen import Field, generate, simulate, write_program
 from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
-from dynasindy.sindy.fit_report import FitReport
+from dynasindy.sindy.fit_report import FitReport, Refined
 from dynasindy.sindy.functions import FunctionError, formula_texts, is_registered, register_formula, unregister_function
 from dynasindy.sindy.library import Constraints, Feature, Library
 from dynasindy.sindy.named_libraries import GENERAL, LibraryBuilder, build_library
@@ -77,8 +76,6 @@ MANY = 8
 """Trajectories that are worth instructions for several rows at once."""
 LARGEST_FACTOR = 1000
 """Numbers of a coefficient's correlations beyond which it is as well."""
-_Told = Covariance | Callable[[], Covariance | None] | None
-"""The covariance of coefficients, what computes it, or None where nothing tells it."""
 
 
 class SindyModel(WorldModel):
@@ -140,7 +137,7 @@ class SindyModel(WorldModel):
         self.initial_delay: float | None = None  # of the inputs in that guess [s]; None: not known
         self.sums = RunningSums(len(self.library), signature.n_x)
         self.coefficients = self.constraints.offset.clone()
-        self._covariance: _Told = None
+        self.covariance: Covariance | None = None
 
     @property
     def step(self) -> float | None:
@@ -223,18 +220,6 @@ class SindyModel(WorldModel):
         return double and x.shape[:-1] == u.shape[:-2] and plain(x, u, self.coefficients)
 
     @property
-    def covariance(self) -> Covariance | None:
-        """How well the coefficients are known; None where nothing tells. It is computed when first asked for."""
-        if callable(self._covariance):
-            self._covariance = self._covariance()
-        return self._covariance
-
-    @covariance.setter
-    def covariance(self, told: _Told) -> None:
-        """Take how well the coefficients are known, or what computes it."""
-        self._covariance = told
-
-    @property
     def followed(self) -> dict[str, str]:
         """States that only follow, as a' = k (s - a), each with the state or input s that it follows."""
         found, used = {}, self.constraints.free | (self.constraints.offset != 0)
@@ -284,7 +269,7 @@ class SindyModel(WorldModel):
         if type(self) is not SindyModel:  # which may have learnt other things, too
             return super().kept()
         # A fit replaces these and changes nothing inside of them, but for the sums.
-        names = ("library", "delay", "_covariance", "constraints", "places")
+        names = ("library", "delay", "covariance", "constraints", "places")
         learnt, coefficients, sums = {n: getattr(self, n) for n in names}, self.coefficients.clone(), self.sums.copy()
 
         def _go_back() -> None:
@@ -383,21 +368,30 @@ class SindyModel(WorldModel):
         if first is None:
             self._solve(self.sums, constraints, seen.dependent)
             if self.refinement is None:
-                known = self.coefficients.clone(), constraints.free
-                self.covariance = partial(of_sums, *known, self.sums.copy()) if earlier else of_rates(*known, *rows)
+                known = self.coefficients, constraints.free
+                self.covariance = of_sums(*known, self.sums) if earlier else of_rates(*known, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
-        findings, fields = self._refine(data, guess, constraints, None if first is None else self.initial_delay)
-        findings = cut + findings
+        refined = self._refine(data, guess, constraints, None if first is None else self.initial_delay)
+        findings = (*cut, *refined.findings)
         if self.refinement is not None:
-            findings += unmoved_shapes(self.library, self.coefficients)
-        of, seconds = (self.library, self.coefficients), time.perf_counter() - start
-        # The sums may be of fewer rows than that, each of them the average of many transitions.
-        samples = int(rows_after_delay(data, self.delay).sum()) + (earlier if self.sums is sums else 0)
-        fields |= {"unmeasured": _unmeasured(*of, data), "unscaled": states_without_scale(*of, constraints.free, data)}
-        fields |= {"samples": samples, "told": self._covariance, "findings": tuple(findings), "dt": data.dt}
-        return FitReport.of(*of, self.sums, seconds, **fields)
+            findings += (*unmoved_shapes(self.library, self.coefficients),)
+        of = self.library, self.coefficients
+        return FitReport.of(
+            *of,
+            self.sums,
+            time.perf_counter() - start,
+            # The sums may be of fewer rows than that, each of them the average of many transitions.
+            samples=int(rows_after_delay(data, self.delay).sum()) + (earlier if self.sums is sums else 0),
+            residual=refined.missed,
+            findings=findings,
+            dt=data.dt,
+            covariance=self.covariance,
+            unmeasured=_unmeasured(*of, data),
+            delay_at_end=refined.delay_at_end,
+            unscaled=states_without_scale(*of, constraints.free, data),
+        )
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
         """Identify the model from states `(N, n_x)`, inputs `(N, n_u)` and their exact derivatives `(N, n_x)`.
@@ -551,12 +545,11 @@ class SindyModel(WorldModel):
         self.library = library
         return data
 
-    def _refine(
-        self, data: Transitions, guess: Transitions, constraints: Constraints, late: float | None
-    ) -> tuple[list[Finding], dict[str, Any]]:
-        """Refine the coefficients, and return findings and fields of the report, by their names."""
+    def _refine(self, data: Transitions, guess: Transitions, constraints: Constraints, late: float | None) -> Refined:
+        """Refine the coefficients, and return what was found: what is there where there is no refinement."""
+        before = Refined(self.library, self.coefficients, self.delay)
         if self.refinement is None:
-            return [], {}
+            return before
         try:
             found = self.refinement.run(
                 self.library, self.coefficients, constraints, data, guess, late, self.named in GENERAL
@@ -565,11 +558,9 @@ class SindyModel(WorldModel):
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
         if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
-            return [weak("fit.dropped")], {}
+            return before._replace(findings=(weak("fit.dropped"),))
         self.set_coefficients(refined)
         self.covariance = found.covariance
-        fields: dict[str, Any] = {"delay_at_end": found.delay_at_end}
-        fields |= {} if found.missed is None else {"residual": found.missed}
         if found.library is not self.library or found.delay != self.delay:
             # The functions are others now, and so are the sums of their products.
             self.library, self.delay = found.library, found.delay
@@ -578,9 +569,9 @@ class SindyModel(WorldModel):
             self.sums.add(self._rows(recording.delayed(self.delay)))
         rows = selection_rows(constraints.free, self.refinement.error == "innovation")
         if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
-            return list(found.findings), fields
+            return found
         chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)
-        return [*found.findings, chosen], fields
+        return found._replace(findings=(*found.findings, chosen))
 
     @property
     def _cuts(self) -> bool:
@@ -594,9 +585,8 @@ class SindyModel(WorldModel):
         kept = screen(rows, known.free, known.offset, sizes, max(1, len(rows[0]) // SAMPLES_EACH))
         if len(kept) == len(whole):
             return rows, []
-        # The library may have been cut before, of more data; its step, and the numbers in its functions, stay.
-        places = [self.places[k] for k in kept] if self.places else kept
-        self._take(whole.subset(kept), Constraints(known.free[kept], known.offset[kept]), places)
+        self._keep([self.places[k] for k in kept] if self.places else kept)  # it may have been cut before, of more data
+        self.library = self.library.with_step(whole.step)
         found = note("fit.library_cut", library=self.named, kept=len(kept), whole=len(whole), samples=len(rows[0]))
         return (rows[0][:, kept], rows[1]), [found]
 
@@ -605,12 +595,8 @@ class SindyModel(WorldModel):
         library, known = self._uncut
         if places:
             library, known = library.subset(places), Constraints(known.free[places], known.offset[places])
-        self._take(library, known, places)
-
-    def _take(self, library: Library, constraints: Constraints, places: list[int]) -> None:
-        """Take a library, of which nothing is learnt yet."""
-        self.library, self.constraints, self.places = library, constraints, places
-        self.coefficients = constraints.offset.clone()
+        self.library, self.constraints, self.places = library, known, places
+        self.coefficients = known.offset.clone()
         self.sums = RunningSums(len(library), self.signature.n_x)
 
     def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:

@@ -42,7 +42,7 @@ def test_the_text_says_how_well_coefficients_are_known():
     found, _ = report(rows())
     assert found.accuracy == []
     places = torch.tensor([1, 0, 2]), torch.tensor([0, 1, 1])
-    told = replace(found, told=Covariance(*places, torch.diag(torch.tensor([0.004, 0.03, 0.25])).double()))
+    told = replace(found, covariance=Covariance(*places, torch.diag(torch.tensor([0.004, 0.03, 0.25])).double()))
     (known,) = told.accuracy
     assert known.code == "fit.standard_errors" and not known.values["of_step"]
     assert (known.values["median"], known.values["worst"]) == (pytest.approx(3), pytest.approx(25))
@@ -52,7 +52,7 @@ def test_the_text_says_how_well_coefficients_are_known():
 def test_coefficients_of_a_difference_equation_are_those_of_the_change_in_a_step():
     _, sums = report(rows())
     known = Covariance(torch.tensor([2]), torch.tensor([1]), torch.diag(torch.tensor([0.25])).double())
-    stepped = replace(FitReport.of(LIBRARY.with_step(0.01), XI, sums, 0.25, dt=0.01), told=known)
+    stepped = replace(FitReport.of(LIBRARY.with_step(0.01), XI, sums, 0.25, dt=0.01), covariance=known)
     (known,) = stepped.accuracy
     assert known.values["worst"] == pytest.approx(25) and known.values["of_step"]
     assert known.values["least"] == "u in the change of b"
