@@ -50,16 +50,7 @@ class Function:
 
 
 class FunctionError(FileError):
-    """A function is needed that is not known here, or is another one here; what needs it is not damaged for that.
-
-    Args:
-        told: The message.
-        missing: Name of the function, if it is not known.
-    """
-
-    def __init__(self, told: str, missing: str = "") -> None:
-        super().__init__(told)
-        self.missing = missing
+    """A function is needed that is not known here, or is another one here; what needs it is not damaged for that."""
 
 
 SMALLEST_ROOT = 1e-3
@@ -74,13 +65,7 @@ _REGISTRY: dict[str, Function] = {
         Function("abs", torch.abs, "|{0}|", r"|{0}|", formula="fabs({0})"),
         Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", formula="sign({0})"),
         Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, formula="exp({0})"),
-        Function(
-            "tanh",
-            torch.tanh,
-            "tanh({0})",
-            r"\tanh {0}",
-            formula="tanh({0})",
-        ),
+        Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}", formula="tanh({0})"),
         Function(
             "sqrt",
             lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(),
@@ -248,8 +233,8 @@ def function(name: str) -> Function:
         return _turned(_REGISTRY[plain], name, _SUFFIXES[name[-5:]])
     raise FunctionError(
         f"function {plain!r} is not known; allowed are {', '.join(sorted(_REGISTRY))}. If it is one of your own, "
-        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before the library is built",
-        missing=plain,
+        f"{_ways(plain, '{0} / (1 + fabs({0}))')}, or import the module that does, before a library is built or a "
+        "model is read"
     )
 
 

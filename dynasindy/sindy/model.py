@@ -514,15 +514,7 @@ class SindyModel(WorldModel):
                     raise ValueError(str(error)) from error
                 if not isinstance(error, FunctionError):
                     raise
-                why = f"{source} cannot be used here: {error}"
-                if name := error.missing:
-                    why = (
-                        f"{source} uses the function {name!r}, which was saved without a formula and is not known "
-                        f"here; in Python, call register_function({name!r}, ...), or import the module that does, "
-                        "before loading. So that commands can read it, too, save it again after "
-                        f"register_function({name!r}, ..., formula=...)"
-                    )
-                raise FunctionError(why, error.missing) from error
+                raise FunctionError(f"{source} cannot be used here: {error}") from error
 
     def _checked(self, transitions: Transitions) -> Transitions:
         """Return transitions as they are fitted, from which a difference equation takes its step."""

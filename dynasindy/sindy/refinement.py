@@ -89,21 +89,12 @@ class Refinement:
     seconds: float = 60.0
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS or self.error not in (None, *ERRORS):
+        words = self.method in METHODS and self.error in (None, *ERRORS)
+        counts = self.rounds >= 0 and self.window >= 1 and 0 <= (self.longest_delay or 0.0) < math.inf
+        if not (words and counts and self.tolerance > 0 and self.penalty > 0 and self.seconds > 0):
             raise ValueError(
-                f"refinement got method {self.method!r} and error {self.error!r}; allowed are {', '.join(METHODS)}, "
-                f"and {', '.join(ERRORS)}: choose one"
-            )
-        if not (self.penalty > 0 and self.seconds > 0):
-            raise ValueError(
-                f"refinement got penalty {self.penalty} and seconds {self.seconds}; allowed are numbers above 0: give "
-                "1 and 60, for example"
-            )
-        known = 0 <= (self.longest_delay or 0.0) < math.inf
-        if not known or self.rounds < 0 or not self.tolerance > 0 or self.window < 1:
-            raise ValueError(
-                f"refinement got longest_delay {self.longest_delay}, rounds {self.rounds}, tolerance {self.tolerance}, "
-                f"window {self.window}; allowed are longest_delay >= 0 or null, rounds >= 0, tolerance > 0, window >= 1"
+                f"refinement got {self}; allowed are method {', '.join(METHODS)}, error {', '.join(ERRORS)} or null, "
+                "longest_delay >= 0 or null, rounds >= 0, window >= 1, and tolerance, penalty and seconds > 0"
             )
 
     def run(

@@ -405,15 +405,11 @@ class Regression:
         Raises:
             ValueError: a word or a number is not allowed.
         """
-        if self.method not in ("stlsq", "bic") or self.normalize not in ("two_norm", "rms"):
+        words = self.method in ("stlsq", "bic") and self.normalize in ("two_norm", "rms")
+        if not (words and self.threshold >= 0 and self.tolerance > 0):
             raise ValueError(
-                f"regression got method {self.method!r} and normalize {self.normalize!r}; allowed are stlsq or bic, "
-                "and two_norm or rms: choose one"
-            )
-        if not (self.threshold >= 0 and self.tolerance > 0):
-            raise ValueError(
-                f"regression got threshold {self.threshold} and tolerance {self.tolerance}; allowed are 0 or more (the "
-                "paper's is 0.9), and a number above 0"
+                f"regression got {self}; allowed are method stlsq or bic, normalize two_norm or rms, threshold >= 0 "
+                "(the paper's is 0.9), and tolerance > 0"
             )
 
     def solve(self, sums: RunningSums, support: Tensor, offset: Tensor) -> Tensor:
