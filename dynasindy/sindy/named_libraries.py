@@ -203,16 +203,6 @@ def sum_of(signature: Signature, libraries: Iterable[LibraryBuilder]) -> Library
     return Library(signature, [f for library in built for f in library.features])
 
 
-def rotor_reaction(signature: Signature) -> Library:
-    """Build the rotor library with reactions and dry friction, for the Feedback rig; see `rotor`."""
-    return rotor(signature, reaction=True, friction=True)
-
-
-def rotor_rig(signature: Signature) -> Library:
-    """Build the rotor library with a cable and dry friction, for logs of a real rig; see `rotor`."""
-    return rotor(signature, friction=True, cable=True)
-
-
 def auto(signature: Signature, dry: Iterable[Feature] = ()) -> Library:
     """Build what suits the units: quadratic polynomials, or for angles and their rates the functions of mechanics.
 
@@ -258,8 +248,8 @@ NAMED: dict[str, LibraryBuilder] = {
     "paper_table": paper_table,
     "paper_equation": paper_equation,
     "rotor": rotor,
-    "rotor_rig": rotor_rig,
-    "rotor_reaction": rotor_reaction,
+    "rotor_rig": partial(rotor, friction=True, cable=True),  # for logs of a real rig
+    "rotor_reaction": partial(rotor, reaction=True, friction=True),  # for the Feedback rig
     "polynomial": polynomial,
     "fourier": fourier,
     "mechanical": mechanical,

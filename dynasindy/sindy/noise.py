@@ -17,7 +17,10 @@ def repetition(error: Tensor, mask: Tensor, joined: Tensor) -> float:
 
     Correlations count until the first that is negative.
     """
-    chains = _chains(error * mask, joined)
+    # Windows that continue one another lie end to end, zeros behind the shorter ones.
+    sizes = torch.cat([(~joined).nonzero().flatten(), torch.tensor([len(joined)])]).diff().tolist()
+    each = [windows.flatten(0, 1) for windows in (error * mask).split(sizes)]
+    chains = torch.nn.utils.rnn.pad_sequence(each, batch_first=True)
     length = chains.shape[1]
     products = torch.fft.irfft(torch.fft.rfft(chains, 2 * length, dim=1).abs().square().sum(0), 2 * length, 0)[:length]
     counts = mask.sum((0, 1))
@@ -29,13 +32,6 @@ def repetition(error: Tensor, mask: Tensor, joined: Tensor) -> float:
     before = (rho > -1e-9).cumprod(0)
     samples = (2 * (rho * before).sum(0) - 1).clamp_min(1.0)
     return float(counts[seen].sum() / (counts[seen] / samples).sum())
-
-
-def _chains(values: Tensor, joined: Tensor) -> Tensor:
-    """Lay windows that continue one another end to end, zeros behind the shorter ones, `(C, T, n_x)`."""
-    starts = [*(~joined).nonzero().flatten().tolist(), len(joined)]
-    chains = [values[a:b].flatten(0, 1) for a, b in zip(starts[:-1], starts[1:], strict=True)]
-    return torch.nn.utils.rnn.pad_sequence(chains, batch_first=True)
 
 
 PLAIN = -0.3

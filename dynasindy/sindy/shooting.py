@@ -550,18 +550,14 @@ def _starts(flow: Flow, sigma: Tensor, moves: Tensor, norms: Tensor) -> Tensor:
 def weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
     """Return the weighted errors of the samples, `(W, L, n_x)`, and the cost of `linearise_windows`, by no slopes."""
     estimate, windows = flow.estimate, flow.windows
-    if not bool(windows.joined.any()):
-        error, seen = _errors(flow)
-        weighed = error * seen / sigma
-        return weighed[:, 1:], float(weighed.square().sum()) + _unlikely(flow)
-    error = (windows.measured - flow.predicted) * windows.mask
-    weighed = error / sigma
+    weighed = (windows.measured - flow.predicted) * windows.mask / sigma
     starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() / sigma
-    gaps = _gaps(flow) / _gap_sigma(sigma, estimate)
-    # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
-    gap_weight = 10.0 * windows.mask.shape[1]
-    cost = float(weighed.square().sum() + starts.square().sum() + gap_weight * gaps.square().sum())
-    return weighed, cost + _unlikely(flow)
+    cost = float(weighed.square().sum() + starts.square().sum()) + _unlikely(flow)
+    if bool(windows.joined.any()):
+        # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
+        gap_weight = 10.0 * windows.mask.shape[1]
+        cost += gap_weight * float((_gaps(flow) / _gap_sigma(sigma, estimate)).square().sum())
+    return weighed, cost
 
 
 def _unlikely(flow: Flow) -> float:
@@ -603,25 +599,19 @@ def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]
     return (rows[..., n_x:] - rows[..., :n_x] @ best).flatten(0, 1), moves
 
 
-def _errors(flow: Flow) -> tuple[Tensor, Tensor]:
-    """Return errors of each window's start and samples, and 1 where one was measured, else 0, `(W, L + 1, n_x)`."""
-    windows = flow.windows
-    start_error = windows.first - flow.estimate.nodes
-    error = torch.cat([start_error.nan_to_num().unsqueeze(1), windows.measured - flow.predicted], 1)
-    return error, torch.cat([(~start_error.isnan()).to(error.dtype).unsqueeze(1), windows.mask], 1)
-
-
 def _every(flow: Flow, observed: Tensor) -> Tensor:
     """Return slopes and errors of each window's start and samples, `(W, L + 1, n_seen, n_x + S + P + 1)`.
 
     They are zero where nothing was measured.
     """
-    error, seen = (part[..., observed] for part in _errors(flow))
-    every = error.new_zeros(*error.shape, flow.s.shape[-1] + 1)
-    every[:, 0, :, : len(observed)] = torch.eye(len(observed), dtype=error.dtype)[observed]
-    every[:, 1:, :, :-1] = flow.s[:, :, observed]
-    every[..., -1] = error
-    return every.mul_(seen.unsqueeze(-1))
+    windows, s = flow.windows.of_states(observed), flow.s[:, :, observed]
+    start_error = windows.first - flow.estimate.nodes[:, observed]
+    every = s.new_zeros(len(s), s.shape[1] + 1, *s.shape[2:-1], s.shape[-1] + 1)
+    every[:, 0, :, : len(observed)] = torch.eye(len(observed), dtype=s.dtype)[observed]
+    every[:, 1:, :, :-1] = s
+    every[..., -1] = torch.cat([start_error.unsqueeze(1), windows.measured - flow.predicted[..., observed]], 1)
+    seen = torch.cat([~start_error.isnan().unsqueeze(1), windows.mask > 0], 1)
+    return every.masked_fill_(~seen.unsqueeze(-1), 0.0)
 
 
 def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
