@@ -198,16 +198,19 @@ def of(function_name: str, *variables: str, power: int = 1, frequency: float = 1
 
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_TWO = r"\s*[A-Za-z_]\w*\s*[+-]\s*[A-Za-z_]\w*\s*"
-_TOKEN = re.compile(
-    rf"\s*(?:\|(?P<abs>[^|]+)\||/\(1 \+ (?P<per>{_NUMBER}) cos\((?P<angle>[^()]+)\)\^2\)|"
-    rf"max\(0, (?P<over>[^()]+) - (?P<edge>{_NUMBER})\)|sqrt\((?P<under>[^()]+) - (?P<start>{_NUMBER})\)|"
-    r"exp\(-\((?P<bell>[^()]+)\)\^2\)|"
-    r"\((?P<ahead>[A-Za-z_]\w*) - (?P<behind>[A-Za-z_]\w*)\)|"
-    r"(?P<function>[A-Za-z_]\w*)\((?P<args>[^()]*)\)|(?P<name>[A-Za-z_]\w*)|(?P<one>1))"
-    r"(?:\^(?P<power>\d+))?\s*\*?"
-)
-_ARGUMENT = re.compile(rf"\s*(?:(?P<fitted>~?)(?P<number>{_NUMBER})[ *]+)?(?P<name>[A-Za-z_]\w*)\s*")
+_NAME = r"[A-Za-z_]\w*"
+_SPELLINGS = {
+    r"exp\(-\(([^()]+)\)\^2\)": r" bell(\1)",
+    rf"/\(1 \+ ({_NUMBER}) cos\(([^()]+)\)\^2\)": r" per_cos2(\2; \1)",
+    rf"max\(0, ([^()]+) - ({_NUMBER})\)": r" hinge(\2 \1)",
+    rf"sqrt\(([^()]+) - ({_NUMBER})\)": r" root(\2 \1)",
+    rf"(?<!\w)\(({_NAME}) - ({_NAME})\)": r" ahead(\1, \2)",
+    r"\|([^|]+)\|": r" abs(\1)",
+}
+"""How functions are written that have a sign or a formula of their own, and as a name with arguments."""
+_TWO = re.compile(rf"\s*({_NAME})\s*([+-])\s*({_NAME})\s*")
+_TOKEN = re.compile(rf"\s*(?:1|(?P<name>{_NAME})(?:\((?P<args>[^()]*)\))?)(?:\^(?P<power>\d+))?\s*\*?")
+_ARGUMENT = re.compile(rf"\s*(?:(?P<fitted>~?)(?P<number>{_NUMBER})[ *]+)?(?P<name>{_NAME})\s*")
 
 
 def parse(text: str) -> Feature:
@@ -216,41 +219,23 @@ def parse(text: str) -> Feature:
     Raises:
         ValueError: the text is no product of states, inputs and known functions, or a power is too large.
     """
-    factors, place = [], 0
-    while place < len(text.rstrip()):
-        token = _TOKEN.match(text, place)
+    factors, place, plain = [], 0, text.rstrip()
+    for spelling, call in _SPELLINGS.items():
+        plain = re.sub(spelling, call, plain)
+    while place < len(plain):
+        token = _TOKEN.match(plain, place)
         if token is None:
             raise ValueError(
-                f"function {text!r} of {setting('plant.library')} cannot be read at {text[place:]!r}; allowed are "
+                f"function {text!r} of {setting('plant.library')} cannot be read at {plain[place:]!r}; allowed are "
                 "products such as 'Omega_a^2 sin(alpha_p)': separate factors by spaces"
             )
         place = token.end()
         power = int((token["power"] or "1")[:9])  # more digits than that are refused below, whatever they are
-        if token["per"]:
-            factors.append(_of_sum("per_cos2", token["angle"], power, float(token["per"])))
-        elif token["edge"]:
-            factors.append(Factor((token["over"].strip(),), "hinge", power, float(token["edge"])))
-        elif token["start"]:
-            factors.append(Factor((token["under"].strip(),), "root", power, float(token["start"])))
-        elif token["bell"]:
-            factors.append(_written("bell", token["bell"], power))
-        elif token["ahead"]:
-            factors.append(Factor((token["ahead"], token["behind"]), "ahead", power))
-        elif token["abs"]:
-            factors.append(_written("abs", token["abs"], power))
-        elif token["function"]:
-            factors.append(_written(token["function"], token["args"], power))
+        if token["args"] is not None:
+            factors.append(_written(token["name"], token["args"], power))
         elif token["name"]:
             factors.append(Factor((token["name"],), "id", power))
     return Feature.of(map(_checked, factors))
-
-
-def _of_sum(name: str, variables: str, power: int, number: float = 1.0) -> Factor:
-    """Read a function of a variable, or of the sum or the difference of two."""
-    if re.fullmatch(_TWO, variables):
-        one, sign, two = re.split(r"([+-])", variables)
-        return Factor((one.strip(), two.strip()), of_two(name, sign), power, number)
-    return Factor((variables.strip(),), name, power, number)
 
 
 def _written(name: str, arguments: str, power: int) -> Factor:
@@ -258,15 +243,13 @@ def _written(name: str, arguments: str, power: int) -> Factor:
 
     A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
     """
-    if re.fullmatch(_TWO, arguments):
-        return _of_sum(name, arguments, power)
-    arguments, semicolon, last = arguments.partition(";")
-    if semicolon:
-        arguments = ",".join(f"{last.strip()} {argument}" for argument in arguments.split(","))
-    read = [_ARGUMENT.fullmatch(argument) for argument in arguments.split(",")]
-    found = [match for match in read if match is not None]
+    names, semicolon, last = (part.strip() for part in arguments.partition(";"))
+    if (two := _TWO.fullmatch(names)) and re.fullmatch(_NUMBER, last or "1"):
+        return Factor((two[1], two[3]), of_two(name, two[2]), power, float(last or 1))
+    each = [f"{last} {argument}" if semicolon else argument for argument in names.split(",")]
+    found = [match for match in map(_ARGUMENT.fullmatch, each) if match is not None]
     numbers = {(bool(match["fitted"]), float(match["number"] or 1)) for match in found}
-    if len(found) < len(read) or len(numbers) > 1 or (True, 0.0) in numbers:
+    if len(found) < len(each) or len(numbers) > 1 or (True, 0.0) in numbers:
         raise ValueError(
             f"function {name}({arguments}) of {setting('plant.library')} cannot be read; allowed are 'name', 'name - "
             f"other', "
