@@ -352,8 +352,8 @@ def _crossings(omega: Array, values: Array, function: Callable[[float], float]) 
 def noise_gain(linear: Linear) -> Array:
     """Return the standard deviation of each input per unit of white noise on each state's measurement, `(n_u, n_x)`.
 
-    S = A S A' + e e' is the covariance of z under unit noise of one measurement, that of the inputs C S C' + f f'.
-    A state that is not measured has none.
+    G = A' G A + c' c is the energy of an input after unit noise on z, so that e' G e + f^2 is its variance under unit
+    noise of a measurement. A state that is not measured has none.
 
     Raises:
         ValueError: The loop is not stable, and its inputs have no steady spread.
@@ -363,12 +363,7 @@ def noise_gain(linear: Linear) -> Array:
     # States in rpm beside states in rad: what is balanced solves without a loss of digits.
     a, scale = matrix_balance(linear.a, permute=False)
     units = np.diag(scale)
-    found = np.zeros(linear.f.shape)
-    for i in range(linear.f.shape[1]):
-        if not (linear.e[:, i].any() or linear.f[:, i].any()):
-            continue
-        e = linear.e[:, i] / units
-        c = linear.c * units
-        inputs = c @ solve_discrete_lyapunov(a, np.outer(e, e)) @ c.T + np.outer(linear.f[:, i], linear.f[:, i])
-        found[:, i] = np.sqrt(np.diag(inputs).clip(0))
-    return found
+    e = linear.e / units[:, None]
+    energies = [solve_discrete_lyapunov(a.T, np.outer(c, c)) for c in linear.c * units]
+    after = np.stack([np.einsum("ij,ik,kj->j", e, energy, e) for energy in energies])
+    return np.sqrt((after + linear.f**2).clip(0))
