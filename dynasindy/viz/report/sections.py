@@ -53,23 +53,13 @@ FIRST = "The first of the 64 targets, the one nearest to three quarters of the u
 Made = Iterator[Part | Finding]
 
 
-def _chirp(results: Results, plant: str, experiment: str) -> Made:
-    run = results.run(plant, experiment)
-    table = run.table("data/excitation.csv")
-    time, u = table["time"], stacked(table, INPUTS)
-    seconds, period = float(time[-1] + time[1] - time[0]), float(time[1] - time[0])
-    caption = f"Inputs that excite `{plant}` over {seconds:.4g} s, held for a control period of {period:.3g} s."
-    figure = training_data(time, None, u, SIGNATURE, f"Excitation of {plant}")
-    yield Picture(f"excitation_{plant}", figure, caption, run.source)
-
-
 def _training(results: Results, plant: str, experiment: str) -> Made:
     run = results.run(plant, experiment)
     table = run.table("data/excitation.csv")
     x, substeps = stacked(table, STATES), int(run.setting("env.substeps") or 1)
     samples, step = len(x) * substeps, (table["time"][1] - table["time"][0]) / substeps
     figure = training_data(table["time"], x, stacked(table, INPUTS), SIGNATURE, f"Training data of {plant}")
-    caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart."
+    caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
     yield Picture(f"training_data_{plant}", figure, caption, run.source)
 
 
@@ -310,19 +300,19 @@ def _judge_sine(time: Array, target: Array, output: Array) -> list[Finding]:
     """Judge a sine, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
     late = time >= paper.TRANSIENT.value
     rmse = np.sqrt(np.mean((output - target)[late] ** 2, axis=0))
-    words = f"RMSE after {paper.TRANSIENT.value:g} s: {{:.3g}} rad of {{:.3g}} rad"
-    pairs = zip(rmse, np.abs(target).max(0), strict=True)
-    return [_judge_statement(words.format(one, size), bool(one < paper.FOLLOWS.value * size)) for one, size in pairs]
+    return _judge_waves(f"RMSE after {paper.TRANSIENT.value:g} s: {{:.3g}} rad of {{:.3g}} rad", rmse, target)
 
 
 def _judge_square(time: Array, target: Array, output: Array) -> list[Finding]:
     """Judge a square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
+    errors = [_at_levels(time, *axis) for axis in zip(target.T, output.T, strict=True)]
     words = f"{{:.3g}} rad over the last {paper.SETTLED.value:g} s of each level of {{:.3g}} rad"
-    judgements = []
-    for k, size in enumerate(np.abs(target).max(0)):
-        error = _at_levels(time, target[:, k], output[:, k])
-        judgements.append(_judge_statement(words.format(error, size), error < paper.FOLLOWS.value * size))
-    return judgements
+    return _judge_waves(words, errors, target)
+
+
+def _judge_waves(words: str, errors: Iterable[float], target: Array) -> list[Finding]:
+    pairs = zip(errors, np.abs(target).max(0), strict=True)
+    return [_judge_statement(words.format(*pair), bool(pair[0] < paper.FOLLOWS.value * pair[1])) for pair in pairs]
 
 
 def _at_levels(time: Array, target: Array, y: Array) -> float:
@@ -356,15 +346,11 @@ SECTIONS: Sequence[Entry] = (
         "the rig moves in `docs/figures/tras_sine.gif`.",
     ),
     Entry(
-        "Figure 5: chirp input",
-        "The paper drives both inputs with one chirp over 10 s. Its printed formula stays within [0.707, 1] and does "
-        "not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover point.",
-        [(_chirp, OURS)],
-    ),
-    Entry(
-        "Figures 6 and 7: training data",
-        "The paper plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp: 1000 samples "
-        "0.01 s apart. All six states are drawn here in one figure.",
+        "Figures 5 to 7: chirp input and training data",
+        "The paper drives both inputs with one chirp over 10 s (figure 5). Its printed formula stays within [0.707, 1] "
+        "and does not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover "
+        "point. It plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp: 1000 samples "
+        "0.01 s apart. Inputs and all six states are drawn here in one figure.",
         [(_training, OURS)],
     ),
     Entry(
