@@ -46,7 +46,6 @@ class _CheckedWriter(TensorDictRoundRobinWriter):
     def __init__(self, name: str, keys: Sequence[NestedKey]) -> None:
         super().__init__()
         self.name, self.keys = name, frozenset(keys)
-        self.version = 0
 
     def add(self, data: TensorDictBase) -> int | Tensor:
         """Write one row."""
@@ -73,7 +72,6 @@ class _CheckedWriter(TensorDictRoundRobinWriter):
             )
         if not is_finite(data, self.keys):
             raise ValueError(f"The {self.name} storage takes finite rows, not NaN or infinity; leave such rows out.")
-        self.version += 1
 
 
 class DynaReplay:
@@ -133,7 +131,6 @@ class DynaReplay:
         self.generator = torch.Generator().manual_seed(seed)
         self.real = self._buffer("real", capacity, keys)
         self.model = self._buffer("model", model_capacity, LEARN_KEYS)
-        self._views: dict[str, tuple[int, list[Tensor]]] = {}
 
     def extend_real(self, rollout: TensorDictBase) -> None:
         """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
@@ -158,7 +155,6 @@ class DynaReplay:
             keys: Keys of a real row, `LEARN_KEYS` among them.
         """
         self.real = self._buffer("real", self.capacities[0], keys)
-        self._views.clear()
 
     def rewrite_newest(self, rows: TensorDictBase) -> None:
         """Replace the newest real rows, as by better estimates of their states.
@@ -175,7 +171,6 @@ class DynaReplay:
             raise ValueError(f"Replay has {size} real rows, given {len(rows)} to replace them; give at most as many.")
         places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
         self.real.storage.set(places, rows, set_cursor=False)
-        writer.version += 1
 
     def keep_imagined(self, newest: int) -> None:
         """Evict all imagined rows but the `newest`.
@@ -213,24 +208,14 @@ class DynaReplay:
         for buffer, k in zip((self.real, self.model), self.counts(), strict=True):
             if k:
                 places = torch.randint(len(buffer), (k,), generator=self.generator).to(self.device)
-                drawn.append([column.index_select(0, places) for column in self._columns(buffer)])
+                stored = buffer.storage._storage
+                drawn.append([stored.get(key).index_select(0, places) for key in LEARN_KEYS])
         columns = [torch.cat(pair) for pair in zip(*drawn)] if len(drawn) == 2 else drawn[0]
         observation, action, next_observation, reward, done, terminated, truncated = columns
         following = {"observation": next_observation, "reward": reward}
         following |= {"done": done, "terminated": terminated, "truncated": truncated}
         size = [self.batch_size]
         return TensorDict({"observation": observation, "action": action, "next": TensorDict(following, size)}, size)
-
-    def _columns(self, buffer: TensorDictReplayBuffer) -> list[Tensor]:
-        """Return views of the columns of a storage to learn from, in the order of `LEARN_KEYS`."""
-        writer = buffer.writer
-        assert isinstance(writer, _CheckedWriter)
-        version, columns = self._views.get(writer.name, (None, []))
-        if version != writer.version:  # they are taken anew after each write
-            rows = buffer.storage.get(slice(0, len(buffer)))
-            columns = [rows.get(key) for key in LEARN_KEYS]
-            self._views[writer.name] = writer.version, columns
-        return columns
 
     def state_dict(self) -> dict[str, Any]:
         """Return the written rows of both storages, and the sampling's generator."""
@@ -250,7 +235,6 @@ class DynaReplay:
                 stored = TensorDict(rows, batch_size=[len(rows["action"])]).to(self.device)
                 buffer.storage.set(range(len(stored)), stored)
             buffer.writer.load_state_dict(state[name]["writer"])
-        self._views.clear()
 
     def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(

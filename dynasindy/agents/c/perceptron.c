@@ -216,20 +216,20 @@ static void clear(const Network *gradient, int nets)
     }
 }
 
-/* Add derivatives by all weights of network `net`, from those by its outputs, `slope`; `other` and `turned` are room.
-   Returns the derivatives by the outputs of the first layer. */
+/* Add derivatives by all weights of network `net`, from those by its outputs, `slope`, unless there is no `gradient` to
+   add them to; `other` and `turned` are room. Returns the derivatives by the outputs of the first layer. */
 static const float *backward(const Network *network, const Network *gradient, int net, long panels, float **layers,
                              float *slope, float *other, float *turned)
 {
     for (int l = network->depth - 1; l > 0; l--) {
         int n = network->widths[l];
-        gather(gradient, net, l, panels, slope, layers[l], turned);
+        if (gradient) gather(gradient, net, l, panels, slope, layers[l], turned);
         pull(network, net, l, panels, slope, 0, n, other);
         bend(panels * n * P, layers[l], other);
         float *before = slope;
         slope = other, other = before;
     }
-    gather(gradient, net, 0, panels, slope, layers[0], turned);
+    if (gradient) gather(gradient, net, 0, panels, slope, layers[0], turned);
     return slope;
 }
 

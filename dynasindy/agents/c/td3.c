@@ -102,18 +102,12 @@ void learn_policy(const Agent *agent, const Batch *batch, float *work, double *l
         slope[r] = r < rows ? -1 / (float)rows : 0;
         *loss -= r < rows ? (double)layers[depth][r] / (double)rows : 0;
     }
-    for (int l = depth - 1; l > 0; l--) {
-        int n = agent->critic.widths[l];
-        pull(&agent->critic, 0, l, panels, slope, 0, n, other);
-        bend(panels * n * P, layers[l], other);
-        float *before = slope;
-        slope = other, other = before;
-    }
-    pull(&agent->critic, 0, 0, panels, slope, n_obs, n_u, other);
+    const float *first = backward(&agent->critic, NULL, 0, panels, layers, slope, other, NULL);
+    pull(&agent->critic, 0, 0, panels, first, n_obs, n_u, turned);
     for (long i = 0; i < panels * n_u * P; i++) /* of a hyperbolic tangent */
-        other[i] *= 1 - acting[depth][i] * acting[depth][i];
+        turned[i] *= 1 - acting[depth][i] * acting[depth][i];
     clear(&agent->actor_gradient, 1);
-    backward(&agent->actor, &agent->actor_gradient, 0, panels, acting, other, slope, turned);
+    backward(&agent->actor, &agent->actor_gradient, 0, panels, acting, turned, slope, other);
 }
 
 /* ---- steps ---- */
