@@ -79,11 +79,13 @@ class Sources:
         name: What all their names begin with, and the files too.
         header: Text of `NAME.h`.
         source: Text of `NAME.c`.
+        shape: Of a controller, numbers of states, of inputs and of tracked states.
     """
 
     name: str
     header: str
     source: str
+    shape: tuple[int, ...] = ()
 
     def files(self) -> dict[str, str]:
         """Return the texts by the names of their files."""
@@ -151,18 +153,7 @@ MANY = 400
 """States and inputs of an observer in C: a call takes three matrices of them on the stack, 4 MiB of the usual 8."""
 
 
-@dataclass(frozen=True)
-class ControllerSources(Sources):
-    """A controller in C.
-
-    Attributes:
-        shape: Numbers of states, of inputs and of tracked states.
-    """
-
-    shape: tuple[int, int, int]
-
-
-def controller_sources(controller: Controller, name: str = "controller") -> ControllerSources:
+def controller_sources(controller: Controller, name: str = "controller") -> Sources:
     """Write a controller as C functions `NAME_reset` and `NAME_act`.
 
     Args:
@@ -208,7 +199,7 @@ def controller_sources(controller: Controller, name: str = "controller") -> Cont
     if observer is not None:
         words |= _observer_words(controller, observer)
     header, source = (fill(f"controller.{ending}", **words) for ending in "hc")
-    return ControllerSources(name, header, source, (signature.n_x, signature.n_u, task.n_r))
+    return Sources(name, header, source, (signature.n_x, signature.n_u, task.n_r))
 
 
 def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any]:
@@ -276,7 +267,7 @@ class Native:
         OSError: What the compiler wrote cannot be loaded.
     """
 
-    def __init__(self, sources: ControllerSources) -> None:
+    def __init__(self, sources: Sources) -> None:
         name, self._sources = sources.name, sources
         more = f"""
 unsigned long size(void)

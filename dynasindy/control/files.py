@@ -52,8 +52,8 @@ def save(controller: Controller, path: str | Path) -> None:
     Raises:
         ValueError: The policy or the observer's model is of another kind, which no file holds.
     """
-    task, integral = controller.setup.task, controller.integral
-    moved = controller.observer or controller.setup
+    task, integral, observer = controller.setup.task, controller.integral, controller.observer
+    moved = observer or controller.setup
     numbers = None if integral is None else IntegralAction(controller.policy, controller.setup, **integral)
     record = {
         "format": FORMAT,
@@ -61,7 +61,7 @@ def save(controller: Controller, path: str | Path) -> None:
         "task": {
             "dt": controller.dt,
             "substeps": moved.substeps,
-            "stops": _ends(moved.stops),
+            "stops": moved.stops and asdict(moved.stops) | {key: _ends(moved.stops, key) for key in ("low", "high")},
             "outputs": list(task.output_names),
             "rates": task.rate_names,
             "observe_rate": task.observe_rate,
@@ -70,9 +70,17 @@ def save(controller: Controller, path: str | Path) -> None:
             "targets": task.ends,
             "input_limits": task.input_limits.tolist(),
         },
-        "policy": _layers(network(controller)),
+        "policy": [
+            {"in": w.shape[1], "out": w.shape[0], "weight": _packed(w), "bias": _packed(b)}
+            for w, b in ((layer.weight, layer.bias) for layer in network(controller).layers())
+        ],
         "integral": numbers and {name: getattr(numbers, name) for name in ("gain", "band", "limit", "rate")},
-        "observer": _observer(controller),
+        "observer": observer
+        and {
+            "sensors": asdict(observer.sensors),
+            "state": observer.state_dict(),
+            "model": require_sparse(observer).record(),
+        },
     }
     write_json(Path(path), record)
 
@@ -100,7 +108,7 @@ def load(path: str | Path) -> Controller:
         raise DamagedFileError(f"{file} is not of the format {FORMAT!r}; give a {NAME} of a run folder")
     with reading(file):
         signature = Signature(**record["signature"])
-        setup = _setup(signature, record)
+        setup = _setup(signature, record["task"])
         policy = TensorDictModule(_network(record["policy"], setup.task), in_keys=["observation"], out_keys=["action"])
         observer = _loaded_observer(record["observer"], setup, file)
         integral = record["integral"]
@@ -135,13 +143,6 @@ def require_sparse(observer: Observer) -> SindyModel:
     return observer.model
 
 
-def _layers(network: MLP) -> list[dict[str, Any]]:
-    return [
-        {"in": w.shape[1], "out": w.shape[0], "weight": _packed(w), "bias": _packed(b)}
-        for w, b in ((layer.weight, layer.bias) for layer in network.layers())
-    ]
-
-
 def _network(layers: list[dict[str, Any]], task: Tracking) -> MLP:
     widths = [int(layers[0]["in"]), *(int(layer["out"]) for layer in layers)]
     if (widths[0], widths[-1]) != (task.n_o, task.signature.n_u):
@@ -174,17 +175,13 @@ def _unpacked(text: str, *shape: int) -> Tensor:
     return torch.from_numpy(values.astype(np.float32)).reshape(shape)
 
 
-def _setup(signature: Signature, record: Mapping[str, Any]) -> ControlSetup:
+def _setup(signature: Signature, given: Mapping[str, Any]) -> ControlSetup:
     """Return task, control period, Runge-Kutta steps and stops."""
-    task = record["task"]
-    substeps = task["substeps"]
+    outputs, substeps = list(given["outputs"]), given["substeps"]
     if type(substeps) is not int or not 1 <= substeps <= FINEST:
         raise ValueError(f"substeps is {str(substeps)[:40]!r}; allowed are whole numbers from 1 to {FINEST}")
-    return ControlSetup(_task(signature, task), _positive(task["dt"]), substeps, _stops(task["stops"], signature.n_x))
-
-
-def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
-    outputs, (low, high) = list(given["outputs"]), _targets(given)
+    # Files that were written before targets were kept, and before inputs had limits, have none.
+    low, high = ([_number(value) for value in row] for row in given.get("targets") or ((), ()))
     task = Tracking(
         signature,
         Step([[0.0] * len(outputs)]),
@@ -193,20 +190,12 @@ def _task(signature: Signature, given: Mapping[str, Any]) -> Tracking:
         TrackingReward(error_weights=(1.0,)),
         observe_rate=bool(given["observe_rate"]),
         error_scale=_positive(given["error_scale"]),
-        low=low,
-        high=high,
+        low=low or None,
+        high=high or None,
     )
-    # Files that were written before inputs had limits have none.
     task = task.with_input_limits(given.get("input_limits", task.input_limits.tolist()))
-    return task.with_box([_positive(extent) for extent in given["box"]])
-
-
-def _targets(given: Mapping[str, Any]) -> tuple[list[float], list[float]] | tuple[None, None]:
-    """Return the ends of the targets; files that were written before these were kept have none."""
-    if given.get("targets") is None:
-        return None, None
-    low, high = ([_number(value) for value in row] for row in given["targets"])
-    return low, high
+    task = task.with_box([_positive(extent) for extent in given["box"]])
+    return ControlSetup(task, _positive(given["dt"]), substeps, _stops(given["stops"], signature.n_x))
 
 
 def _number(value: object, low: float = -math.inf) -> float:
@@ -221,25 +210,20 @@ def _positive(value: object) -> float:
     return _number(value, 0.0)
 
 
-def _ends(stops: Stops | None) -> dict[str, Any] | None:
-    """Return the record of stops; JSON has no infinite numbers, and an end that is not there is null."""
-    if stops is None:
-        return None
-    record = asdict(stops)
-    for key in ("low", "high"):
-        record[key] = [float(end) if math.isfinite(end) else None for end in record[key]]
-    return record
+def _ends(stops: Stops, key: str) -> list[float | None]:
+    """Return the ends of stops on one side; JSON has no infinite numbers, and an end that is not there is null."""
+    return [float(end) if math.isfinite(end) else None for end in getattr(stops, key)]
 
 
 def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:
     """Return the stops of a record."""
     if record is None:
         return None
-    ends = {
-        key: [none if end is None else _number(end) for end in record[key]]
+    low, high = (
+        tuple(none if end is None else _number(end) for end in record[key])
         for key, none in (("low", -math.inf), ("high", math.inf))
-    }
-    stops = Stops(tuple(record["positions"]), tuple(record["rates"]), tuple(ends["low"]), tuple(ends["high"]))
+    )
+    stops = Stops(tuple(record["positions"]), tuple(record["rates"]), low, high)
     require_states(stops, n_x)
     return stops
 
@@ -253,17 +237,6 @@ def require_states(stops: Stops, n_x: int) -> None:
     places = [*stops.positions, *stops.rates]
     if wrong := [place for place in places if type(place) is not int or not 0 <= place < n_x]:
         raise ValueError(f"stops are at state {str(wrong[0])[:40]!r}; allowed are whole numbers from 0 to {n_x - 1}")
-
-
-def _observer(controller: Controller) -> dict[str, Any] | None:
-    """Return the record of the observer."""
-    if (observer := controller.observer) is None:
-        return None
-    return {
-        "sensors": asdict(observer.sensors),
-        "state": observer.state_dict(),
-        "model": require_sparse(observer).record(),
-    }
 
 
 def _loaded_observer(record: Mapping[str, Any] | None, setup: ControlSetup, file: Path) -> Observer | None:

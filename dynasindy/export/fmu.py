@@ -24,14 +24,12 @@ from dynasindy.sindy.formulas import formulas, number
 from dynasindy.systems import Stops
 from dynasindy.systems.compiler import SUFFIX, compile_library, compiler
 
-REFERENCES = {2: "unsigned int", 3: "uint32_t"}
-"""Versions of FMI that are written, and what their value references are in C."""
 PAST = 1024
 """Largest number of inputs that are on their way to a plant with a delay."""
 _GAP = "TOKEN-OF-THIS-FMU"
 FINE = {
     2: ("SetDebugLogging", "EnterInitializationMode", "ExitInitializationMode", "Terminate"),
-    3: ("ExitInitializationMode", "EnterStepMode", "Terminate"),
+    3: ("SetDebugLogging", "ExitInitializationMode", "EnterStepMode", "Terminate"),
 }
 """Functions that every FMU has to have, and that change nothing here."""
 _TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean", "String")
@@ -135,10 +133,9 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
 
 
 def _interface(version: int) -> str:
-    if version not in REFERENCES:
+    if version not in FINE:
         raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
-    words = {"version": version, "reference": REFERENCES[version], "token": _GAP, "answers": answers(version)}
-    return fill("fmi.c", **words) + fill(f"fmi{version}.c")
+    return fill("fmi.c", version=version, token=_GAP, fine=FINE[version], absent=ABSENT[version])
 
 
 def _write(
@@ -180,9 +177,3 @@ def _platform(version: int) -> str:
         return f"{system.replace('dows', '')}64"
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
     return f"{machine}-{system}"
-
-
-def answers(version: int) -> str:
-    """Return the C text of these functions."""
-    lines = [f"ANSWER(fmi{version}{name}, OK)" for name in FINE[version]]
-    return "\n".join([*lines, *(f"ANSWER(fmi{version}{name}, ERROR)" for name in ABSENT[version])])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynasindy.control import Controller, load
-from dynasindy.control.c_code import ControllerSources, Native, controller_sources, model_sources
+from dynasindy.control.c_code import Native, Sources, controller_sources, model_sources
 from dynasindy.control.files import FORMAT, NAME
 from dynasindy.export.fmu import controller_fmu, plant_fmu
 from dynasindy.export.formats import casadi_source, latex_source
@@ -111,7 +111,7 @@ def write(what: Exported, folder: Path, formats: Collection[str], fmi: int = 3) 
     return found + missing
 
 
-def _c(sources: ControllerSources, folder: Path) -> str:
+def _c(sources: Sources, folder: Path) -> str:
     for name, text in sources.files().items():
         write_text(folder / name, text)
     timed = "not timed, as there is no C compiler on this computer"

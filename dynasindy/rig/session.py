@@ -150,7 +150,14 @@ class Session:
             ValueError: The folder holds logs of another rig, an input would go beyond what its actuator reaches, or
                 the signal wants a feedback; nothing has moved.
         """
-        levels = _grown(signal, self.wiring.dt)
+        if signal.gain is not None:
+            raise ValueError(
+                "excitation.gain is given, and a rig is excited without feedback, since nobody has tried it there yet; "
+                "leave it out, or fly a controller that holds the rig by controller=PATH"
+            )
+        steps = signal.samples(self.wiring.dt).double()
+        growth = signal.growth(torch.arange(len(steps))).unsqueeze(-1)
+        levels: Array = (signal.offset + growth * (steps - signal.offset)).numpy()
         before = self.logs("excitation")
         if done := [path for path, rows in before.items() if rows >= len(levels)]:
             self.tell(f"excitation: {done[0]} is there, so the rig is not excited again")
@@ -158,11 +165,8 @@ class Session:
         _require_reached(signal, levels, self.wiring.signature)
         self._tell_inputs(self.wiring.signature)
 
-        def _act(y: Array, t: float) -> Array:
-            level: Array = levels[round(t / self.wiring.dt)]
-            return level
-
-        flown = self._fly(f"excitation_{len(before)}" if before else "excitation", _act, len(levels))
+        name = f"excitation_{len(before)}" if before else "excitation"
+        flown = self._fly(name, lambda y, t: levels[round(t / self.wiring.dt)], len(levels))
         if flown.fault is not None and flown.fault.kind == "range":
             half = ",".join(f"{value:.3g}" for value in (0.5 * signal.amplitude.abs()).tolist())
             self.tell(f"  it moved too far: excite it half as much by plant.amplitude=[{half}], or allow a wider range")
@@ -213,8 +217,11 @@ class Session:
         if model.delay:
             periods = model.delay / self.wiring.dt
             self.tell(f"  inputs act {1e3 * model.delay:.3g} ms late, {periods:.2g} control periods")
+        elif delay == 0:
+            self.tell("  no delay of the inputs was looked for, as longest_delay=0 says")
         else:
-            self.tell(f"  {_no_delay(delay)}")
+            far = f" up to {1e3 * delay:.3g} ms" if delay else ""
+            self.tell(f"  no delay of the inputs was found{far}")
         self.tell("planning while the rig rests")
         controller = workbench.plan(
             model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)
@@ -348,31 +355,10 @@ def _require_reached(signal: Excitation, levels: Array, signature: Signature) ->
     )
 
 
-def _no_delay(longest: float | None) -> str:
-    """Say that no delay of the inputs is in a model, and how far it was looked for."""
-    if longest == 0:
-        return "no delay of the inputs was looked for, as longest_delay=0 says"
-    return "no delay of the inputs was found" + (f" up to {1e3 * longest:.3g} ms" if longest else "")
-
-
 def _ends(signature: Signature) -> str:
     """Return what -1 and 1 are of each input in words."""
     ends = signature.input_ends or (WHOLE,) * signature.n_u
     return ", ".join(f"{low:g} and {high:g}" for low, high in ends)
-
-
-def _grown(signal: Excitation, dt: float) -> Array:
-    """Return the inputs of an excitation in each control period, `(T, n_u)`, as strong as it is by then."""
-    if signal.gain is not None:
-        raise ValueError(
-            "excitation.gain is given, and a rig is excited without feedback, since nobody has tried it there yet; "
-            "leave it out, or fly a controller that holds the rig by controller=PATH"
-        )
-    levels = signal.samples(dt).double()
-    if signal.first < 1:
-        levels = signal.offset + signal.growth(torch.arange(len(levels))).unsqueeze(-1) * (levels - signal.offset)
-    grown: Array = levels.numpy()
-    return grown
 
 
 def _forecast_flight(
