@@ -15,6 +15,7 @@ from dynasindy.identification import log_fit as module
 from dynasindy.identification.log_fit import HoldOut, fit_log
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy.named_libraries import auto_rig
 from dynasindy.systems import Pendulum, Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -157,6 +158,38 @@ def test_an_input_that_acts_late_and_through_a_lag_is_found():
     assert model.followed == {"u_lagging": "u"} and model.delay == pytest.approx(late * dt, abs=dt / 2)
     rates = sorted([float(model.coefficients[-1, -1]), -coefficient(model, "y", "y")])
     assert rates == pytest.approx([1.0, 2.0], rel=0.1), "which of both is the lag no output tells"
+
+
+def test_a_larger_library_begins_with_the_equations_that_each_part_of_the_log_gave(monkeypatch):
+    """Of v' = -3 tanh(v / width) + 8 u each part gives another width, none is the first guess, and none is lost."""
+    monkeypatch.setattr(module, "FOLDS", 2)
+    u, v, rng = steps(0, 25, 6), [0.5], np.random.default_rng(7)
+    for held in u:
+        own = solve_ivp(lambda t, x: -3 * np.tanh(10 * x) + 8 * held, (0, 0.05), v[-1:], rtol=1e-6)  # noqa: B023
+        v.append(own.y[0, -1] + rng.normal(0, 0.02))
+    source, ends = source_of(v, u, 0.05, ("v",), ("m/s",)), []
+    speeds, force = (torch.linspace(-1, 1, 21, dtype=torch.float64).unsqueeze(-1) * scale for scale in (1, -0.7))
+    larger = set()
+
+    def _fit(model, data):
+        library = model.library
+        if model.initial is not None and library.shapes:
+            begun = library(speeds, force) @ model.initial
+            assert min(float((begun - each).abs().max()) for each in ends) < 1e-12
+            if len(library) > len(auto_rig(source.signature)):
+                larger.add(library.shapes[0].frequency)
+        if len(larger) == 2:
+            raise StopIteration  # what follows is not looked at
+        last = torch.equal(data.x[-1], source.training.x[-1])
+        model.library = library.with_shapes([9.5 if last else 10.5 for _ in library.shapes])
+        given = {"u": 8.0, "v": 0.0 if library.shapes else -3.0} | {each.text(): -3.0 for each in model.library.shapes}
+        known = [[given.get(name, 0.0)] for name in model.library.names]
+        model.set_coefficients(torch.tensor(known, dtype=torch.float64))
+        ends.append(model.library(speeds, force) @ model.coefficients)
+
+    monkeypatch.setattr(SindyModel, "fit", _fit)
+    with pytest.raises(StopIteration):
+        fitted(source)
 
 
 def noisy_tank(rows=600, pushes=0.01):
