@@ -151,17 +151,17 @@ def test_a_second_clock_and_a_counter_that_lost_rows_are_no_states(tmp_path):
     assert set(left.values["columns"]) == {"stamp_pc", "seq"}
 
 
-@pytest.mark.parametrize("value", [-9999.0, 1e30, 50.0])
-def test_what_a_sensor_writes_when_it_fails_counts_as_missing(tmp_path, value):
+@pytest.mark.parametrize(("value", "level"), [(-9999.0, 0.0), (1e30, 0.0), (50.0, 0.0), (1050.0, 1000.0)])
+def test_what_a_sensor_writes_when_it_fails_counts_as_missing(tmp_path, value, level):
     failed = np.arange(40, ROWS, 50)
-    angle = ANGLE.copy()
+    angle = ANGLE + level
     angle[failed] = value
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
     (spikes,) = [each for each in found.findings if each.code == "log.spikes"]
     assert spikes.values == {"state": "angle", "count": len(failed), "line": 42, "value": value}
     rows = found.transitions.x[:, 0].isfinite().numpy()
     assert np.flatnonzero(~rows).tolist() == failed.tolist()
-    assert found.transitions.x[:, 0].numpy()[rows] == pytest.approx(ANGLE[:-1][rows], abs=1e-6)
+    assert found.transitions.x[:, 0].numpy()[rows] == pytest.approx(level + ANGLE[:-1][rows], abs=1e-6)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])

@@ -82,6 +82,14 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     assert guess["time"] == guess["counter"] == "row"
 
 
+def test_of_two_columns_of_dates_the_first_may_be_the_time_and_the_other_is_left_out(tmp_path):
+    path = tmp_path / "log.csv"
+    date = "31.05.2024 12:00:{:02d}.{}".format
+    rows = [f"{date(k // 10, k % 10)},{date(k // 10 + 1, 0)},{math.sin(k)},{k // 4 % 2}" for k in range(80)]
+    path.write_text("\n".join(["Uhr,Datei,Winkel,Motor", *rows]))
+    assert note("log.left_out", why="dates", columns=["Datei"]) in refused(lambda: infer(str(path))).values["left_out"]
+
+
 def rows_of_a_swing(path, headings, columns):
     """Write rows of numbers; `columns` makes them of the number of the row."""
     path.write_text("\n".join([headings, *(",".join(map(str, columns(k))) for k in range(80))]))

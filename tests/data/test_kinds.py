@@ -95,16 +95,19 @@ def test_columns_with_a_clock_of_their_own_stand_at_the_times_of_the_first(tmp_p
     assert found.transitions.x[1:, 1].numpy() == pytest.approx(np.sin(T[1:-1]), abs=2e-5)
 
 
-@pytest.mark.parametrize(("unit", "turn"), [("rad", 2 * np.pi), ("deg", 360.0), ("-", 2 * np.pi), ("counts", 4096.0)])
+@pytest.mark.parametrize(
+    ("unit", "turn"),
+    [("rad", 2 * np.pi), ("deg", 360.0), ("-", 2 * np.pi), ("counts", 2.0**10), ("counts", 4096.0), ("ticks", 2.0**32)],
+)
 @pytest.mark.parametrize("start", [0.0, -0.5])
 def test_an_angle_that_wraps_goes_on(unit, turn, start):
     whole = turn * ANGLE / 3
-    whole = whole.round() if unit == "counts" else whole
+    whole = whole.round() if turn > 360 else whole
     inside, told = (whole - start * turn) % turn + start * turn, []
     found = unwrap_angle("q", np.where(np.arange(ROWS) % 7, inside, np.nan), unit, told)
     seen = np.isfinite(found)
     jumps = int((np.abs(np.diff(inside[seen])) > turn / 2).sum())
-    assert told == [note("log.unwrapped", state="q", turn=turn, times=jumps, counts=unit == "counts")]
+    assert told == [note("log.unwrapped", state="q", turn=turn, times=jumps, counts=turn > 360)]
     assert seen.sum() == (np.arange(ROWS) % 7 > 0).sum()
     assert np.ptp(found[seen] - whole[seen]) < 1e-9 * turn
 

@@ -297,6 +297,12 @@ def test_a_stretch_of_ten_samples_is_a_moment_and_one_more_is_none(tmp_path):
     assert found == (beside(100, range(60, 70)), [gap])
 
 
+@pytest.mark.parametrize("last", [95, 98])
+def test_a_recording_begins_and_ends_with_its_states(tmp_path, last):
+    a, b = lacking(100, slice(0, 3), slice(last + 1, 100)), lacking(100, slice(0, 5), slice(last, 100))
+    assert starts(tmp_path, "log.long_gap", a=a, b=b) == (list(range(3, last)), [])
+
+
 def test_inputs_may_be_named_and_all_others_are_states(tmp_path):
     path = write(tmp_path / "log.csv", log(), ("time [s]", "angle [rad]", "rate", "volt [V]"))
     for names in (["volt"], ["volt [V]"]):

@@ -47,6 +47,7 @@ def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
         ("  a  b (m/s) c\n  1.5  2 3\n  4  5 6\n", "a,b (m/s),c", [2, 3]),
         ("a\tb\t\n1\t2\t\n", "a b", [2]),
         (",a,b\n0,1,2\n1,2,3\n2,3,4\n3,4,5\n4,5,6\n", "a b", [2, 3, 4, 5, 6]),
+        (",time,a\n0.5,0,2\n0.7,1,3\n1.2,2,4\n", "time a", [2, 3, 4]),
         ("1,2,3,4\n3,4,5,6\n", "time x1 x2 u", [1, 2]),
         ("1.5 2.5\n3 4\n", "time u", [1, 2]),
     ],

@@ -146,6 +146,20 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     assert spent == pytest.approx([7, 7 * 0.05, 8, 9])
 
 
+def test_the_time_of_a_run_goes_on_where_it_was_interrupted(recorded, tmp_path, monkeypatch):
+    _, parts, recorder = recorded
+    now = [100.0]
+    monkeypatch.setattr("dynasindy.dyna.recorder.time.perf_counter", lambda: now[0])
+    first, again = (Recorder(tmp_path / name, parts, recorder.evaluating, 3) for name in ("first", "again"))
+    first.begin()
+    now[0] += 7.0
+    state = first.state_dict()
+    now[0] = 5.0  # of another process
+    again.load_state_dict(state)
+    now[0] += 2.0
+    assert (state["seconds"], again.state_dict()["seconds"]) == (7.0, 9.0)
+
+
 @pytest.mark.parametrize(("number", "name"), [(1, "first"), (2, None), (3, "last")])
 def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded, tmp_path, number, name):
     _, parts, recorder = recorded

@@ -84,6 +84,24 @@ def test_a_rollout_is_what_a_loop_in_plain_numbers_makes():
         assert flags == [k == 5, k == 5, False, False]
 
 
+@pytest.mark.parametrize("periods", [1, 4])
+def test_periods_that_are_followed_side_by_side_earn_what_those_of_a_rollout_do(periods):
+    plant = Pendulum()
+    reward = TrackingReward((2.0,), 0.3, 0.5, tolerance=0.2)
+    task = Tracking(plant.signature, Wave([0.4], [0.8]), ("theta",), ("Omega",), reward, max_steps=9)
+    env = ControlEnv(plant, task, dt=0.1, dtype=torch.float64)
+    inputs = torch.linspace(-1, 1, 9, dtype=torch.float64).reshape(9, 1)
+    actions = iter(inputs)
+    start = env.start_from(torch.tensor([0.3, -0.7], dtype=torch.float64))
+    made = env.rollout(9, lambda td: td.set("action", next(actions)), auto_reset=False, tensordict=start)
+    begun = torch.tensor([0, 2, 5])
+    x, u = made["state"][begun], inputs[begun + torch.arange(periods).unsqueeze(-1)]
+    following, earned = env.judged(x, u, env.follow(x, u), made["task_params"][begun], begun)
+    rows = begun + torch.arange(periods).unsqueeze(-1)
+    torch.testing.assert_close(following, made["next", "state"][rows])
+    assert earned.numpy() == pytest.approx(made["next", "reward"][rows, 0].numpy(), rel=1e-5)
+
+
 def test_episodes_start_at_the_states_given_at_time_zero():
     env = make(dtype=torch.float64, substeps=3)
     states = torch.rand(2, 4, 6)

@@ -76,6 +76,27 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits, per
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
 
+def test_machine_code_writes_within_the_room_that_it_has(monkeypatch):
+    plain, guarded = torch.empty, []
+
+    def _empty(*size, **settings):
+        made = plain(*size, **settings)
+        if made.dtype != torch.float32:
+            return made
+        room = torch.full((made.numel() + 4096,), 1234.5)
+        guarded.append(room[made.numel() + 1 :])
+        return room[1 : made.numel() + 1].reshape(made.shape)  # where no line of the cache begins
+
+    env, network, rows, _ = setting(perceptron=True)
+    rows.kept = True
+    monkeypatch.setattr("dynasindy.planning.rollout.torch.empty", _empty)
+    window = imagine(env, env.system, network, rows, STEPS)
+    backward(env, env.system, network, rows, window)
+    assert (window.machine is not None) == (compiler() is not None)
+    assert len(guarded) > 1 or window.machine is None
+    assert all(bool((beyond == 1234.5).all()) for beyond in guarded)
+
+
 @pytest.mark.parametrize("late", [None, SHARES], ids=["at once", "late"])
 @pytest.mark.parametrize("kept", [False, True])
 def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(settle, late, kept):

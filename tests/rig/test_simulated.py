@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from fast_clock import FastClock
+from scipy.integrate import solve_ivp
 from tank import Tank
 
 from dynasindy.rig.simulated import SimulatedRig, rehearsal
@@ -81,6 +82,18 @@ def test_a_command_reaches_the_plant_as_many_periods_late_as_its_sensors_say():
     late = Sensors({"theta": {}, "Omega": {}}, actuator_delay=2)
     with rehearsal(Pendulum(), 0.05, late) as rig:
         assert rig.delay == pytest.approx(0.1)
+
+
+def test_a_rehearsal_follows_its_plant_within_long_periods():
+    plant, clock = Pendulum(), FastClock()
+    with rehearsal(plant, 0.5, start={"theta": 1.2}) as rig:
+        clock.sleep(rig.clock.monotonic() + 1.0)
+        rig.clock = clock
+        begin = rig.read(0.5)
+        clock.sleep(0.5)
+        end = rig.read(0.5)
+    exact = solve_ivp(lambda t, x: (x[1], -9.81 * np.sin(x[0]) - 0.5 * x[1]), (0, 0.5), begin, rtol=1e-9).y[:, -1]
+    np.testing.assert_allclose(end, exact, atol=1e-3)
 
 
 @pytest.mark.filterwarnings("error")

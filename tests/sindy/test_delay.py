@@ -79,6 +79,10 @@ def test_the_delay_of_a_difference_equation_is_the_whole_step_nearest_to_the_low
     assert asked == pytest.approx([round(steps) for steps in asked], abs=1e-9)
 
 
+def test_a_delay_is_at_the_vertex_of_a_parabola_however_flat_it_is():
+    assert refine_delay(0.02, DT, 0.1, 0.0, lambda delay: 1.5 * (delay - 0.0372) ** 2) == pytest.approx(0.0372)
+
+
 def test_a_delay_that_is_worth_little_is_none_and_none_is_longer_than_allowed():
     def cost(delay: float) -> float:
         return 1e4 * (delay - 0.03) ** 2

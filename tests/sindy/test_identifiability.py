@@ -38,6 +38,12 @@ def test_rank_and_condition_are_numpy_s_of_unit_columns():
     assert f"{found.condition:.2g}" in found.to_text()
 
 
+def test_a_function_alone_is_told_from_nothing_else():
+    x, u = samples()
+    found = judge(Library(SIGNATURE, [variable("a")]), x, u)
+    assert (found.rank, found.n_features) == (1, 1) and found.condition == pytest.approx(1.0)
+
+
 def test_one_signal_on_both_inputs_is_named():
     x, u = samples()
     found = judge(LIBRARY, x, u[:, :1].expand(-1, 2))

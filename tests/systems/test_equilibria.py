@@ -45,6 +45,24 @@ def test_a_target_beyond_the_inputs_has_no_rest():
     assert rests.needed.tolist() == [[pytest.approx(9.81 * math.sin(1.2) / 5.0)]]
 
 
+class Pond(System):
+    """A level that a pump holds, y' = u - y + z / 1000, of water that warms by z' = 0.02 y^2 whatever is done."""
+
+    def __init__(self):
+        super().__init__(Signature(("y", "z"), ("m", "degC"), ("u",), (1.0, 100.0)))
+
+    def forward(self, x, u):
+        y, z = x.unbind(-1)
+        return torch.stack((u[..., 0] - y + z / 1000, 0.02 * y.square()), -1)
+
+
+def test_what_moves_by_less_than_a_thousandth_of_its_range_per_second_rests():
+    limits = torch.tensor([[-10.0], [10.0]])
+    rests = find_equilibria(Pond(), [0], torch.tensor([[1.0], [2.2], [2.3], [4.0]]), torch.zeros(2), 0.05, limits)
+    assert rests.targets.flatten().tolist() == pytest.approx([1.0, 2.2])  # 2e-4 y^2 ranges per second
+    torch.testing.assert_close(rests.u[:, 0], rests.x[:, 0] - rests.x[:, 1] / 1000, atol=1e-3, rtol=0)
+
+
 class Propeller(System):
     """An arm that a propeller lifts, whichever way it turns: a' = w, w' = 8 u^2 - 9 sin(a) - w / 2."""
 
