@@ -44,7 +44,7 @@ def main(cfg: Any) -> None:
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
     findings, rates = [*added, *before_fit(model, source)], lacking_rates(model, source)
     say(*lines(findings))
-    found = identify_source(model, source, cfg.horizons)
+    found = identify_source(model, source)
     source = found.source
     write_identification(found, source, folder, findings)
     if cfg.formats:
@@ -102,7 +102,7 @@ def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iter
         if found.forecasts is not None and not found.predicts:
             does += "; this model does not predict, so mend first what is said above"
         of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
-        plan = without(again, "formats", "horizons", *of_data)
+        plan = without(again, "formats", *of_data)
         if not source.logged and system and not any(word.lstrip("+~").startswith("system=") for word in plan):
             plan.insert(0, f"system={system}")
         plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]

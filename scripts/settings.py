@@ -68,7 +68,7 @@ TOP: dict[str, Any] = {
     "scenarios": Annotated[list[str], SOME],
     "formats": list[Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]],
     "source": Literal["simulated", "logged"],
-    **{"longest_delay": Annotated[float, Field(ge=0)] | None, "horizons": Annotated[list[Positive], SOME] | None},
+    "longest_delay": Annotated[float, Field(ge=0)] | None,
     **{"evaluation.every": Annotated[int, Field(ge=1)], "checkpoint.every": Annotated[int, Field(ge=0)]},
     **{"evaluation.within": Positive, "dt": Annotated[float, Field(gt=0, le=1e5)]},
     **{"targets": Annotated[list[list[float]], SOME] | None, "planner": dict[str, Any] | None},

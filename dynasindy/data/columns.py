@@ -505,8 +505,8 @@ def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], 
         unit = inside.get(column.name, "") if column.unit == "-" else column.unit
         if column.low is not None and column.high is not None:
             given = ActuatorScaling.of(column.low, column.high, column.rest)
-            pairs = (given.low, reach.low), (given.high, reach.high), (given.rest, reach.rest)
-            if not all(math.isclose(*pair, abs_tol=1e-9 * (reach.high - reach.low)) for pair in pairs):
+            both = (given.low, given.high, given.rest), (reach.low, reach.high, reach.rest)
+            if not np.allclose(*both, rtol=1e-9, atol=1e-9 * (reach.high - reach.low)):
                 raise ValueError(
                     f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in "
                     f"data.inputs, and from {reach.low:g} to {reach.high:g} and at {reach.rest:g} in "

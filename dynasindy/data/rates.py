@@ -73,11 +73,9 @@ def _explain_factor(factor: float) -> tuple[str, float]:
     size, turned = abs(factor), factor < 0
     near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
     if abs(math.log(size / near)) >= NEAR:
-        cause = "in which units are they" + ", and which one is counted the other way" * turned
-        return cause, float(f"{factor:.3g}")
-    return CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0), math.copysign(
-        near, factor
-    )
+        return f"in which units are they{', and which one is counted the other way' * turned}", float(f"{factor:.3g}")
+    cause = CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0)
+    return cause, math.copysign(near, factor)
 
 
 def unit_of_rate(unit: str) -> str:

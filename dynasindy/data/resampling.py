@@ -55,7 +55,7 @@ def resample(
     findings.append(note("log.resampled", count=int(uneven.sum()), total=len(t) - 1, dt=dt))
     states, wide = np.stack(list(x.values()), -1), np.ptp(u, axis=0)
     parts = []
-    for label, rows in enumerate(stretches(segment)):
+    for label, rows in enumerate(np.split(np.arange(len(t)), np.flatnonzero(breaks) + 1)):
         if len(t[rows]) < FEWEST:
             continue
         grid = np.arange(t[rows][0], t[rows][-1] + 1e-9 * dt, dt)
@@ -68,24 +68,13 @@ def resample(
     return times, {name: found[:, k] for k, name in enumerate(x)}, inputs, labels
 
 
-def stretches(segment: NDArray[np.int64]) -> list[slice]:
-    """Return the rows of each segment.
-
-    Args:
-        segment: Number of the segment of each row, `(N,)`.
-    """
-    edges = [0, *(np.flatnonzero(np.diff(segment)) + 1).tolist(), len(segment)]
-    return [slice(start, end) for start, end in pairwise(edges)]
-
-
 def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:
     """Return states at even times, `(n, n_x)`; `jumps` says at which samples but the first an input jumps."""
     from scipy.interpolate import CubicSpline  # half a second of imports that most logs do without
 
     lost = ~np.isfinite(x)
     if lost.any():
-        nearest = np.abs(grid[:, None] - t[_beside(t, grid)]).argmin(1)
-        near = np.take_along_axis(_beside(t, grid), nearest[:, None], 1)[:, 0]
+        near = np.searchsorted(0.5 * (t[1:] + t[:-1]), grid)  # the nearest sample
         columns = [_measured_between(t, column, jumps, grid) for column in x.T]
         return np.where(lost[near], np.nan, np.stack(columns, -1))
     found = np.stack([np.interp(grid, t, column) for column in x.T], -1)
@@ -95,12 +84,6 @@ def _between_jumps(t: Array, x: Array, jumps: NDArray[np.bool_], grid: Array) ->
             here = slice(*np.searchsorted(grid, (t[start], t[end] * (1 + 1e-12))))
             found[here] = CubicSpline(t[start : end + 1], x[start : end + 1])(grid[here])
     return found
-
-
-def _beside(t: Array, grid: Array) -> NDArray[np.int64]:
-    """Return the places of the samples before and after each even time, `(n, 2)`."""
-    after = np.clip(np.searchsorted(t, grid), 1, len(t) - 1)
-    return np.stack([after - 1, after], -1)
 
 
 def _measured_between(t: Array, column: Array, jumps: NDArray[np.bool_], grid: Array) -> Array:

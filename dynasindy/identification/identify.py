@@ -218,13 +218,12 @@ def identify(
     return found.model
 
 
-def identify_source(model: SindyModel, source: Source, horizons: Sequence[float] | None = None) -> Identified:
+def identify_source(model: SindyModel, source: Source) -> Identified:
     """Fit a model and predict the validation data: open loop, and from many start times.
 
     Args:
         model: what to fit.
         source: the data.
-        horizons: times ahead over which predictions are judged [s]; found from the data if omitted.
 
     Raises:
         TypeError: The model is not sparse.
@@ -246,8 +245,7 @@ def identify_source(model: SindyModel, source: Source, horizons: Sequence[float]
     if not bool(validation.x.isnan().any()):
         errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
-    horizons = horizons or relevant_horizons(model, source.training)
-    forecasts = forecast_errors(model, source.training, validation, horizons)
+    forecasts = forecast_errors(model, source.training, validation, relevant_horizons(model, source.training))
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     return Identified(model, source, fit.report, predicted, metrics, forecasts)
