@@ -129,12 +129,7 @@ def _places(signature: Signature, name: str, outputs: Sequence[str] = ()) -> lis
 
 
 def _signature_words(signature: Signature, limits: Sequence[Sequence[float]] = ()) -> list[str]:
-    """Return lines that tell states and inputs with their units.
-
-    Args:
-        signature: Of the plant.
-        limits: Least and largest value of each input that is commanded; by default what the plant takes.
-    """
+    """Return lines that tell states and inputs with their units, and the least and largest of what is commanded."""
     ends = limits or signature.input_limits or (WHOLE,) * signature.n_u
     states = zip(signature.state_names, signature.state_units, signature.x_scale, strict=True)
     return [

@@ -145,15 +145,10 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
 
 @dataclass(frozen=True)
 class _Pace:
-    """How fast a model moves that is to be controlled.
+    """How fast a model moves that is to be controlled."""
 
-    Attributes:
-        seconds: The period of its fastest oscillation, or the time in which a deviation doubles [s].
-        grows: Whether it is the latter, which asks for the shorter control period.
-    """
-
-    seconds: float
-    grows: bool
+    seconds: float  # period of its fastest oscillation, or the time in which a deviation doubles [s]
+    grows: bool  # whether it is the latter, which asks for the shorter control period
 
     @classmethod
     def of(cls, model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> _Pace:
@@ -178,14 +173,7 @@ class _Pace:
 
 
 def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:
-    """Return the least period of at least some length, but no longer than the longest.
-
-    Args:
-        usual: The period that would be taken [s].
-        wanted: The least length [s].
-        longest: The longest [s].
-        step: What it is a multiple of [s]; 0 for two digits.
-    """
+    """Return the least multiple of a step, or number of two digits, that is wanted in place of a usual period [s]."""
     if not wanted > usual * (1 + 1e-6):
         return usual
     step = step or _two_digits(wanted)

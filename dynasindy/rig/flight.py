@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -176,7 +176,7 @@ def run_flight(
     guard = guard or Guard()
     guard.require(wiring)
     fault: Fault | None = None
-    with Log(path, wiring) as log:
+    with closing(Log(path, wiring)) as log:
         loop = _FlightLoop(rig, wiring, guard, clock)
         try:
             loop.run(act, periods, log)

@@ -54,16 +54,10 @@ is doubted then, and the next one is believed up to a hundred ranges."""
 
 
 class _Timing(Protocol):
-    """What an observer has to know of time and travel; a `ControlEnv` is one, and so is a controller out of a file.
+    """What an observer has to know of time and travel; a `ControlEnv` is one, and so is a controller out of a file."""
 
-    Attributes:
-        dt: Control period [s].
-        substeps: Runge-Kutta steps per control period.
-        stops: Mechanical stops of the plant, if any.
-    """
-
-    dt: float
-    substeps: int
+    dt: float  # control period [s]
+    substeps: int  # Runge-Kutta steps in it
     stops: Stops | None
 
 
@@ -306,28 +300,22 @@ class Observer:
         Raises:
             ValueError: It is not of such an observer.
         """
-        q, nis = torch.tensor(state["process_noise"], dtype=torch.float64), state["nis"]
-        if q.shape != self.scale.shape or not bool((q > 0).all() and q.isfinite().all()):
-            raise ValueError(
-                f"an observer has a process noise > 0 for each of {len(self.scale)} states, got {q.tolist()}"
-            )
-        self.q, self.nis = q, None if nis is None else float(nis)
+
+        def _positive(values: list[float], count: int, what: str, whose: str) -> Tensor:
+            found = torch.tensor(values, dtype=torch.float64)
+            if found.shape != (count,) or not bool((found > 0).all() and found.isfinite().all()):
+                raise ValueError(f"an observer has a {what} > 0 for each of {count} {whose}, got {values}")
+            return found
+
+        self.q = _positive(state["process_noise"], len(self.scale), "process noise", "states")
+        self.nis = None if state["nis"] is None else float(state["nis"])
         if "push_ranges" in state:
-            ranges = torch.tensor(state["push_ranges"], dtype=torch.float64)
-            if ranges.shape != (len(self.pushed),) or not bool((ranges > 0).all() and ranges.isfinite().all()):
-                raise ValueError(
-                    f"an observer has a range > 0 for each of {len(self.pushed)} pushes, got {state['push_ranges']}"
-                )
-            self.scale[self.n_x :] = ranges
+            self.scale[self.n_x :] = _positive(state["push_ranges"], len(self.pushed), "range", "pushes")
 
     def _size_pushes(self, means: Tensor, u: Tensor) -> None:
         """Take as the range of a push on a state that is no rate what usually moves that state [its unit per second].
 
         A rate's range in a second is right for machines, not for what takes minutes, as a tank does.
-
-        Args:
-            means: Estimates by each candidate of the process noise, `(rows, T + 1, n)`.
-            u: Commands in between, `(T, n_u)`.
         """
         x = means[len(means) // 2, :-1, : self.n_x]
         moves = self.model(x, u.double())[:, self.pushed]
@@ -405,13 +393,7 @@ class Observer:
 
 
 class _Augmented(Altered):
-    """A system with constants behind its states, which stay, and which add to the rates of some of them.
-
-    Args:
-        system: The system.
-        pushed: Places of the states that a constant adds to the rate of, one for each, or none.
-        count: How many constants there are.
-    """
+    """A system with `count` constants behind its states, each of which adds to the rate of a `pushed` one, if any."""
 
     def __init__(self, system: System, pushed: Sequence[int], count: int) -> None:
         super().__init__(system)
@@ -445,10 +427,6 @@ class _Kinematic(System):
 
     An observer on it is a local polynomial with a fading memory: a line through the latest angles, whose slope is the
     rate.
-
-    Args:
-        signature: Names, units and ranges of the plant.
-        rates: Index of a state to that of its rate.
     """
 
     machine_code = True

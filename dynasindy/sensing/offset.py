@@ -58,40 +58,6 @@ def correction(system: System, x: Tensor, u: Tensor, push: Tensor, outputs: Sequ
     return torch.where(shift.isfinite().all(-1, keepdim=True), shift, torch.zeros_like(shift))
 
 
-class _Limited:
-    """A policy whose action stays within the limits of the task's inputs.
-
-    Args:
-        policy: Reads `observation`, writes `action`.
-        env: Where it acts.
-    """
-
-    def __init__(self, policy: Policy, env: Sampled) -> None:
-        self.policy, self.env = policy, env
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action, as far as inputs reach."""
-        return tensordict.set("action", self.env.task.limit(self.policy(tensordict)["action"]))
-
-
-class _OffsetFree(_Limited):
-    """A policy that is shown the state without the push, and whose action counteracts it.
-
-    Args:
-        policy: Reads `observation`, writes `action`.
-        env: Where it acts; the task makes the observation.
-    """
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action for the shifted state, as far as inputs reach."""
-        x, t = tensordict["state"], tensordict["step_count"] * self.env.dt
-        dx, du = tensordict["observer", "shift"].split([x.shape[-1], self.env.task.signature.n_u], -1)
-        seen = tensordict.copy().set("state", x - dx)
-        observation = self.env.task.observation(x - dx, tensordict["task_params"], t.to(x))
-        action = self.policy(seen.set("observation", observation.to(tensordict["observation"])))["action"]
-        return tensordict.set("action", self.env.task.limit(action + du.to(action)))
-
-
 def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
     """Return a policy as it acts on a plant: within the limits of inputs, and against the push that is estimated.
 
@@ -100,6 +66,17 @@ def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
         env: Where it acts; the task has the limits.
         pushed: Whether an observer estimates a push, under `observer`, which is counteracted.
     """
-    if pushed:
-        return _OffsetFree(policy, env)
-    return _Limited(policy, env) if env.task.limited else policy
+
+    def _limited(tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", env.task.limit(policy(tensordict)["action"]))
+
+    def _offset_free(tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action for the state without the push, and what counteracts it."""
+        x, t = tensordict["state"], tensordict["step_count"] * env.dt
+        dx, du = tensordict["observer", "shift"].split([x.shape[-1], env.task.signature.n_u], -1)
+        seen = tensordict.copy().set("state", x - dx)
+        observation = env.task.observation(x - dx, tensordict["task_params"], t.to(x))
+        action = policy(seen.set("observation", observation.to(tensordict["observation"])))["action"]
+        return tensordict.set("action", env.task.limit(action + du.to(action)))
+
+    return _offset_free if pushed else _limited if env.task.limited else policy
