@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
+from itertools import chain
 from typing import Any
 
 import torch
@@ -38,6 +39,7 @@ MANY = 512
 FREE = Stops((), (), (), ())
 _CALLED = re.compile(rf"\b({'|'.join(SINGLE)})\(")
 _STATE = re.compile(r"\b([xu])\[(\d+)\]")
+_NAME = re.compile(r"[A-Za-z_]\w*")
 _FRACTION = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[-+]?\d+)?|\d+e[-+]?\d+)")
 
 
@@ -210,6 +212,7 @@ def _source(program: Program, width: int, single: bool) -> str:
     rates = [f"f[{i} * W + r] = {text};" for i, (text, _) in enumerate(found)]
     values = {name for name, _ in program.lines}
     slopes = [f"j[{p} * W + r] = {text};" for p, (_, _, text) in enumerate(entries)]
+    read = chain((text for name, text in tangents.lines if name not in values), (text for _, _, text in entries))
     words = {
         "real": "float" if single else "double",
         "single": int(single),
@@ -218,6 +221,7 @@ def _source(program: Program, width: int, single: bool) -> str:
         "n_u": program.n_u,
         "n_slopes": len(entries),
         "stages": 4 if program.step is None else 1,
+        "affine": int(values.union("xu").isdisjoint(name for text in read for name in _NAME.findall(text))),
         "rates": _body([line for line in tangents.lines if line[0] in values], rates, single),
         "slopes": _body(tangents.lines, [*rates, *slopes], single),
         "slope_rows": ", ".join(str(i) for i, _, _ in entries),

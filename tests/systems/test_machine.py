@@ -35,12 +35,22 @@ def test_known_solutions(dtype, close):
     torch.testing.assert_close(a, torch.full_like(a, 0.36787944117144233), rtol=close, atol=close)
     torch.testing.assert_close(b, torch.full_like(b, 0.5 * (1 - 0.36787944117144233)), rtol=close, atol=close)
     angle = torch.tensor(2 * 0.3, dtype=dtype)  # of a spring of frequency 2 rad/s
-    a, b = Machine(SPRING, dtype).sensitivities(torch.zeros(1, 2, dtype=dtype), torch.zeros(1, 1, dtype=dtype), 0.3, 50)
+    x, u = torch.randn(19, 2).to(dtype), torch.randn(19, 1).to(dtype)
+    a, b = Machine(SPRING, dtype).sensitivities(x, u, 0.3, 50)
     c, s = angle.cos(), angle.sin()
+    wanted = torch.stack([torch.stack([c, s / 2]), torch.stack([-2 * s, c])])
+    torch.testing.assert_close(a, wanted.expand_as(a), rtol=0, atol=close)
     torch.testing.assert_close(
-        a[0], torch.stack([torch.stack([c, s / 2]), torch.stack([-2 * s, c])]), rtol=0, atol=close
+        b, torch.stack([0.75 * (1 - c), 1.5 * s]).expand(19, -1).unsqueeze(-1), rtol=0, atol=close
     )
-    torch.testing.assert_close(b[0, :, 0], torch.stack([0.75 * (1 - c), 1.5 * s]), rtol=0, atol=close)
+
+
+def test_slopes_of_a_product_differ_between_rows():
+    growth = Machine(Program(1, 1, (), ("x[0] * u[0]",)), torch.float64)
+    u = torch.linspace(-1.0, 1.0, 19, dtype=torch.float64).unsqueeze(-1)
+    a, b = growth.sensitivities(torch.ones_like(u), u, 0.5, 50)
+    torch.testing.assert_close(a[..., 0], (0.5 * u).exp(), rtol=1e-9, atol=0)
+    torch.testing.assert_close(b[..., 0], 0.5 * (0.5 * u).exp(), rtol=1e-9, atol=0)
 
 
 def test_a_stop_holds_what_moves_outwards_and_lets_go_what_moves_inwards():

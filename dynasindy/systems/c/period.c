@@ -3,7 +3,8 @@
 #include <math.h>
 
 typedef @real@ real;
-enum { N = @n_x@, M = @n_u@, C = N + M, P = @n_slopes@, W = @width@, STAGES = @stages@ }; /* W rows at once stay in the first cache */
+enum { N = @n_x@, M = @n_u@, C = N + M, P = @n_slopes@, W = @width@, STAGES = @stages@,
+       AFFINE = @affine@ }; /* W rows at once stay in the first cache */
 
 static inline real square(real v) { return v * v; }
 static inline real larger(real a, real b) { return a < b ? b : a; } /* a, if that is no number */
@@ -174,9 +175,10 @@ void sensitivities(long rows, const real *x0, const real *u0, const real *k, rea
     for (long first = 0; first < rows; first += W) {
         gather(x0, rows, first, N, x);
         gather(u0, rows, first, M, u);
-        for (int i = 0; i < N * C * W; i++)
+        const int known = AFFINE && first; /* the same for all rows */
+        for (int i = 0; i < N * C * W && !known; i++)
             s[i] = (i / W) % C == (i / W) / C;
-        for (int step = 0; step < steps; step++) {
+        for (int step = 0; step < steps && !known; step++) {
             for (int i = 0; i < N * W; i++) { y[i] = x[i]; sum[i] = x[i]; }
             for (int i = 0; i < N * C * W; i++) { t[i] = s[i]; total[i] = s[i]; }
             for (int stage = 0; stage < STAGES; stage++) {
