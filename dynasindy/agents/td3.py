@@ -188,7 +188,8 @@ class TD3:
         if self.updates % s.policy_delay == 0:
             self.actor_loss = self._steps.actor(batch, self._require_finite)
             if s.policy_average:
-                self._average()
+                averaged, latest = list(self.deployed.parameters()), list(self.policy.parameters())
+                torch._foreach_lerp_(averaged, [p.detach() for p in latest], s.policy_average)
 
         if self.updates % s.target_update_interval == 0:
             torch._foreach_lerp_(self._targets, self._sources, s.tau)  # what its step does, in a twentieth of the time
@@ -257,7 +258,3 @@ class TD3:
             f"policy learning: {what} at update {self.updates} (critic_lr={s.critic_lr}, actor_lr={s.actor_lr}, "
             f"gamma={s.gamma}); lower agent.critic_lr and agent.actor_lr, or make the rewards of the task smaller"
         )
-
-    def _average(self) -> None:
-        averaged, latest = list(self.deployed.parameters()), list(self.policy.parameters())
-        torch._foreach_lerp_(averaged, [p.detach() for p in latest], self.settings.policy_average)

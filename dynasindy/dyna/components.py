@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase, TransformedEnv
 
@@ -19,7 +17,6 @@ from dynasindy.limits import Count
 from dynasindy.planning import Gate, ModelPrediction, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import WorldModel
-from dynasindy.tasks import Tracking
 
 
 @dataclass(kw_only=True)
@@ -59,18 +56,6 @@ class Components(PlantComponents):
     replay: DynaReplay
     planner: Planner
     gate: Gate
-
-    @property
-    def explore(self) -> Callable[[TensorDictBase], TensorDictBase]:
-        """The agent's policy with noise, as it acts on the real plant."""
-        return self.agent.explore if self.sensing is None else self.sensing.controller(self.agent.explore)
-
-    @property
-    def bounds(self) -> tuple[Tensor, Tensor] | None:
-        """Limits of the states that end an episode, where the task names any and the states are seen."""
-        task = self.plant.task
-        named = isinstance(task, Tracking) and bool(task.bounds.isfinite().any()) and self.sensing is None
-        return (task.bounds[0], task.bounds[1]) if named and isinstance(task, Tracking) else None
 
     def make_up(self, newest: TensorDictBase) -> None:
         """Have an observer make up for a delay of the inputs that was found, where states are seen as they are.

@@ -244,8 +244,16 @@ def interact(
 
 
 def explore(parts: Components) -> TensorDict:
-    """Let the agent explore on the real system for an episode, `(T,)`."""
-    return interact(parts.env, parts.explore, parts.model_env.task.max_steps, parts.bounds)
+    """Let the agent explore on the real system for an episode, `(T,)`.
+
+    It ends where a state leaves the task's bounds, if there are any and the states are seen.
+    """
+    task, policy, ends = parts.plant.task, parts.agent.explore, None
+    if parts.sensing is not None:
+        policy = parts.sensing.controller(policy)
+    elif isinstance(task, Tracking) and bool(task.bounds.isfinite().any()):
+        ends = task.bounds[0], task.bounds[1]
+    return interact(parts.env, policy, parts.model_env.task.max_steps, ends)
 
 
 class RegulatedExcitation:

@@ -28,7 +28,7 @@ from dynasindy.dyna.excite import coarse, left_out, restarts
 from dynasindy.dyna.verdict import distrusted, judge_run
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
-from dynasindy.evaluation.tracking_criteria import WITHIN, TrackingCriteria, judge_tracking, representative_episode
+from dynasindy.evaluation.tracking_criteria import WITHIN, judge_tracking, representative_episode
 from dynasindy.findings import note, records
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
@@ -202,8 +202,16 @@ class Recorder(Callback):
         self.parts.world_model.save(self.folder / "model.json")
         with replace_file(self.folder / "policy.pt") as file:
             torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), file)
-        self._write_controller()
-        held = asdict(self._held(final))  # which may take longer runs
+        plant, model, sensing = self.plant, self.parts.world_model, self.parts.sensing
+        if isinstance(plant.task, Tracking) and isinstance(model, SindyModel):
+            # The policy with all that it needs outside of Python, unless task or model is of a kind apart.
+            setup = ControlSetup(plant.task, plant.dt, plant.substeps, plant.stops)
+            observer = None if sensing is None else sensing.observer
+            save(Controller(self.parts.agent.deployed, setup, observer), self.folder / NAME)
+        known = plant.system.known  # another simulator, or a rig, does not run for longer than was asked for
+        system = plant.system if known else self.parts.model_env.system
+        matter = states_that_matter(system, final.columns, final.trajectory["state"][0, 0])
+        held = asdict(judge_tracking(final, matter, self.evaluate if known else None))  # which may take longer runs
         metrics = {
             **settings,
             "episodes": len(self.rows),
@@ -232,22 +240,6 @@ class Recorder(Callback):
         metrics["findings"] = [*self.excitation, *records(findings)]
         write_json(self.folder / "metrics.json", metrics)
         return metrics
-
-    def _write_controller(self) -> None:
-        """Write the policy with all that it needs outside of Python, unless task or model is of a kind apart."""
-        plant, sensing = self.plant, self.parts.sensing
-        if not isinstance(plant.task, Tracking) or not isinstance(self.parts.world_model, SindyModel):
-            return
-        setup = ControlSetup(plant.task, plant.dt, plant.substeps, plant.stops)
-        observer = None if sensing is None else sensing.observer
-        save(Controller(self.parts.agent.deployed, setup, observer), self.folder / NAME)
-
-    def _held(self, final: Evaluation) -> TrackingCriteria:
-        start = final.trajectory["state"][0, 0]
-        known = self.plant.system.known  # another simulator, or a rig, does not run for longer than was asked for
-        system = self.plant.system if known else self.parts.model_env.system
-        rerun = self.evaluate if known else None
-        return judge_tracking(final, states_that_matter(system, final.columns, start), rerun)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what was logged so far."""

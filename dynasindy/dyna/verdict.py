@@ -39,20 +39,17 @@ def judge_run(metrics: Mapping[str, Any], within: float = WITHIN) -> RunVerdict:
             `episodes`, without which there is no `gate.csv`.
         within: Mean absolute error at the end that is asked for, in ranges of targets.
     """
-    usable, compared = _compared(metrics)
-    controlled, tracked = judge_control(metrics["held"], within, usable)
-    return RunVerdict(usable, controlled, (compared, tracked))
-
-
-def _compared(metrics: Mapping[str, Any]) -> tuple[bool, Finding]:
     untrained, trained = (_number(metrics[key]["return"]) for key in ("untrained", "evaluation"))
     finite = math.isfinite(trained) and math.isfinite(untrained)
     facts: dict[str, Any] = {"scenario": metrics["scenario"], "trained": trained, "untrained": untrained}
-    if finite and trained > untrained:
+    if usable := finite and trained > untrained:
         share = (trained - untrained) / max(abs(untrained), 1e-300)
         hardly = share < HARDLY
-        return True, (weak if hardly else note)("run.better", **facts, percent=100 * share, hardly=hardly)
-    return False, wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
+        compared = (weak if hardly else note)("run.better", **facts, percent=100 * share, hardly=hardly)
+    else:
+        compared = wrong("run.no_better", **facts, episodes=bool(metrics.get("episodes", 1)))
+    controlled, tracked = judge_control(metrics["held"], within, usable)
+    return RunVerdict(usable, controlled, (compared, tracked))
 
 
 def distrusted(decisions: Sequence[Mapping[str, float | None]]) -> Finding | None:

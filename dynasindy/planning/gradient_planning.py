@@ -106,8 +106,6 @@ def references(env: ControlEnv, rows: int, rng: torch.Generator) -> Rows:
     return Rows(x, torch.zeros(rows, env.system.signature.n_u), params, torch.zeros(rows, 1))
 
 
-FOLLOWING = ("window", "lr", "updates", "patience", "substeps", "warm_start", "gain_range")
-"""Settings that follow the plant where they are not given."""
 GIVEN_UP, SHORTER = 0.02, 0.1
 """Fall of the imagined score, or one by the best score's own size if that is more, by which a policy has lost a plant
 that has to be held, and the factor on the learning rate then; an error of the whole range costs 4 a period."""
@@ -191,8 +189,9 @@ class GradientPlanning(Planner):
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        given = zip(FOLLOWING, (window, lr, updates, patience, substeps, warm_start, gain_range), strict=True)
-        self.given: dict[str, Any] = {name: value for name, value in given if value is not None}
+        given = {"window": window, "lr": lr, "updates": updates, "patience": patience, "substeps": substeps}
+        given |= {"warm_start": warm_start, "gain_range": gain_range}
+        self.given: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         sizes: dict[str, Any] = {"check_every": check_every, "width": width}
         sizes |= {key: self.given.get(key) for key in ("window", "lr", "patience", "substeps")}
         if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:

@@ -15,7 +15,7 @@ Times are counted in control periods and lengths in ranges, so that a tank sampl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -136,15 +136,12 @@ def choose_plan_settings(env: ControlEnv, rests: Equilibria | None, finest: int 
     loop = "no linear regulator holds it"
     if regulator is not None:
         loop = f"under a linear regulator its slowest motion has a time constant of {slowest:.3g} control periods"
-    why = "; ".join(filter(None, (_fate(slopes, grown, seconds, step), loop, never)))
-    if not grown > GROWN:
-        assert isinstance(env.task, Tracking)
-        narrow = _narrow(env.task) if regulator is not None else ""
-        why = "; ".join(filter(None, (why, narrow)))
-        return PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why)
-    if regulator is None:
-        return PlanSettings(window, 3e-3, 200, 3, substeps, why=why)
-    return PlanSettings(window, 3e-3, 200, 3, substeps, True, why)
+    grows, narrow = grown > GROWN, ""
+    if regulator is not None and not grows:
+        narrow = _narrow(regulator.task)
+    why = "; ".join(filter(None, (_fate(slopes, grown, seconds, step), loop, never, narrow)))
+    settings = PlanSettings(window=window, substeps=substeps, warm_start=bool(narrow), why=why)
+    return replace(settings, lr=3e-3, updates=200, warm_start=regulator is not None) if grows else settings
 
 
 def settles(env: ControlEnv, x: Tensor, u: Tensor, share: float = SETTLED) -> float:

@@ -122,7 +122,8 @@ def imagine(
         whole, entered, actions = machine.imagine(rows.x, rows.held, free, rows.kept)
     else:
         whole, entered, actions = _imagine(env, system, network, rows, times[:-1], rest)
-    alive = _alive(whole, rows.reach)
+    believed = whole.isfinite() & (whole.abs() <= (torch.inf if rows.reach is None else rows.reach))
+    alive = believed.all(-1).int().cummin(0).values.bool()
     kept = alive.unsqueeze(-1)
     x, nothing = rows.x, torch.zeros_like(rows.held)
     return Window(
@@ -205,14 +206,6 @@ def sensitivities(env: ControlEnv, system: System, x: Tensor, u: Tensor) -> tupl
     columns = samples[..., -1, :].unbind(-1)
     rows = [torch.autograd.grad(column.sum(), (x, u), retain_graph=True) for column in columns]
     return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
-
-
-def _alive(states: Tensor, reach: Tensor | None) -> Tensor:
-    """Return where states `(T + 1, rows, n_x)` are finite and within reach, and were so all along."""
-    believed = states.isfinite()
-    if reach is not None:
-        believed &= states.abs() <= reach
-    return believed.all(-1).int().cummin(0).values.bool()
 
 
 def _policy(env: ControlEnv, network: Network, rows: Rows, window: Window) -> tuple[list[Tensor], Tensor]:

@@ -181,14 +181,11 @@ class Machine:
     def _in_memory(self, stops: Stops) -> tuple[Any, ...]:
         """Return stops as the code reads them; they are kept, as to write them costs as much as a control period."""
         if stops not in self._ends:
-            places = self._places(stops.positions), self._places(stops.rates)
-            self._ends[stops] = *places, self._reals(stops.low), self._reals(stops.high)
+            places = range(self.n_x)  # of a column that is negative, and counts from the last, too
+            columns = ([places[column] for column in of] for of in (stops.positions, stops.rates))
+            at = ((ctypes.c_int * max(1, len(of)))(*of) for of in columns)
+            self._ends[stops] = *at, self._reals(stops.low), self._reals(stops.high)
         return self._ends[stops]
-
-    def _places(self, columns: Sequence[int]) -> ctypes.Array[ctypes.c_int]:
-        """Return columns of the states, counted from the first; there are negative ones, from the last."""
-        places = range(self.n_x)
-        return (ctypes.c_int * max(1, len(columns)))(*(places[column] for column in columns))
 
     def _reals(self, values: Sequence[float]) -> ctypes.Array[ctypes.c_float] | ctypes.Array[ctypes.c_double]:
         return (self._real * max(1, len(values)))(*values)
