@@ -10,12 +10,13 @@ from torch import Tensor
 
 from dynasindy.systems import Diverged
 
+EQUATIONS = "check the plant's equations there, simulate it in more env.substeps, or excite it less"
 SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
     ("state", "the initial state is", "step_count", "check the task's initial states"),
     ("observation", "the observation is", "state", "check the task's observation of this state"),
     ("action", "the policy's action is", "observation", "check the policy's weights and lower its learning rates"),
-    (("next", "samples"), "the plant moves to", "state", "check the plant's equations there, or excite it less"),
-    (("next", "state"), "the plant ends at", "state", "check the plant's equations there, or excite it less"),
+    (("next", "samples"), "the plant moves to", "state", EQUATIONS),
+    (("next", "state"), "the plant ends at", "state", EQUATIONS),
     (("next", "reward"), "the reward is", ("next", "state"), "check the task's reward there"),
     (
         ("next", "observation"),

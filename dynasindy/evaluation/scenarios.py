@@ -26,7 +26,7 @@ from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import file_name
 from dynasindy.sensing import Sensing, unveiled
-from dynasindy.systems import Diverged, Signature, System, steps_needed
+from dynasindy.systems import Signature, System
 from dynasindy.systems.base import turn_of
 from dynasindy.tasks import Reference, Sampled, Step, Task, Tracking
 
@@ -318,27 +318,8 @@ def _run(
     report_progress(phase, total, total, "control periods")  # of the last step the environment tells no more
     trajectory: TensorDictBase = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
     if "measurement" in set(trajectory.keys()) or not is_finite_rollout(trajectory):
-        in_time = trajectory.transpose(0, 1).reshape(-1)
-        where = f"evaluation in scenario '{scenario.name}'"
-        _require_fine(calm, in_time, where)
-        require_finite_rollout(in_time, where)
+        require_finite_rollout(trajectory.transpose(0, 1).reshape(-1), f"evaluation in scenario '{scenario.name}'")
     return trajectory if sensing is None else unveiled(trajectory)
-
-
-def _require_fine(env: ControlEnv, rows: TensorDictBase, where: str) -> None:
-    """Refuse a simulation whose numbers go wrong because its Runge-Kutta steps are too long."""
-    lost = ~rows["next", "samples"].flatten(1).isfinite().all(-1) & rows["state"].isfinite().all(-1)
-    if type(env) is not ControlEnv or not bool(lost.any()):
-        return
-    row = rows[int(lost.int().argmax())]
-    x, u = row["state"].unsqueeze(0), row["action"].to(row["state"].dtype).unsqueeze(0)
-    needed, _ = steps_needed(env.system, x, u, env.dt, env.substeps, env.stops)
-    if needed and needed > env.substeps:
-        raise Diverged(
-            f"{where}: in control period {int(row['step_count']) + 1} the simulation of the plant breaks down, as its "
-            f"Runge-Kutta steps of {env.dt / env.substeps:g} s are too long; give env.substeps={needed}, or a shorter "
-            "env.dt"
-        )
 
 
 def _phases(scenario: Scenario, dt: float) -> list[tuple[int, bool]]:

@@ -165,7 +165,7 @@ def test_a_simulation_that_breaks_down_by_its_steps_alone_says_so() -> None:
 
     task = Tracking(Stiff().signature, Step([[1.0]]), ["h"], [], TrackingReward(error_weights=(1.0,)))
     env, push = ControlEnv(Stiff(), task, 0.05, 5), lambda td: td.set("action", torch.ones(*td.batch_size, 1))
-    with pytest.raises(Diverged, match=r"'stiff': .*period 1 .* 0\.01 s .*substeps=\d0, .*env\.dt$"):
+    with pytest.raises(Diverged, match=r"'stiff': .*period 1 .*env\.substeps"):
         evaluate(env, push, Scenario("stiff", Step([[1.0]]), episodes=1, seconds=1.0))
 
 
