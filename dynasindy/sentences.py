@@ -207,16 +207,9 @@ def _guess(
     words = [f"{key}={value!r}" for key, value in given.items()]
     copied = f"read({', '.join(['path', *words, *seconds])})"
     if _words_of_commands:
-        words = [f"'data.{key}={_flow_of_names(value)}'" for key, value in given.items()]
+        words = [f"'data.{key}={_flow(value)}'" for key, value in given.items()]
         copied = " ".join([*words, *(f"data.{word}" for word in seconds)])
     return f"{''.join(hints)} This is a first guess, to be corrected: {copied}"
-
-
-def _flow_of_names(value: Any) -> str:
-    """Return names as the command line takes them: in quotation marks, unless they are one plain word."""
-    if isinstance(value, list):
-        return f"[{','.join(map(_flow_of_names, value))}]"
-    return value if re.fullmatch(r"[A-Za-z_]\w*", value) else f'"{value}"'
 
 
 def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], state: str = "") -> str:

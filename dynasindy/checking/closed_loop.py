@@ -114,13 +114,7 @@ class Plant:
 
 
 class _Moved(NamedTuple):
-    """The loop one control period later.
-
-    Attributes:
-        z: The vector of the loop, `(*batch, n)`.
-        covariance: Of the observer, `(*batch, n_o, n_o)`; empty without one.
-        u: What the controller commanded in between, `(*batch, n_u)`.
-    """
+    """The loop one control period later: its vector, the covariance of its observer, and the command in between."""
 
     z: Tensor
     covariance: Tensor

@@ -227,8 +227,4 @@ def _ranges(metrics: Mapping[str, Any]) -> dict[str, float]:
     """Return the target range of each output, in its unit; none where all outputs are in rad."""
     if set(metrics.get("units", {}).values()) <= {"rad"}:
         return {}
-    if "ranges" in metrics:
-        return {name: float(extent) for name, extent in metrics["ranges"].items()}
-    # Older runs have the error at the end in its own unit and as a share of the range.
-    shares, errors = metrics["held"]["share"], metrics["evaluation"]
-    return {name: float(errors[f"{ERROR}/{name}"]) / share for name, share in shares.items() if share}
+    return {name: float(extent) for name, extent in metrics["ranges"].items()}
