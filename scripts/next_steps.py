@@ -59,15 +59,13 @@ def improvements(
     weak = "tells at which targets the loop is weak, and how"
     lines = [command_line("check", [f"run={folder}"], weak)] if checked else []
     if episodes is not None and not any(word.startswith("resume=") for word in words):
+        more, does = f"train.episodes={max(3, 2 * episodes)}", "flies more episodes, whose data mend the model"
         if imagined is not None and imagined > WITHIN:  # where the model is not what fails
-            given = [word.removeprefix("planning.updates=") for word in words if word.startswith("planning.updates=")]
-            updates = max([LONG_PLAN, *(2 * int(number) for number in given if number.isdecimal())])
-            more = [*without(words, "planning.updates", "folder", "finish"), f"planning.updates={updates}"]
-            missed = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
-            lines.append(command_line("train", more, missed))
-        else:
-            more = [*without(words, "train.episodes", "folder", "finish"), f"train.episodes={max(3, 2 * episodes)}"]
-            lines.append(command_line("train", more, "flies more episodes, whose data mend the model"))
+            given = [word.partition("=")[2] for word in words if word.startswith("planning.updates=")]
+            more = f"planning.updates={max([LONG_PLAN, *(2 * int(number) for number in given if number.isdecimal())])}"
+            does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
+        kept = [*without(words, more.partition("=")[0], "folder", "finish"), more]
+        lines.append(command_line("train", kept, does))
     if episodes is None and any(word.startswith("data.path=") for word in words):
         kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
         lacks = "tells what the log lacks: what to record, or which functions"

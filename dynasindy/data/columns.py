@@ -111,14 +111,9 @@ def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[
     return found
 
 
-def _steps_of(column: Array) -> NDArray[np.int64]:
-    """Return the rows in which a column has another number than before."""
-    return np.flatnonzero(np.diff(column)) + 1
-
-
 def _standing(column: Array) -> float:
     """Return the share of the rows in which a column has the same number as before."""
-    return 1 - len(_steps_of(column)) / max(len(column) - 1, 1)
+    return 1 - int(np.count_nonzero(np.diff(column))) / max(len(column) - 1, 1)
 
 
 def _is_followed(column: Array, others: Iterable[Array]) -> bool:
@@ -127,7 +122,7 @@ def _is_followed(column: Array, others: Iterable[Array]) -> bool:
     After a step the other one is where the reference was before, and at the end of it where it was led; a slow sensor
     of the same is there from the beginning.
     """
-    steps = _steps_of(column)
+    steps = np.flatnonzero(np.diff(column)) + 1
     if _standing(column) <= HELD or len(steps) < LEADS:
         return False
     steps, ends = steps[:-1], steps[1:] - 1

@@ -66,14 +66,14 @@ def plain_heading(heading: str) -> str:
         name, unit = heading, ""
     if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
         name, unit = name[: -len(end) - 1], SUFFIXES[end]
-    name, unit = (name, plain_unit(unit)) if unit else _apart(name)
+    name, unit = (name, _plain_unit(unit)) if unit else _apart(name)
     if not NAME.fullmatch(name):
         plain = re.sub(r"\W+", "_", name).strip("_")
         name = plain if NAME.fullmatch(plain) else name
     return heading if (name, unit) == own else f"{name} [{unit}]" if unit else name
 
 
-def plain_unit(unit: str) -> str:
+def _plain_unit(unit: str) -> str:
     """Return a unit of angles or of their rates as others are called: `DEG/sec` is `deg/s`; another one as it is."""
     if PER_MINUTE.fullmatch(unit):
         return "rpm"
@@ -85,7 +85,7 @@ def plain_unit(unit: str) -> str:
 def _apart(name: str) -> tuple[str, str]:
     """Split an angle's unit of degrees or radians off the end of a name that has it without brackets."""
     for between in APART.finditer(name):
-        unit = plain_unit(name[between.end() :].rstrip("}>"))
+        unit = _plain_unit(name[between.end() :].rstrip("}>"))
         if between.start() and re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit):
             return name[: between.start()], unit
     return name, ""

@@ -78,7 +78,7 @@ def _explain_factor(factor: float) -> tuple[str, float]:
     return cause, math.copysign(near, factor)
 
 
-def unit_of_rate(unit: str) -> str:
+def _unit_of_rate(unit: str) -> str:
     """Return the unit of the rate of a state, per second."""
     return "1/s" if unit == "-" else f"{unit}/s"
 
@@ -92,7 +92,7 @@ def with_rates(signature: Signature, known: Mapping[str, str]) -> Signature:
     """
     for name, rate in known.items():  # a rate may be a state that has a rate
         if name in signature.state_names and rate not in signature.state_names and rate.isidentifier():
-            signature = signature.with_state(rate, unit_of_rate(signature.state_units[signature.state_index(name)]))
+            signature = signature.with_state(rate, _unit_of_rate(signature.state_units[signature.state_index(name)]))
     return signature
 
 
@@ -165,8 +165,8 @@ def require_consistent_rates(
             continue
         unit, column = signature.state_units[signature.state_index(state)], columns[rate]
         scale = _explain_factor(each.values["factor"])[1] * column.scale
-        mended = {**columns, rate: replace(column, unit=unit_of_rate(unit), scale=scale)}
-        allowed = f"the unit of {state} per second" if unit == "-" else unit_of_rate(unit)
+        mended = {**columns, rate: replace(column, unit=_unit_of_rate(unit), scale=scale)}
+        allowed = f"the unit of {state} per second" if unit == "-" else _unit_of_rate(unit)
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended, headings))
 
 

@@ -180,7 +180,7 @@ def grows(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
-def keeps_time(column: Array, t: Array) -> bool:
+def _keeps_time(column: Array, t: Array) -> bool:
     """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
     rows = np.isfinite(column) & np.isfinite(t)
     x, t = column[rows], t[rows]
@@ -354,7 +354,7 @@ class ColumnSummary:
         if time not in self.headings:
             return []
         t = self.table.column(time)
-        return [heading for heading in self.numeric if heading != time and keeps_time(self.table.column(heading), t)]
+        return [heading for heading in self.numeric if heading != time and _keeps_time(self.table.column(heading), t)]
 
 
 def summarise_columns(path: Path) -> ColumnSummary:

@@ -45,10 +45,10 @@ TINY = 1e-9
 def samples_of(data: Transitions) -> list[Array]:
     """Return the samples of each state in its longest unbroken stretch."""
     labels, counts = data.segment.unique_consecutive(return_counts=True)
-    return all_samples_of(data.select(data.segment == labels[int(counts.argmax())]))
+    return _all_samples_of(data.select(data.segment == labels[int(counts.argmax())]))
 
 
-def all_samples_of(data: Transitions) -> list[Array]:
+def _all_samples_of(data: Transitions) -> list[Array]:
     """Return the samples of each state in all unbroken stretches, one after the other."""
     begins = data.begins()
     taken = torch.stack([begins, torch.ones_like(begins)], -1)
@@ -178,7 +178,7 @@ def low_signal_states(data: Transitions, but: Collection[int] = ()) -> dict[int,
         but: Places of states that are not asked about: rates made of differences move in steps of their own.
     """
     moved = {}
-    for place, column in enumerate(all_samples_of(data)):
+    for place, column in enumerate(_all_samples_of(data)):
         step = 0.0 if place in but else _coarse_resolution(column)
         if step and (steps := float(np.nanmax(column) - np.nanmin(column)) / step) < FEW:
             moved[place] = steps
