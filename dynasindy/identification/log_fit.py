@@ -129,10 +129,11 @@ class LogFit:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
+        found = equation_findings(self.model, self.report)
         signal = self.model.followed.get(self.model.signature.state_names[-1])
-        follower = LagStateCandidate(self.model, signal, 0.0).finding() if signal else None
-        found = equation_findings(self.model, self.report), filter(None, [follower])
-        return [*chain(*found), *idle_states(self.model, self.source.training)]
+        if signal and (follower := LagStateCandidate(self.model, signal, 0.0).finding()):
+            found.append(follower)
+        return [*found, *idle_states(self.model, self.source.training)]
 
 
 def fit_log(model: SindyModel, source: Source, rates: bool = True) -> LogFit:
