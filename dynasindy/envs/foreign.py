@@ -76,7 +76,8 @@ class Foreign(System):
                 "give your environment's action_space a low below its high"
             )
         n_seen, n_u = seen.shape[0], acted.shape[0]
-        ranges = {f"x{i + 1}": None for i in range(n_seen)} if states is None else _ranges(states)
+        states = [f"x{i + 1}" for i in range(n_seen)] if states is None else states
+        ranges = dict(states) if isinstance(states, Mapping) else dict.fromkeys(states)
         entries, named = (list(ranges), "states") if observed is None else (list(observed), "observed")
         names = [f"u{i + 1}" for i in range(n_u)] if inputs is None else list(inputs)
         if len(entries) != n_seen or len(names) != n_u:
@@ -277,10 +278,6 @@ class GymnasiumEnv(ControlEnv):
         self.observation_spec["moved"] = Binary(n=1, shape=shape, dtype=torch.bool)
 
 
-def _ranges(states: Sequence[str] | Mapping[str, float]) -> dict[str, float | None]:
-    return dict(states) if isinstance(states, Mapping) else dict.fromkeys(states)
-
-
 def _period(copy: gymnasium.Env[Any, Any]) -> float | None:
     """Return how long a step is [s]: `dt`, as MuJoCo's and the pendulum have it, or `tau`, as the cart-pole."""
     bare = copy.unwrapped
@@ -320,11 +317,7 @@ class _Observed:
                 f"plant.states has {absent[0]}, which is neither observed nor an angle; {told}: name it in "
                 "plant.angles, with its sine and its cosine, or mend plant.observed"
             )
-        self.names, self.width, self.is_angle = (
-            list(names),
-            len(names),
-            torch.tensor([name in angles for name in states]),
-        )
+        self.names, self.is_angle = list(names), torch.tensor([name in angles for name in states])
         pairs = [angles.get(name, (name, name)) for name in states]
         self.sine, self.cosine = ([names.index(pair[k]) for pair in pairs] for k in (0, 1))
         self.plain = not angles and list(names) == list(states)
