@@ -92,21 +92,20 @@ def find_equilibria(
     if limits is None:
         limits = torch.tensor([[-1.0], [1.0]]).expand(-1, system.signature.n_u)
     targets, search = targets.double(), _Search(system, list(outputs), start.double(), dt, limits.double())
-    rests = _found(search, targets, LEFT)
-    return rests if len(rests) else _found(search, targets, NEARLY)
-
-
-def _found(search: _Search, targets: Tensor, left: float) -> Equilibria:
-    centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()]
-    first = search.solve(centre.expand(STARTS, -1), search.guesses())
-    good = (search.left(first, centre.expand(STARTS, -1)) < left) & search.inside(first, centre.expand(STARTS, -1))
-    size = (first - search.guess).square().sum(-1).where(good, torch.inf)
-    begin = first[size.argmin()] if bool(good.any()) else search.guess
-    found = search.solve(targets, begin.expand(len(targets), -1))
-    x, u = search.parts(found, targets)
-    rests = search.left(found, targets) < left
-    a, b = slopes(search.system, x, u)
-    good = rests & search.inside(found, targets) & a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
+    centre = targets[(targets - targets.mean(0)).square().sum(-1).argmin()].expand(STARTS, -1)
+    around = torch.randn(STARTS, len(search.guess), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    around[0] = 0.0
+    first = search.solve(centre, search.guess + 0.4 * around)
+    for left in (LEFT, NEARLY):
+        good = (search.left(first, centre) < left) & search.inside(first, centre)
+        size = (first - search.guess).square().sum(-1).where(good, torch.inf)
+        begin = first[size.argmin()] if bool(good.any()) else search.guess
+        found = search.solve(targets, begin.expand(len(targets), -1))
+        (x, u), rests = search.parts(found, targets), search.left(found, targets) < left
+        a, b = slopes(system, x, u)
+        good = rests & search.inside(found, targets) & a.isfinite().all(-1).all(-1) & b.isfinite().all(-1).all(-1)
+        if bool(good.any()):
+            break
     needed = u.where(rests.unsqueeze(-1), torch.nan)
     return Equilibria(targets[good], x[good], u[good], a[good], b[good], search.moved, targets[~good], needed[~good])
 
@@ -195,12 +194,6 @@ class _Search:
         self.free = [i for i in range(signature.n_x) if i not in outputs]
         self.moved = states_that_matter(system, outputs, start)
         self.guess = torch.cat([start[self.free] / self.scale[self.free], limits.mean(0)])
-
-    def guesses(self) -> Tensor:
-        """Return the start and points around it, `(STARTS, m)`."""
-        around = torch.randn(STARTS, len(self.guess), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        around[0] = 0.0
-        return self.guess + 0.4 * around
 
     def parts(self, v: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         """Return states and inputs of unknowns `(*batch, m)`."""
