@@ -37,7 +37,7 @@ from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.fit_report import FitReport
-from dynasindy.sindy.lag_states import LagStateCandidate, lag_state_candidates, with_lag_state
+from dynasindy.sindy.lag_states import lag_state_candidates, lag_state_finding, with_lag_state
 from dynasindy.sindy.library import Constraints, Factor, Feature, Library, variable
 from dynasindy.sindy.library import of as function_of
 from dynasindy.sindy.model import SindyModel
@@ -129,10 +129,8 @@ class LogFit:
     @cached_property
     def content(self) -> list[Finding]:
         """What the equations hold, and which of their states no sensor sees."""
-        found = equation_findings(self.model, self.report)
-        signal = self.model.followed.get(self.model.signature.state_names[-1])
-        if signal and (follower := LagStateCandidate(self.model, signal, 0.0).finding()):
-            found.append(follower)
+        follower = lag_state_finding(self.model)
+        found = [*equation_findings(self.model, self.report), *([follower] if follower else [])]
         return [*found, *idle_states(self.model, self.source.training)]
 
 
@@ -541,11 +539,12 @@ class _Search:
             last = best
             with _attempt():
                 trials = lag_state_candidates(best.model, best.source.training.select(self.folds[0].early))
-                for trial in trials[:LAG_STATES]:
+                for lagging in trials[:LAG_STATES]:
                     if time.process_time() - began > SHARE * self.refinement.seconds:
                         return best
-                    what, models = f"{last.what}, a state that follows {trial.signal}", self._each(trial.model)
-                    data = last.source.with_unmeasured(trial.model.signature)
+                    signal = lagging.followed[lagging.signature.state_names[-1]]
+                    what, models = f"{last.what}, a state that follows {signal}", self._each(lagging)
+                    data = last.source.with_unmeasured(lagging.signature)
                     found = self._fit(what, models, data, self._settings(select=False), of.structure)
                     best, self.lag_seconds = _better(best, found), time.process_time() - began
             if best is last:

@@ -69,16 +69,6 @@ def delay_and_trim(data: Transitions, delay: float) -> Transitions:
     return delay_inputs(data, delay).select(rows_after_delay(data, delay))
 
 
-def estimate_delay(free: Tensor, rows: Callable[[float], Rows], dt: float, longest: float) -> float:
-    """Return the delay of whole samples, `longest` [s] at most, with which all functions explain the rates best [s].
-
-    `rows` are those of the recording under inputs delayed by so much [s].
-    """
-    most = math.floor(longest / dt + 1e-9)
-    costs = [unexplained(free, *rows(k * dt)) for k in range(most + 1)]
-    return min(range(most + 1), key=costs.__getitem__) * dt
-
-
 def search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
     """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
 

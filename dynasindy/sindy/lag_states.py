@@ -15,7 +15,7 @@ T is found by regressions on signals that were led through such a lag, then with
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -37,30 +37,16 @@ PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Parts of a model's delay that are tried."""
 
 
-@dataclass(frozen=True)
-class LagStateCandidate:
-    """Hold a model with one state more, which follows a signal, not fitted yet but for a first guess.
-
-    Attributes:
-        model: the model; the state is its last.
-        signal: input or measured state that is followed.
-        gain: what the regression of the rates of change leaves over less than without it [log of the error, a row].
-    """
-
-    model: SindyModel
-    signal: str
-    gain: float
-
-    def finding(self) -> Finding | None:
-        """Return what was found, after the fit; None where the state does not follow."""
-        rate = float(self.model.coefficients[-1, -1])
-        if not rate > 0:
-            return None
-        is_input, state = self.signal in self.model.signature.input_names, _lag_state_name(self.signal)
-        return note("model.lag_state", signal=self.signal, seconds=1 / rate, is_input=is_input, state=state)
+def lag_state_finding(model: SindyModel) -> Finding | None:
+    """Return what the last state of a fitted model follows, and how fast; None where it does not."""
+    state, rate = model.signature.state_names[-1], float(model.coefficients[-1, -1])
+    if (signal := model.followed.get(state)) is None or not rate > 0:
+        return None
+    is_input = signal in model.signature.input_names
+    return note("model.lag_state", signal=signal, seconds=1 / rate, is_input=is_input, state=state)
 
 
-def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateCandidate]:
+def lag_state_candidates(model: SindyModel, data: Transitions) -> list[SindyModel]:
     """Return models with a state that follows an input or a measured state, those first that regressions prefer.
 
     Those are left out by which a regression explains no more, and all where equations are known beyond rates. What
@@ -87,7 +73,7 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
     )
     late = {delay: RegressionData.of(delay_inputs(data, delay).select(keep), rates, True) for delay in delays}
     # What may be followed: the inputs, and the measured states whose equation, or whose rate's, is sought.
-    measured, found, alone = ~data.x.isnan().all(0), [], late[model.delay]
+    measured, found, alone = ~data.x.isnan().all(0), list[tuple[float, SindyModel]](), late[model.delay]
     plain = _unexplained(model, alone.rows(model.library, model.library))
     names = [name for i, name in enumerate(model.signature.state_names) if bool(measured[i] & _moved(model, i)[1])]
     for signal in (*model.signature.input_names, *names):
@@ -101,8 +87,8 @@ def lag_state_candidates(model: SindyModel, data: Transitions) -> list[LagStateC
         # Of two numbers more each is worth half of that; what hardly lags stands for a rate, which explains itself.
         if gain > math.log(count) and (signal in model.signature.input_names or time > times[0]):
             wide.initial, wide.initial_delay = _solved(wide, rows[best], time), delay
-            found.append(LagStateCandidate(wide, signal, gain / count))
-    return sorted(found, key=lambda trial: -trial.gain)
+            found.append((gain / count, wide))
+    return [wide for _, wide in sorted(found, key=lambda each: -each[0])]
 
 
 def _moved(model: SindyModel, i: int) -> tuple[int, bool]:

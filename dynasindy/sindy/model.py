@@ -651,24 +651,22 @@ def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, follower
     From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
     it acts on: the part is what they tell by least squares.
     """
-    field, ends = generate(library, xi), [guess.x.clone(), guess.x_next.clone()]
+    field, ends, inputs = generate(library, xi), [guess.x, guess.x_next], (guess.u, guess.last_inputs)
     seconds = (torch.arange(len(guess)) - guess.segment_starts()).double() * guess.dt
+    _, stretch = guess.segment.unique(return_inverse=True)
     for follower in followers:
         others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
-        offs = [torch.zeros_like(end) for end in ends]
-        for k, off in enumerate(offs):
-            off[:, follower] = torch.exp(-float(xi[:, follower].sum()) * (seconds + k * guess.dt))
-        inputs = guess.u, guess.last_inputs
-        rates = [field(end, u)[:, others] for end, u in zip(ends, inputs, strict=True)]
-        moved = [field(end + off, u)[:, others] for end, off, u in zip(ends, offs, inputs, strict=True)]
-        slope = 0.5 * (moved[0] - rates[0] + moved[1] - rates[1])
-        left = (ends[1] - ends[0])[:, others] / guess.dt - 0.5 * (rates[0] + rates[1])
-        weight = 1 / left.square().mean(0).clamp_min(1e-300)
-        for segment in guess.segment.unique().tolist():
-            mine = guess.segment == segment
-            part = float((slope * left * weight)[mine].sum() / (slope.square() * weight)[mine].sum().clamp_min(1e-300))
-            for end, off in zip(ends, offs, strict=True):
-                end[mine] += (part if math.isfinite(part) else 0.0) * off[mine]
+        unit, fast = torch.eye(xi.shape[1], dtype=xi.dtype)[follower], float(xi[:, follower].sum())
+        offs = [torch.exp(-fast * (seconds + k * guess.dt)).unsqueeze(-1) * unit for k in (0, 1)]
+        rates, moved = (
+            0.5 * sum(field(end + size * off, u)[:, others] for end, off, u in zip(ends, offs, inputs, strict=True))
+            for size in (0, 1)
+        )
+        slope, left = moved - rates, (ends[1] - ends[0])[:, others] / guess.dt - rates
+        weight, none = 1 / left.square().mean(0).clamp_min(1e-300), seconds.new_zeros(int(stretch.max()) + 1)
+        sums = [none.index_add(0, stretch, (slope * each * weight).sum(-1)) for each in (left, slope)]
+        part = (sums[0] / sums[1].clamp_min(1e-300)).nan_to_num(0.0, 0.0, 0.0)[stretch].unsqueeze(-1)
+        ends = [end + part * off for end, off in zip(ends, offs, strict=True)]
     return replace(guess, x=ends[0], x_next=ends[1])
 
 

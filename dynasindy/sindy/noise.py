@@ -7,7 +7,7 @@ from torch import Tensor
 
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.library import Library
-from dynasindy.sindy.sensitivity import Parameters, sensitivities
+from dynasindy.sindy.sensitivity import Parameters, trajectory_sensitivities
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
@@ -85,7 +85,7 @@ def sensor_noise(library: Library, coefficients: Tensor, data: Transitions) -> t
     data = data.to(torch.float64)
     data = data.select((data.x.isfinite() & data.x_next.isfinite()).all(-1))
     parameters, inputs = Parameters.where(coefficients != 0), data.u.unsqueeze(1)
-    ends, slopes = sensitivities(library, coefficients, parameters, data.x, inputs, data.dt, 1)
+    ends, slopes = trajectory_sensitivities(library, coefficients, parameters, data.x, inputs, data.dt, 1)
     error, a = data.x_next - ends[:, 0], slopes[:, 0, :, : data.x.shape[1]]
     scale, spread = error.square().mean(0).clamp_min(1e-300), a.square().mean(0)
     follows = (data.segment[1:] == data.segment[:-1]).nonzero().squeeze(-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -15,7 +16,6 @@ from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
 from dynasindy.sindy.delay import (
     delay_and_trim,
-    estimate_delay,
     refine_delay,
     search_range,
     unexplained,
@@ -236,25 +236,23 @@ class _Fit:
         fit = replace(self, recording=self.recording.smoothed(found[0].step))
         return fit, fit._regressed(found, delay)
 
+    def _delay_cost(self, found: Model) -> Callable[[float], float]:
+        """Return what a regression under inputs that act so much later [s] leaves over, see `unexplained`."""
+        brief, field = self._brief, generate(*found)
+        return lambda late: unexplained(self.constraints.free, *brief.delayed(late).rows(found[0], field))
+
     def _rough(self, found: Model) -> float:
         """Return the delay of whole samples that a regression finds [s]; 0 where none is looked for."""
-        if not self.recording.longest:
-            return 0.0
-        brief, field = self._brief, generate(*found)
-        return estimate_delay(
-            self.constraints.free, lambda d: brief.delayed(d).rows(found[0], field), brief.measured.dt, brief.longest
-        )
+        dt, longest = self.recording.measured.dt, self.recording.longest
+        samples = range(math.floor(longest / dt + 1e-9) + 1)
+        return min((k * dt for k in samples), key=self._delay_cost(found)) if longest else 0.0
 
     def _regressed_delay(self, rough: float, found: Model) -> float:
         """Return the delay in fractions of a sample that regressions of samples without noise tell [s]."""
-        brief, field = self._brief, generate(*found)
-
-        def _cost(trial: float) -> float:
-            return unexplained(self.constraints.free, *brief.delayed(trial).rows(found[0], field))
-
-        worth, whole, dt = math.log(max(len(brief.measured), 2)), found[0].step is not None, brief.measured.dt
-        fine = refine_delay(rough, dt, brief.longest, worth, _cost, whole)
-        return rough if abs(fine - rough) < ALIKE * dt else fine
+        data, whole = self._brief.measured, found[0].step is not None
+        worth = math.log(max(len(data), 2))
+        fine = refine_delay(rough, data.dt, self.recording.longest, worth, self._delay_cost(found), whole)
+        return rough if abs(fine - rough) < ALIKE * data.dt else fine
 
     def _by_single_steps(self, first: Model, delay: float) -> Refined:
         """Return the model of least one-step error, that of trajectories of one interval without noise."""

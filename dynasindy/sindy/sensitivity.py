@@ -70,7 +70,7 @@ class Parameters:
         return mask
 
 
-def sensitivities(
+def trajectory_sensitivities(
     library: Library,
     xi: Tensor,
     parameters: Parameters,
@@ -129,5 +129,5 @@ def sensitivities(
 def slopes_by_state(library: Library, xi: Tensor, x: Tensor, u: Tensor) -> Tensor:
     """Return the derivatives of the rates by the states, `(N, n_x, n_x)`: of a step of 1 s by them, less one."""
     n_x, none = xi.shape[1], Parameters.where(torch.zeros_like(xi, dtype=torch.bool))
-    slopes = sensitivities(library.with_step(1.0), xi, none, x, u.unsqueeze(1), 1.0, 1)[1][:, 0, :, :n_x]
+    slopes = trajectory_sensitivities(library.with_step(1.0), xi, none, x, u.unsqueeze(1), 1.0, 1)[1][:, 0, :, :n_x]
     return slopes - torch.eye(n_x, dtype=slopes.dtype)

@@ -17,7 +17,7 @@ from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.covariance import STRETCHES, Covariance, jackknife
 from dynasindy.sindy.library import Feature, Library
-from dynasindy.sindy.sensitivity import Parameters, sensitivities, slopes_by_state
+from dynasindy.sindy.sensitivity import Parameters, slopes_by_state, trajectory_sensitivities
 from dynasindy.systems.interpreter import MeasurementUpdate
 from dynasindy.systems.transitions import Transitions
 
@@ -253,7 +253,7 @@ class Flow:
         estimate, windows = self.estimate, self.windows
         begin = estimate.nodes, windows.inputs, windows.dt, windows.substeps, windows.last_inputs
         update = estimate.measurement_update(windows)
-        s = sensitivities(estimate.library, estimate.xi, self.parameters, *begin, update)[1]
+        s = trajectory_sensitivities(estimate.library, estimate.xi, self.parameters, *begin, update)[1]
         if windows.history is None:
             return s
         later = _states_of(estimate, windows.delayed(estimate.delay + STEP * windows.dt))

@@ -8,7 +8,7 @@ from dynasindy.sindy.codegen import simulate
 from dynasindy.sindy.functions import register_function
 from dynasindy.sindy.library import Library, of, parse, variable
 from dynasindy.sindy.named_libraries import paper_table
-from dynasindy.sindy.sensitivity import Parameters, sensitivities, slopes_by_state
+from dynasindy.sindy.sensitivity import Parameters, slopes_by_state, trajectory_sensitivities
 from dynasindy.systems import Xi
 from dynasindy.systems.base import Signature
 from dynasindy.systems.interpreter import MeasurementUpdate
@@ -56,7 +56,7 @@ def test_sensitivities_are_those_of_autograd_through_the_integrator(path, linear
     x, u, h = draw(5, 6, seed=3), draw(5, 2, seed=4), 0.1
     u_end = draw(5, 2, seed=5) if linear else u
     ends = u_end.unsqueeze(1) if linear else None
-    found = sensitivities(LIBRARY, xi, parameters, x, u.unsqueeze(1), h, 3, ends)
+    found = trajectory_sensitivities(LIBRARY, xi, parameters, x, u.unsqueeze(1), h, 3, ends)
     ours, s = (each[:, 0] for each in found)
 
     def predict(x, values, u, u_end):
@@ -104,7 +104,7 @@ def test_trajectories_move_with_numbers_inside_functions_as_autograd_says(path, 
 
     fitted = torch.tensor([[0, 1, 1], [0, 0, 1]])
     observer, ends = MeasurementUpdate(measured, gain, fitted) if observed else None, u_end if linear else None
-    ours, s = sensitivities(library, xi, Parameters.where(xi != 0), x, u, 0.2, 2, ends, observer)
+    ours, s = trajectory_sensitivities(library, xi, Parameters.where(xi != 0), x, u, 0.2, 2, ends, observer)
     rest, each = (x, gain, numbers, xi, u, u_end, measured), (0, None, None, None, 0, 0, 0)
     torch.testing.assert_close(ours, torch.func.vmap(predict, each)(*rest), rtol=1e-12, atol=1e-14)
     torch.testing.assert_close(simulate(library, xi, x, u, 0.2, 2, ends, observer), ours, rtol=1e-12, atol=1e-14)
@@ -121,7 +121,7 @@ def test_steps_of_a_difference_equation_have_the_slopes_of_their_formula(path):
     xi = torch.tensor([[-0.8], [1.5]], dtype=torch.float64)
     x, u = draw(5, 1, seed=1), draw(5, 1, seed=2)
     first = x - 0.4 * x**2 + 0.75 * u
-    found = sensitivities(library, xi, Parameters.where(xi != 0), x, u.unsqueeze(1), 1.0, 7)
+    found = trajectory_sensitivities(library, xi, Parameters.where(xi != 0), x, u.unsqueeze(1), 1.0, 7)
     end, slopes = (each[:, 0] for each in found)
     torch.testing.assert_close(end, first - 0.4 * first**2 + 0.75 * u)
     before, after = 1 - 0.8 * x, 1 - 0.8 * first
@@ -163,7 +163,7 @@ def test_a_function_without_a_formula_is_moved_by_torch(monkeypatch):
     xi = torch.tensor([[2.0, 0.0]], dtype=torch.float64)
     x, u = points()
     (a, b), square = x.unbind(-1), x.square().sum(-1)
-    found = sensitivities(library, xi, Parameters.where(xi != 0), x, u.unsqueeze(1), 0.5, 1)
+    found = trajectory_sensitivities(library, xi, Parameters.where(xi != 0), x, u.unsqueeze(1), 0.5, 1)
     end, slopes = (each[:, 0] for each in found)
     torch.testing.assert_close(end, torch.stack([a + torch.atan2(a, b), b], -1))
     wanted = torch.stack([1 + b / square, -a / square, 0.5 * torch.atan2(a, b)], -1)
