@@ -169,7 +169,8 @@ class InfixWriter(Writer):
         group = [(p, c) for p, c in terms if shared in p]
         rest = [(p, c) for p, c in terms if shared not in p]
         power = min(p[shared] for p, _ in group)
-        inner = self._sum([(_divided(p, shared, power), c) for p, c in group])
+        divided = [({f: left for f, n in p.items() if (left := n - power * (f == shared))}, c) for p, c in group]
+        inner = self._sum(divided)
         factor = self._power(shared, power)
         if not rest:
             return self._line((inner, "*", factor), f"{inner} * {factor}")
@@ -210,12 +211,6 @@ class InfixWriter(Writer):
 
     def _plus_scaled(self, total: str, value: str, c: float) -> str:
         return f"{total} + {self._constant(c)} * {value}"
-
-
-def _divided(powers: dict[Factor, int], factor: Factor, power: int) -> dict[Factor, int]:
-    """Divide a product by a power of one of its functions."""
-    left = {**powers, factor: powers[factor] - power}
-    return {f: n for f, n in left.items() if n}
 
 
 class _TorchWriter(InfixWriter):

@@ -153,7 +153,7 @@ def with_lag_state(model: SindyModel, signal: str) -> SindyModel:
         model: what may act through a lag.
         signal: the input in whose place the state stands, or a measured state that it stands beside.
     """
-    old, name = model.signature, _lag_state_name(signal)
+    old, name = model.signature, f"{signal}_lagging"
     own, states = of("ahead", signal, name), model.signature.state_names
     read, more = list(model.library.features), {}
     if signal in old.input_names:
@@ -191,11 +191,6 @@ def _lag_dynamics(signal: Tensor, data: Transitions, time: float) -> tuple[Tenso
         ends[reach:], gain[reach:] = ends[reach:] + gain[reach:] * ends[:-reach], gain[reach:] * gain[:-reach]
         reach *= 2
     return torch.where(anew, signal, ends.roll(1)), ends
-
-
-def _lag_state_name(name: str) -> str:
-    """Return the name of the state that follows a signal."""
-    return f"{name}_lagging"
 
 
 def lag_state_ranges(model: SindyModel, data: Transitions) -> dict[int, tuple[float, float]]:

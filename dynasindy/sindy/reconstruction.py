@@ -65,7 +65,11 @@ class RegressionData:
     @cached_property
     def half(self) -> int:
         """Half of the length of the bump of the weak form [samples], by the noise; 0 of samples that all are exact."""
-        return half_bump(self.measured) if self.noisy or has_gaps(self.measured) else 0
+        if not (self.noisy or has_gaps(self.measured)):
+            return 0
+        columns = (interpolate_gaps(column.numpy()) for column in self.measured.x_next.unbind(-1))
+        half = max(best_length(column) for column in columns if column is not None) // 2
+        return min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
 
     @property
     def dependent(self) -> float:
@@ -121,13 +125,6 @@ class RegressionData:
         ago = torch.arange(math.ceil(self.longest / data.dt - 1e-9) + 1, 0, -1)
         rows = torch.maximum(torch.arange(len(data)).unsqueeze(-1) - ago, data.segment_starts().unsqueeze(-1))
         return data.u[rows[self.known]]
-
-
-def half_bump(measured: Transitions) -> int:
-    """Return half of the length of the bump of the weak form that the noise of a recording asks for [samples]."""
-    columns = (interpolate_gaps(column.numpy()) for column in measured.x_next.double().unbind(-1))
-    half = max(best_length(column) for column in columns if column is not None) // 2
-    return min(max(half, SHORTEST_BUMP), LONGEST_BUMP)
 
 
 def rate_states(library: Library, constraints: Constraints) -> dict[int, int]:

@@ -193,7 +193,11 @@ class _Fit:
             delay = self._regressed_delay(delay, first)
         found = self._regressed(first, delay)
         if self.general and wanted == "integral" and not bool(data.x.isnan().any() | data.x_next.isnan().any()):
-            fit = self._needed(found, delay)
+            # Samples at the edge of what was seen tell which functions are needed.
+            seen, given, ranks = self._brief.delayed(delay), self.constraints, [f.complexity for f in found[0].features]
+            rows = seen.rows(found[0], generate(*found))
+            free = needed_at_edge(rows, seen.guess.x, given.free, given.offset, ranks)
+            fit = replace(self, constraints=replace(given, free=free))
             found = fit._regressed(found, delay)
         hidden = not bool(found[1].any()) and wanted in ("auto", "trajectory")
         if hidden and not bool(data.x.isnan().any()):  # noise of single samples may hide every function
@@ -217,14 +221,6 @@ class _Fit:
         if at_end:
             findings += (weak("fit.longest_delay", seconds=longest),)
         return refined._replace(findings=findings, delay_at_end=at_end)
-
-    def _needed(self, found: Model, delay: float) -> _Fit:
-        """Return the fit of the functions that samples at the edge of what was seen need."""
-        seen, constraints = self._brief.delayed(delay), self.constraints
-        rows = seen.rows(found[0], generate(*found))
-        ranks = [feature.complexity for feature in found[0].features]
-        free = needed_at_edge(rows, seen.guess.x, constraints.free, constraints.offset, ranks)
-        return replace(self, constraints=replace(constraints, free=free))
 
     @cached_property
     def _brief(self) -> RegressionData:

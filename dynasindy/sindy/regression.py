@@ -80,6 +80,22 @@ def _backward(
         triangle, active = torch.linalg.qr(triangle[:, [*keep, n]], mode="r")[1], active[keep]
 
 
+def _best_set(
+    theta: Tensor,
+    target: Tensor,
+    active: Tensor,
+    score: Callable[[Tensor, Tensor], float],
+    dependent: float = DEPENDENT,
+) -> tuple[float, Tensor]:
+    """Return the least score, of R of [columns, target] and their places, that `_backward` comes by, and the places."""
+    n, rows = len(active), torch.cat([theta[:, active], target.unsqueeze(-1)], -1)
+    triangle = torch.linalg.qr(torch.nn.functional.pad(rows, (0, 0, 0, max(0, n + 1 - len(rows)))), mode="r")[1]
+    sets = ((left, some) for left, some, _ in _backward(triangle, active, dependent=dependent))
+    # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is scored.
+    apart = (pair for pair in sets if bool((pair[0].diagonal()[: len(pair[1])].abs() >= dependent).all()))
+    return min(((score(*pair), pair[1]) for pair in apart), key=lambda scored: scored[0])
+
+
 def _solution(triangle: Tensor, n: int) -> Tensor:
     """Return the least squares solution for n columns, `(n,)`."""
     return torch.linalg.solve_triangular(triangle[:n, :n], triangle[:n, n:], upper=True).squeeze(-1)
@@ -130,9 +146,9 @@ def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Param
     n = n_fixed + len(active)
     columns, error = triangle[n:, n:-1], triangle[n:, -1]
     growth = (columns.mT @ error).square() / columns.square().sum(0).clamp_min(1e-12)
-    best = others.best_of_each_state(growth, 2 * limit)
-    if len(best):
-        return torch.cat([torch.arange(len(active)), len(active) + best])
+    firsts = [int(growth.where(others.states == state, -1.0).argmax()) for state in others.states.unique()]
+    if best := [first for first in firsts if float(growth[first]) > 2 * limit]:
+        return torch.cat([torch.arange(len(active)), len(active) + torch.tensor(best)])
     swaps: dict[float, Tensor] = {}
     for k in range(len(others)):
         state = others.states[k]
@@ -225,43 +241,27 @@ def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexi
     theta = theta / theta.norm(dim=0).clamp_min(1e-300)
     ranks, needed = torch.tensor(complexity), free.clone()  # all where nothing tells
     weights = torch.where(ranks > 1, 2.0, 1.0)
+    inside, beyond = theta[~outer], theta[outer]
     for i in free.any(0).nonzero().flatten().tolist():
-        inside, beyond = ((theta[part], dx[part, i]) for part in (~outer, outer))
-        best, tried = math.inf, -1
+        real, best, tried = dx[outer, i], math.inf, -1
+
+        def _score(triangle: Tensor, active: Tensor, real: Tensor = real) -> float:
+            if not len(active):
+                return math.inf
+            error = (real - beyond[:, active] @ _solution(triangle, len(active))).norm() / real.norm().clamp_min(1e-300)
+            return math.log(max(float(error), NEGLIGIBLE)) + PER_TERM * float(weights[active].sum())
+
         for rank in ranks.unique().tolist():
             mine = (free[:, i] & (ranks <= rank)).nonzero().flatten()
-            if len(mine) == tried or 2 * len(mine) > len(inside[0]):
+            if len(mine) == tried or 2 * len(mine) > len(inside):
                 continue
             tried = len(mine)
-            score, chosen = _least_at_edge(inside, beyond, mine, weights)
+            score, chosen = _best_set(inside, dx[~outer, i], mine, _score)
             if score < best:
                 best = score
                 needed[:, i] = False
                 needed[chosen, i] = True
     return needed
-
-
-def _least_at_edge(
-    inside: tuple[Tensor, Tensor], beyond: tuple[Tensor, Tensor], active: Tensor, weights: Tensor
-) -> tuple[float, Tensor]:
-    """Drop functions, least missed first, and return the least score at the edge and the functions that have it.
-
-    Args:
-        inside: functions, and a rate of change, that coefficients are fitted to.
-        beyond: those at the edge.
-        active: functions to begin with, `(n,)`.
-        weights: how many terms each function counts as, `(n_features,)`.
-    """
-    triangle = torch.linalg.qr(torch.cat([inside[0][:, active], inside[1].unsqueeze(-1)], -1), mode="r")[1]
-    size, best, chosen = float(beyond[1].norm().clamp_min(1e-300)), math.inf, active
-    for left, some, _ in _backward(triangle, active):
-        n = len(some)
-        if n and float(left[:n, :n].diagonal().abs().min()) >= DEPENDENT:
-            error = float((beyond[1] - beyond[0][:, some] @ _solution(left, n)).norm()) / size
-            score = math.log(max(error, NEGLIGIBLE)) + PER_TERM * float(weights[some].sum())
-            if score < best:
-                best, chosen = score, some
-    return best, chosen
 
 
 AT_ONCE = 10_000
@@ -506,18 +506,13 @@ def _eliminate(
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in support.any(0).nonzero().flatten().tolist():
-        chosen = mine = support[:, i].nonzero().squeeze(-1)
-        least = math.inf
-        triangle = torch.linalg.qr(torch.cat([theta[:, mine], targets[:, i : i + 1]], -1), mode="r")[1]
-        triangle = torch.nn.functional.pad(triangle, (0, 0, 0, max(0, len(mine) + 1 - len(triangle))))
-        for left, active, _ in _backward(triangle, mine, dependent=dependent):
+
+        def _score(triangle: Tensor, active: Tensor) -> float:
             n = len(active)
-            squared = float(left[n:, n].square().sum())
-            score = count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
-            # Dependent columns leave a row of R to nobody, which would count as explained: they go before a set is
-            # scored.
-            if score < least and (not n or float(left[:n, :n].diagonal().abs().min()) >= dependent):
-                chosen, least = active, score
+            squared = float(triangle[n:, n].square().sum())
+            return count * math.log(squared + tolerance**2) + n * math.log(max(count, 2))
+
+        _, chosen = _best_set(theta, targets[:, i], support[:, i].nonzero().squeeze(-1), _score, dependent)
         if len(chosen):
             coefficients[chosen, i] = least_squares(theta[:, chosen], targets[:, i])
     return coefficients

@@ -44,15 +44,6 @@ class Parameters:
         """Count the coefficients."""
         return len(self.features)
 
-    def best_of_each_state(self, gain: Tensor, limit: float) -> Tensor:
-        """Return, for each state, the place of the coefficient of largest gain, if that is above the limit."""
-        best: list[int] = []
-        for state in self.states.unique().tolist():
-            mine = (self.states == state).nonzero().flatten()
-            first = mine[gain[mine].argmax()]
-            best += [int(first)] if float(gain[first]) > limit else []
-        return torch.tensor(best, dtype=torch.int64)
-
     def read(self, xi: Tensor) -> Tensor:
         """Return their values, `(P,)`."""
         return xi[self.features, self.states]

@@ -92,17 +92,14 @@ def _step(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance:
     normal, target = [], []
     for i in range(xi.shape[1]):
         weight = 1 / (error[:, i].norm() + tolerance * dx[:, i].norm()).clamp_min(1e-300)
-        basis = torch.linalg.qr(_unit(theta[:, active[:, i]]))[0]
+        mine = theta[:, active[:, i]]
+        basis = torch.linalg.qr(mine / mine.norm(dim=0).clamp_min(1e-300))[0]
         own = slopes[:, :, i] - basis @ (basis.mT @ slopes[:, :, i])
         normal.append(weight * own)
         target.append(weight * error[:, i : i + 1])
     columns = torch.cat(normal)
     scale = columns.norm(dim=0).clamp_min(1e-300)
     return least_squares(columns / scale, torch.cat(target)).flatten() / scale
-
-
-def _unit(columns: Tensor) -> Tensor:
-    return columns / columns.norm(dim=0).clamp_min(1e-300)
 
 
 COUPLINGS = (-0.03, -0.1, -0.3, -0.6, -0.85)
