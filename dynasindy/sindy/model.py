@@ -123,7 +123,12 @@ class SindyModel(WorldModel):
         super().__init__(signature)
         self.findings: tuple[Finding, ...] = ()
         self.linear_inputs: tuple[str, ...] = ()
-        self.machine_code, self.library = machine_code, _with_time(build_library(library, signature), time)
+        if time not in (None, "continuous", "discrete"):
+            word = setting("world_model.time")
+            raise ValueError(f"{word} is {time!r}; allowed are continuous and discrete: choose one")
+        self.machine_code, self.library = machine_code, build_library(library, signature)
+        if time is not None and (time == "discrete") != (self.library.step is not None):
+            self.library = self.library.with_step(UNTOLD if time == "discrete" else None)
         self.named, self.places = library if isinstance(library, str) else None, list[int]()
         self.register_buffer("coefficients", torch.zeros(len(self.library), signature.n_x, dtype=torch.float64))
         self._field: Field | None = None
@@ -634,15 +639,6 @@ def _by_period(data: Transitions) -> Transitions:
     last = None if data.u_end is None else data.u_end[n - 1 :: n]
     rows = data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n]
     return Transitions(*rows, u_end=last)
-
-
-def _with_time(library: Library, time: str | None) -> Library:
-    """Return the library as one of differential (`continuous`) or difference (`discrete`) equations; None as it is."""
-    if time not in (None, "continuous", "discrete"):
-        raise ValueError(f"{setting('world_model.time')} is {time!r}; allowed are continuous and discrete: choose one")
-    if time is None or (time == "discrete") == (library.step is not None):
-        return library
-    return library.with_step(UNTOLD if time == "discrete" else None)
 
 
 def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:

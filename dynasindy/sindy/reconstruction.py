@@ -164,20 +164,23 @@ def reconstruct(data: Transitions, rates: Mapping[int, int], noisy: bool = False
     data = data.to(torch.float64)
     if not noisy and not has_gaps(data):
         return data
-    x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
-    lengths: dict[int, int] = {}
+    return _interpolated(data, rates, True)
+
+
+def _interpolated(data: Transitions, rates: Mapping[int, int], smooth: bool) -> Transitions:
+    """Return a recording with local cubics, or else straight lines over lost samples, zero where a state has none."""
+    x, x_next, lengths = torch.zeros_like(data.x), torch.zeros_like(data.x), dict[int, int]()
     for rows in torch.arange(len(data)).split(data.segment.unique_consecutive(return_counts=True)[1].tolist()):
         samples = torch.cat([data.x[rows[:1]], data.x_next[rows]])
-        guessed = torch.zeros_like(samples)
-        for i in range(samples.shape[1]):
-            rate_of = rates.get(i) if bool(samples[:, i].isnan().all()) else None
-            column = interpolate_gaps(samples[:, i if rate_of is None else rate_of].numpy())
-            if column is None:
+        for i, blind in enumerate(samples.isnan().all(0).tolist()):
+            source = rates.get(i, i) if blind else i
+            if (column := interpolate_gaps(samples[:, source].numpy())) is None:
                 continue
-            source = i if rate_of is None else rate_of
-            lengths.setdefault(source, best_length(column))
-            guessed[:, i] = torch.from_numpy(local_cubic(column, lengths[source], data.dt, int(rate_of is not None)))
-        x[rows], x_next[rows] = guessed[:-1], guessed[1:]
+            if smooth:
+                lengths[source] = lengths.get(source) or best_length(column)
+                column = local_cubic(column, lengths[source], data.dt, int(source != i))
+            guess = torch.from_numpy(column)
+            x[rows, i], x_next[rows, i] = guess[:-1], guess[1:]
     return replace(data, x=x, x_next=x_next)
 
 
@@ -286,7 +289,7 @@ def find_rates(data: Transitions) -> dict[int, int]:
 
     Its integral by the trapezoidal rule is what the other one moves by.
     """
-    data = _bridged(data)
+    data = _interpolated(data, {}, False) if has_gaps(data) else data
     rows = torch.arange(len(data) - WINDOW + 1)
     last = rows + WINDOW - 1
     rows, last = (k[data.segment[rows] == data.segment[last]] for k in (rows, last))
@@ -295,19 +298,6 @@ def find_rates(data: Transitions) -> dict[int, int]:
     left = (moved.unsqueeze(-1) - (sums[last + 1] - sums[rows]).unsqueeze(-2)).square().sum(0)  # (state, rate)
     alike = left < ALIKE * moved.square().sum(0).unsqueeze(-1)
     return {rate: state for state, rate in alike.nonzero().tolist() if state != rate}
-
-
-def _bridged(data: Transitions) -> Transitions:
-    """Return a recording with straight lines over lost samples, zero where a segment has none of a state."""
-    if not has_gaps(data):
-        return data
-    x, x_next = torch.zeros_like(data.x), torch.zeros_like(data.x)
-    for segment in data.segment.unique_consecutive().tolist():
-        rows = (data.segment == segment).nonzero().flatten()
-        for i, column in enumerate(torch.cat([data.x[rows[:1]], data.x_next[rows]]).unbind(-1)):
-            if (whole := interpolate_gaps(column.numpy())) is not None:
-                x[rows, i], x_next[rows, i] = torch.from_numpy(whole[:-1]), torch.from_numpy(whole[1:])
-    return replace(data, x=x, x_next=x_next)
 
 
 def _moves_on(library: Library, data: Transitions, i: int) -> bool:

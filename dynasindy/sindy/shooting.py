@@ -500,8 +500,11 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
     nodes = torch.cat(moves) if windows.floor is None else moves[0]
     norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
     rest = [_starts(flow, sigma, nodes, norms)] if joined else []
-    if windows.prior is not None:
-        rest.append(_small(flow, triangles[0].shape[1]))
+    if windows.prior is not None:  # coefficients are likely to be small
+        count, weight = len(flow.parameters), 1 / flow.parameters.read(windows.prior)
+        rest.append(torch.zeros(count, triangles[0].shape[1], dtype=weight.dtype))
+        rest[-1][:, -1 - count : -1] = torch.diag(weight)
+        rest[-1][:, -1] = -weight * flow.parameters.read(flow.estimate.xi)
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
         estimate, parameters = flow.estimate, flow.parameters
@@ -566,17 +569,6 @@ def _unlikely(flow: Flow) -> float:
         return 0.0
     parameters = flow.parameters
     return float((parameters.read(flow.estimate.xi) / parameters.read(flow.windows.prior)).square().sum())
-
-
-def _small(flow: Flow, width: int) -> Tensor:
-    """Return rows that say of each coefficient that it is likely to be small, `(P, F + P + 1)`."""
-    assert flow.windows.prior is not None
-    parameters = flow.parameters
-    weight = 1 / parameters.read(flow.windows.prior)
-    rows = torch.zeros(len(parameters), width, dtype=weight.dtype)
-    rows[:, width - 1 - len(parameters) : -1] = torch.diag(weight)
-    rows[:, -1] = -weight * parameters.read(flow.estimate.xi)
-    return rows
 
 
 def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
