@@ -26,9 +26,6 @@ TELLING = 4.0
 CLOSE = 5e-3
 """Samples to which a delay is found by regressions."""
 
-Cost = Callable[[float], float]
-"""Delay [s] to N/2 times the logarithm of the squared error of a model fitted with it, summed over the states."""
-
 
 def delay_inputs(data: Transitions, delay: float) -> Transitions:
     """Return a recording whose inputs act `delay` seconds later; before its first sample the first input held.
@@ -94,7 +91,9 @@ def search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> 
     return found
 
 
-def refine_delay(rough: float, dt: float, longest: float, worth: float, cost: Cost, whole: bool = False) -> float:
+def refine_delay(
+    rough: float, dt: float, longest: float, worth: float, cost: Callable[[float], float], whole: bool = False
+) -> float:
     """Return the delay that explains a recording best, in fractions of a sample [s]; 0 if none is hardly worse.
 
     Args:
@@ -102,7 +101,7 @@ def refine_delay(rough: float, dt: float, longest: float, worth: float, cost: Co
         dt: length of a sample [s].
         longest: longest delay [s].
         worth: what a delay must lower the cost by.
-        cost: what a fit to the recording under inputs delayed by so much leaves over.
+        cost: N/2 times the logarithm of the squared errors that a fit under inputs delayed by so much [s] leaves over.
         whole: whether it is a whole number of samples, as that of a difference equation.
     """
     known = cache(cost)

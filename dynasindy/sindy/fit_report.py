@@ -173,21 +173,16 @@ class FitReport:
         library, xi, _ = self._source
         shares = 100 * self.covariance.shares(xi)
         worst = int(shares.argmax())
+        feature, state = int(self.covariance.features[worst]), int(self.covariance.states[worst])
         return [
             note(
                 "fit.standard_errors",
                 median=float(shares.median()),
-                least=self._place(worst),
+                least=f"{library.names[feature]} in {change_of(library, library.signature.state_names[state])}",
                 worst=float(shares[worst]),
                 of_step=library.step is not None,
             )
         ]
-
-    def _place(self, k: int) -> str:
-        """Name a coefficient of the covariance by its function and its equation."""
-        assert self.covariance is not None
-        library, feature, state = self._source[0], int(self.covariance.features[k]), int(self.covariance.states[k])
-        return f"{library.names[feature]} in {change_of(library, library.signature.state_names[state])}"
 
     def to_text(self) -> str:
         """Write the report in a few lines."""
