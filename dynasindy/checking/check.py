@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -207,11 +207,11 @@ class Check:
         y = self.drawn.x[..., self.drawn.outputs]
         return int(diverged_rows(y, self.targets[self.farthest], self.reach, self.loop.dt).sum())
 
-    def beginning(self, written: Callable[[str], str] = str) -> str:
-        """Return in words where steps begin; `written` says how the name of a state is written."""
+    def beginning(self) -> str:
+        """Return in words where steps begin."""
         signature = self.loop.signature
         states = zip(signature.state_names, self.begin.tolist(), signature.state_units, strict=True)
-        return ", ".join(f"{written(name)} = {x:.3g} {unit}" for name, x, unit in states if x) or "the origin"
+        return ", ".join(f"{name} = {x:.3g} {unit}" for name, x, unit in states if x) or "the origin"
 
     @property
     def stable(self) -> Tensor:

@@ -172,17 +172,17 @@ def representative_episode(evaluation: Evaluation) -> RepresentativeEpisode:
     if number == 1:
         return RepresentativeEpisode(0, "")
     starts = evaluation.trajectory["state"][:, 0]
-    row, why = 0, "the same for every controller"
+    row, why = 0, ""
     if bool((starts != starts[0]).any()):
         row, why = _farthest(evaluation)
-    return RepresentativeEpisode(row, f"episode {row + 1} of {number}, {why}; {_better(evaluation, row)}")
+    return RepresentativeEpisode(row, f"episode {row + 1} of {number}{why}; {_better(evaluation, row)}")
 
 
 def _farthest(evaluation: Evaluation) -> tuple[int, str]:
     if not evaluation.columns:
         first = evaluation.trajectory["next", "reward"][:, 0].flatten()
-        return int(first.argmin()), "the one that starts where least is earned"
-    return int(evaluation.errors[:, 0].amax(-1).argmax()), "the one that starts farthest from its target"
+        return int(first.argmin()), ", which starts where least is earned"
+    return int(evaluation.errors[:, 0].amax(-1).argmax()), ", which starts farthest from its target"
 
 
 def _better(evaluation: Evaluation, row: int) -> str:

@@ -117,7 +117,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         x, u = torch.cat([x, found.drawn.x]), torch.cat([u, found.drawn.u])
     y, inputs = array(x[:, :, outputs]), signature.in_own_units(array(u))
     targets, reach = array(found.targets[far]), array(found.reach)
-    title = f"Farthest step: from {found.beginning(symbol)} to {_in_words(found, found.targets[far])}"
+    title = f"Farthest step, to {_in_words(found, found.targets[far])}"
     n_r, n_u = len(outputs), signature.n_u
     figure, axes = panels(n_r + n_u, 1, (7.0, 2.1 * n_r + 1.4 * n_u), title)
     seconds = array(dt * np.arange(y.shape[1]))
@@ -165,9 +165,8 @@ def _looks(stays: Sequence[bool], how: str) -> list[dict[str, Any]]:
 
 def _recovery(found: Check, limits: Thresholds) -> Figure:
     title = (
-        f"Errors from which the model comes back to its rest at {_in_words(found, found.middle)}: within "
-        f"{format_duration(found.seconds)} to {100 * TOLERANCE:g} % of each output's range "
-        f"(asked for: {100 * limits.recovered:.0f} % of them)"
+        f"Errors that shrink to {100 * TOLERANCE:g} % of the range within {format_duration(found.seconds)} "
+        f"(asked: {100 * limits.recovered:.0f} % of them)"
     )
     planes, colors = found.planes, ListedColormap([RED, GREEN])
     figure, axes = panels(1, len(planes), (max(6.0, 3.6 * len(planes)), 3.8), title, sharex=False)
