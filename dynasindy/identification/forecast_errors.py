@@ -33,8 +33,9 @@ from dynasindy.text import MANY
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 20)
 """Numbers of past samples to choose from."""
-ENOUGH_ROWS = 50_000
-"""Rows of a long recording that tell some fifty weights as well as all of them."""
+ENOUGH_ROWS, ENOUGH_SAMPLES = 50_000, 200_000
+"""Rows of a long recording that tell some fifty weights as well as all of them, and predicted samples that tell which
+of two models is better."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class LinearModel:
             most: largest order.
         """
         starts, _ = start_rows(data, most, steps)
+        starts = starts[:: -(-len(starts) * steps // ENOUGH_SAMPLES)]
         later, real = samples_after(data, starts, steps)
         spread = variance(data.x_next.double()).clamp_min(1e-300)
 
