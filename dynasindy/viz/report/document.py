@@ -94,7 +94,7 @@ Part = str | TextTable | Picture
 
 @dataclass
 class Section:
-    """A heading, a paragraph, a table of findings, and the parts that show them."""
+    """A heading, a paragraph, figures, a table of findings, and the other parts that show them."""
 
     title: str
     words: str = ""
@@ -110,7 +110,9 @@ class Section:
             cells.setdefault(one.statement.words, {})[one.case] = f"{one.verdict.value} ({one.ours})"
         rows = [[words, *(of.get(case, "") for case in cases)] for words, of in cells.items()]
         table = [TextTable(["the paper", *cases], rows)] if rows else []
-        return [*([self.words] if self.words else []), *table, *self.parts]
+        figures = [part for part in self.parts if isinstance(part, Picture)]
+        others = [part for part in self.parts if not isinstance(part, Picture)]
+        return [*filter(None, [self.words]), *figures, *table, *others]
 
 
 def render_markdown(title: str, sections: Sequence[Section]) -> str:
