@@ -192,6 +192,28 @@ def test_a_larger_library_begins_with_the_equations_that_each_part_of_the_log_ga
         fitted(source)
 
 
+@pytest.mark.usefixtures("one_fold")
+def test_of_two_angles_regressions_choose_among_all_functions_but_those_divided_by_an_inertia(monkeypatch):
+    signature = Signature(("p", "q", "p_rate", "q_rate"), ("rad", "rad", "rad/s", "rad/s"), ("u",), (1.0,) * 4)
+    x = np.random.default_rng(0).normal(0, 1, (101, 4))
+    source, regressed = source_of(x, steps(1, 10, 10), 0.1, signature.state_names, signature.state_units), []
+
+    def _factors(library):
+        return [[(factor.function, factor.variables) for factor in each.factors] for each in library.features]
+
+    def _fit(model, data):
+        if model.refinement.method == "trajectory" and model.refinement.rounds:
+            regressed.extend(_factors(model.library))
+            raise StopIteration  # what follows is not looked at
+        model.set_coefficients(-1e-3 * model.constraints.free.double() + model.constraints.offset)
+
+    monkeypatch.setattr(SindyModel, "fit", _fit)
+    with pytest.raises(StopIteration):
+        fitted(source, known={"p": "p_rate", "q": "q_rate"})
+    words = auto_rig(signature)
+    assert regressed == [each for name, each in zip(words.names, _factors(words), strict=True) if "/" not in name]
+
+
 def noisy_tank(rows=600, pushes=0.01):
     u, y, rng = steps(0, rows // 10, 10), [0.0], np.random.default_rng(0)
     for held in u:
