@@ -121,7 +121,7 @@ class UdpRig:
             left = 0.0 if newest is not None else end - time.monotonic()
             if newest is None and left <= 0:
                 return None
-            self._socket.settimeout(max(left, 1e-6))
+            self._socket.settimeout(left)
             try:
                 with self._named():
                     datagram = self._socket.recv(65536)

@@ -183,12 +183,12 @@ class Machine:
         if stops not in self._ends:
             places = range(self.n_x)  # of a column that is negative, and counts from the last, too
             columns = ([places[column] for column in of] for of in (stops.positions, stops.rates))
-            at = ((ctypes.c_int * max(1, len(of)))(*of) for of in columns)
+            at = ((ctypes.c_int * len(of))(*of) for of in columns)
             self._ends[stops] = *at, self._reals(stops.low), self._reals(stops.high)
         return self._ends[stops]
 
     def _reals(self, values: Sequence[float]) -> ctypes.Array[ctypes.c_float] | ctypes.Array[ctypes.c_double]:
-        return (self._real * max(1, len(values)))(*values)
+        return (self._real * len(values))(*values)
 
 
 def _rows(n_x: int, n_u: int, width: int) -> int:

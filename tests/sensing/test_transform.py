@@ -104,6 +104,14 @@ def test_observation_and_reward_are_those_of_the_estimates():
         assert row["next", "reward"].item() != row["next", "true_reward"].item()
 
 
+def test_an_episode_whose_estimates_become_the_truth_shows_and_earns_what_the_plant_itself_did():
+    env, sensing, sensed = behind()
+    bare = env.rollout(20, chirp())
+    shown = sensing.reestimated(sensed.rollout(20, chirp()), torch.cat([bare["state"], bare["next", "state"][-1:]]))
+    for key in ("state", "observation", ("next", "state"), ("next", "observation"), ("next", "reward")):
+        torch.testing.assert_close(shown[key], bare[key], rtol=1e-6, atol=1e-6)
+
+
 @pytest.mark.parametrize(("actuator", "late"), [(1, 0), (2, 0), (0, 2), (1, 1)])
 def test_an_estimate_is_for_the_time_at_which_the_next_action_arrives(actuator, late):
     """A model that knows the delay sees the plant of `actuator` periods later, through sensors `late` periods late."""
