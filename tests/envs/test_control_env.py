@@ -44,6 +44,31 @@ def test_the_step_is_differentiable():
     assert u.grad[0, 1].item() == pytest.approx(6100 * 0.05, rel=0.02)
 
 
+class Ramps(System):
+    """da/dt = u, db/dt = 1: states are straight lines."""
+
+    def __init__(self):
+        super().__init__(Signature(("a", "b"), ("-", "-"), ("u",), (1.0, 100.0)))
+
+    def forward(self, x, u):
+        return torch.cat([u, torch.ones_like(u)], -1)
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+def test_a_state_that_leaves_its_range_stays_at_the_end_and_the_others_where_that_period_began(batch):
+    plant = Ramps()
+    task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("a",), (), TrackingReward((1.0,)), max_steps=8)
+    env = ControlEnv(plant, task, dt=0.5, substeps=5, dtype=torch.float64)
+    env.left_beyond = 2.0
+    firsts = [0.8 - 0.35 * k for k in range(math.prod(batch))]
+    begun = torch.tensor([[a, 5.0] for a in firsts], dtype=torch.float64).reshape(*batch, 2)
+    made = env.rollout(8, Constant(1.0), auto_reset=False, tensordict=env.start_from(begun))
+    for a, states in zip(firsts, made["next", "state"].reshape(-1, 8, 2).tolist(), strict=True):
+        whole = math.floor((2 - a) / 0.5)  # periods that end within the range
+        for k, state in enumerate(states, 1):
+            assert state == pytest.approx([a + 0.5 * k if k <= whole else 2.0, 5 + 0.5 * min(k, whole)])
+
+
 def test_a_rollout_is_what_a_loop_in_plain_numbers_makes():
     """A pendulum under a moving reference: Runge-Kutta, observation and reward without a tensor."""
     plant = Pendulum(mass=2.0, length=0.8, damping=0.3, max_torque=9.0)
