@@ -583,7 +583,7 @@ class SindyModel(WorldModel):
         if len(kept) == len(whole):
             return rows, []
         self._keep([self.places[k] for k in kept] if self.places else kept)  # it may have been cut before, of more data
-        self.library = self.library.with_step(whole.step)
+        self.library = whole.subset(kept)  # with its step, and the numbers in its functions
         found = note("fit.library_cut", library=self.named, kept=len(kept), whole=len(whole), samples=len(rows[0]))
         return (rows[0][:, kept], rows[1]), [found]
 
