@@ -282,7 +282,7 @@ class Flow:
     def parts(self, count: int) -> Iterator[tuple[slice, Flow]]:
         """Yield so many parts of the windows, and their trajectories; slopes are computed of many windows at once."""
         begin, some, block = 0, len(self.windows) * MOST_SLOPES // max(self.count, 1), self.part(slice(0))
-        for each in torch.arange(len(self.windows)).tensor_split(count):
+        for each in torch.arange(len(self.windows)).tensor_split(min(count, len(self.windows))):
             rows = slice(int(each[0]), int(each[-1]) + 1)
             if rows.stop > begin + len(block.windows):
                 begin, block = rows.start, self.part(slice(rows.start, max(rows.stop, rows.start + some)))

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from dynasindy.findings import weak
-from dynasindy.sindy import Refinement, Regression, SindyModel
+from dynasindy.sindy import Refinement, Regression, SindyModel, shooting
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, parse, variable
 from dynasindy.sindy.shooting import Descent
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -150,6 +150,15 @@ def test_of_a_plant_that_falls_one_state_is_enough_as_its_trajectory_begins_anew
         for joined in (None, True)
     ]
     assert apart[0] < 0.2 < apart[1], apart
+
+
+def test_a_recording_may_be_of_fewer_windows_than_parts(monkeypatch):
+    wanted, found = (SindyModel(SIGNATURE, LIBRARY, Regression("bic"), refine(100)) for _ in range(2))
+    wanted.fit(recording(0))
+    monkeypatch.setattr(shooting, "CHUNK", 20)
+    found.fit(recording(0))
+    torch.testing.assert_close(found.coefficients, wanted.coefficients, rtol=1e-6, atol=1e-9)
+    assert found.coefficients[:, 0].tolist()[:2] == pytest.approx([A, B], rel=0.1)
 
 
 ANGLE = Signature(("a", "w"), ("rad", "rad/s"), ("u",), (1.0, 1.0))
