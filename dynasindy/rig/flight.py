@@ -224,14 +224,13 @@ class _FlightLoop:
             if k >= periods:
                 return
             self._check(y)
-            y = nothing if y is None else y
             try:
-                given = act(y, k * self.dt)
+                given = act(nothing.copy() if y is None else y, k * self.dt)
             except Exception as error:  # any: whatever the controller does, it costs one line and the rig comes to rest
                 why = " ".join(str(error).split())
                 raise Fault("controller", f"it failed with {type(error).__name__}: {why}") from error
             u = self._apply(given)
-            self._write_down(log, k, y, u)
+            self._write_down(log, k, nothing if y is None else y, u)
             k += 1
 
     def _read(self, k: int) -> Array | None:
