@@ -30,9 +30,6 @@ from dynasindy.text import did_you_mean
 if TYPE_CHECKING:
     from dynasindy.control.c_code import Native
 
-if TYPE_CHECKING:
-    pass
-
 Array = NDArray[np.float64]
 Values = float | Sequence[float] | Array | Tensor | Mapping[str, float]
 """Numbers in the order of the signature, or by name."""
@@ -214,11 +211,14 @@ class Controller:
         return f"Controller(holds {outputs}; reads {seen}; sets {inputs})"
 
     def reset(self) -> None:
-        """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero."""
+        """Forget what was measured; the next call of `act` takes the plant as at rest, its inputs zero.
+
+        Policy, observer and setup are read anew, as they are at the first call of `act`.
+        """
         self._law = ControlLaw(self.policy, self.setup, self.observer, self.integral)
         self._memory, self._begun = self._law.reset(), False
-        if self._native is not None:
-            self._native.reset()
+        if self._prepared:
+            self._prepare()
 
     @property
     def estimate(self) -> Array | None:
@@ -285,6 +285,7 @@ class Controller:
         """Compile the controller, where it can be, and note what calls have to know."""
         from dynasindy.control.c_code import Native, controller_sources
 
+        self._native = None
         with suppress(OSError, ValueError):  # no compiler, or a policy or a model that is not written in C
             self._native = Native(controller_sources(self))
         self._names, self._outputs = self.signature.state_names, self.outputs

@@ -123,7 +123,7 @@ def network(controller: Controller) -> MLP:
         ValueError: The policy is of another kind.
     """
     module = getattr(controller.policy, "module", controller.policy)
-    if not isinstance(module, MLP):
+    if not isinstance(module, MLP) or not module.squash:
         raise ValueError(
             f"the policy is a {type(module).__name__}, which no file holds; allowed is the actor of one of our agents"
         )

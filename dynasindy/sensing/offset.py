@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from tensordict import TensorDictBase
@@ -66,17 +67,20 @@ def acting(policy: Policy, env: Sampled, pushed: bool = False) -> Policy:
         env: Where it acts; the task has the limits.
         pushed: Whether an observer estimates a push, under `observer`, which is counteracted.
     """
+    if pushed:
+        return partial(_offset_free, policy, env)
+    return partial(_limited, policy, env) if env.task.limited else policy
 
-    def _limited(tensordict: TensorDictBase) -> TensorDictBase:
-        return tensordict.set("action", env.task.limit(policy(tensordict)["action"]))
 
-    def _offset_free(tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action for the state without the push, and what counteracts it."""
-        x, t = tensordict["state"], tensordict["step_count"] * env.dt
-        dx, du = tensordict["observer", "shift"].split([x.shape[-1], env.task.signature.n_u], -1)
-        seen = tensordict.copy().set("state", x - dx)
-        observation = env.task.observation(x - dx, tensordict["task_params"], t.to(x))
-        action = policy(seen.set("observation", observation.to(tensordict["observation"])))["action"]
-        return tensordict.set("action", env.task.limit(action + du.to(action)))
+def _limited(policy: Policy, env: Sampled, tensordict: TensorDictBase) -> TensorDictBase:
+    return tensordict.set("action", env.task.limit(policy(tensordict)["action"]))
 
-    return _offset_free if pushed else _limited if env.task.limited else policy
+
+def _offset_free(policy: Policy, env: Sampled, tensordict: TensorDictBase) -> TensorDictBase:
+    """Write the action for the state without the push, and what counteracts it."""
+    x, t = tensordict["state"], tensordict["step_count"] * env.dt
+    dx, du = tensordict["observer", "shift"].split([x.shape[-1], env.task.signature.n_u], -1)
+    seen = tensordict.copy().set("state", x - dx)
+    observation = env.task.observation(x - dx, tensordict["task_params"], t.to(x))
+    action = policy(seen.set("observation", observation.to(tensordict["observation"])))["action"]
+    return tensordict.set("action", env.task.limit(action + du.to(action)))

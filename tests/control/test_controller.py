@@ -1,15 +1,18 @@
 """A controller flies a plant exactly as the evaluation of its policy does, and refuses what is no measurement."""
 
+import copy
 import math
+import pickle
 import warnings
 
 import numpy as np
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
 
-from dynasindy.agents.networks import actor
+from dynasindy.agents.networks import MLP, actor
 from dynasindy.control import Controller
-from dynasindy.control.controller import ControlSetup
+from dynasindy.control.controller import ControlLaw, ControlSetup
 from dynasindy.control.integral import IntegralAction
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.scenarios import Scenario, evaluate
@@ -156,6 +159,46 @@ def test_a_reset_forgets_everything():
     assert not np.allclose(first, again)
     controller.reset()
     np.testing.assert_array_equal(first, [controller.act([0.1 * k, math.nan], [0.3]) for k in range(5)])
+
+
+def test_a_reset_reads_weights_that_were_changed():
+    env, policy = setting()
+    controller = Controller(policy, ControlSetup(env.task, env.dt))
+    before = controller.act([0.1, 0.0], [0.3])
+    for weight in policy.parameters():
+        weight.mul_(0.5)
+    controller.reset()
+    found = controller.act([0.1, 0.0], [0.3])
+    assert not np.allclose(found, before)
+    np.testing.assert_allclose(found, Controller(policy, ControlSetup(env.task, env.dt)).act([0.1, 0.0], [0.3]))
+
+
+def test_a_policy_without_a_tanh_acts_by_what_it_says():
+    env, _ = setting()
+    network = MLP(env.task.n_o, 1, (4,)).requires_grad_(False)
+    for weight in network.parameters():
+        weight.zero_()
+    network.linears[-1].bias.fill_(0.7)
+    policy = TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
+    assert Controller(policy, ControlSetup(env.task, env.dt)).act([0.1, 0.0], [0.3]) == pytest.approx([0.7])
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda law: pickle.loads(pickle.dumps(law))])
+def test_a_copy_of_a_law_has_an_integral_of_its_own(copied):
+    env, policy = setting()
+    setup = ControlSetup(env.task.with_input_limits([[-0.9], [0.9]]), env.dt)
+    law = ControlLaw(policy, setup, None, {"gain": 0.4, "band": 0.5})
+    y, r = torch.tensor([0.28, 0.0]).double(), torch.tensor([0.3]).double()
+
+    def _flown(law):
+        memory, inputs = law.reset(), []
+        for _ in range(4):
+            u, memory = law.step(memory, y, r)
+            inputs.append(float(u))
+        return inputs
+
+    other, wanted = copied(law), _flown(law)
+    assert len(set(wanted)) == 4 and _flown(other) == wanted
 
 
 def test_a_number_for_a_state_without_a_sensor_is_not_read():
