@@ -219,7 +219,7 @@ def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any
     return {
         "model": model,
         "found": formulas(model).with_constants(observer.pushed, len(observer.pushed)),
-        "stops": stop_ends(observer.stops, observer.n_x),
+        "stops": stop_positions(observer.stops, observer.n_x),
         "measured": comment(", ".join(controller.measured)),
         "memory": late + 2,
         "period": _flow(late + 2, part) + _flow(late + 1, dt - part),
@@ -235,7 +235,7 @@ def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any
     }
 
 
-def stop_ends(stops: Stops | None, n_x: int) -> list[tuple[int, int, float, float]]:
+def stop_positions(stops: Stops | None, n_x: int) -> list[tuple[int, int, float, float]]:
     """Return the places of position and rate of each stop, and its ends.
 
     Raises:
