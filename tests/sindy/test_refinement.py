@@ -117,6 +117,13 @@ def test_a_pushed_plant_is_fitted_by_predictions_and_noise_of_sensors_by_simulat
     assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.15 if push else 0.05)
 
 
+def test_trajectories_that_may_not_choose_begin_with_the_functions_that_smoothed_samples_tell():
+    """Noise of sensors hides the damping from the steps of samples as they are."""
+    model = SindyModel(OSCILLATOR, WORDS, Regression("bic"), Refinement("trajectory", select=False), known={"y": "w"})
+    model.fit(oscillator(0.0, 0.2, False, 3))
+    assert model.coefficients[:3, 1].tolist() == pytest.approx([-4.0, -0.8, 3.0], rel=0.05)
+
+
 def test_a_long_delay_is_told_where_single_steps_are_mostly_noise():
     """A store of 40 s is read every second, 14 s late; its noise is three times what it moves in a second."""
     generator, phi, late, y = np.random.default_rng(0), math.exp(-1 / 40), 14, [0.0]
