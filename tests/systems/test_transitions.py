@@ -1,5 +1,7 @@
 """Transitions keep rows in order and know which of them follow each other."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -58,3 +60,13 @@ def test_joining_keeps_rows_inputs_and_rate_and_passes_over_an_empty_recording()
     assert both.segment.tolist() == [0, 1, 1]
     with pytest.raises(ValueError, match="empty list"):
         Transitions.cat([])
+
+
+def test_rows_of_several_segments_know_where_theirs_begins_and_which_input_comes_next():
+    parts = [replace(_line(n), u=100.0 * n + torch.arange(float(n)).double().unsqueeze(-1)) for n in (3, 2, 1, 4)]
+    data = Transitions.cat(parts)
+    starts = [0, 0, 0, 3, 3, 5, 6, 6, 6, 6]
+    assert data.segment_starts().tolist() == starts
+    assert data.begins().tolist() == [k == start for k, start in enumerate(starts)]
+    ends = [301.0, 302.0, 302.0, 201.0, 201.0, 100.0, 401.0, 402.0, 403.0, 403.0]
+    assert data.with_linear_inputs().u_end.flatten().tolist() == ends
