@@ -6,6 +6,7 @@ outside. `dynasindy.control.files` keeps it in one file, which has all that it i
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -219,6 +220,10 @@ class Controller:
         self._memory, self._begun = self._law.reset(), False
         if self._prepared:
             self._prepare()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Give a copy, a shallow one as well, numbers of its own of what was measured."""
+        return {**self.__dict__, "_native": copy.copy(self._native)}
 
     @property
     def estimate(self) -> Array | None:

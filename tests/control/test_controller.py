@@ -183,6 +183,18 @@ def test_a_policy_without_a_tanh_acts_by_what_it_says():
     assert Controller(policy, ControlSetup(env.task, env.dt)).act([0.1, 0.0], [0.3]) == pytest.approx([0.7])
 
 
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_a_copy_of_a_controller_goes_on_by_itself(copied):
+    env, policy = setting()
+    controller = Controller(policy, ControlSetup(env.task, env.dt), watching(env), {"gain": 0.4, "band": 0.5})
+    for k in range(3):
+        controller.act([0.02 * k, math.nan], [0.1])
+    other = copied(controller)
+    wanted = [controller.act([0.04, math.nan], [0.1]) for _ in range(4)]
+    assert len(set(np.ravel(wanted).tolist())) == 4
+    np.testing.assert_array_equal([other.act([0.04, math.nan], [0.1]) for _ in range(4)], wanted)
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda law: pickle.loads(pickle.dumps(law))])
 def test_a_copy_of_a_law_has_an_integral_of_its_own(copied):
     env, policy = setting()
