@@ -261,14 +261,34 @@ def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, A
 
 
 def append_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Append rows to a table, or begin it: all of them, or none where the disk is full. One process writes at a time.
+    """Append rows to a table, or begin it: all of them, or none where the disk is full.
+
+    Where others append to it as well, each waits for the one before; without POSIX locks that is the user's affair.
 
     Raises:
         LinkError: A link stands there.
         DamagedFileError: What is there is no table.
         ValueError: A row has another column.
     """
-    write_rows(path, columns, [*read_rows(path), *rows])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _waiting(path.parent):
+        write_rows(path, columns, [*read_rows(path), *rows])
+
+
+@contextmanager
+def _waiting(folder: Path) -> Iterator[None]:
+    """Wait until no other process reads and then replaces a file of a folder."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _ordered(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> list[list[object]]:

@@ -205,10 +205,11 @@ def excite(
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
     """Return the targets of each run, in the order of the outputs."""
     if isinstance(targets, Mapping):
-        for name in {*targets} ^ {*outputs}:
+        if {*targets} != {*outputs}:
+            hints = (did_you_mean(name, outputs) for name in targets if name not in outputs)
             raise ValueError(
-                f"targets are of {', '.join(targets)}; give where each of {', '.join(outputs)} is to be"
-                f"{did_you_mean(name, outputs)}"
+                f"targets are of {', '.join(map(str, targets)) or 'nothing'}; give where each of {', '.join(outputs)} "
+                f"is to be{next(hints, '')}"
             )
         lists = [np.atleast_1d(np.asarray(targets[name], float)) for name in outputs]
         if len(counts := {len(each) for each in lists} - {1}) > 1:

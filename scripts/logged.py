@@ -151,7 +151,10 @@ def _planning_settings(cfg: DictConfig) -> dict[str, object]:
     if None in given.values():
         like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
         if cfg.get("data") is not None and given["outputs"] is not None:  # where most of its samples lie
-            like = targets_like(load_data(cfg)[0], (), given) or like
+            source, _ = load_data(cfg)
+            for name in given["outputs"]:
+                source.signature.state_index(str(name))  # which says what there is instead of an unknown one
+            like = targets_like(source, (), given) or like
         words = " ".join(command_word(f"plant.{name}", values) for name, values in like.items())
         lacks = next(name for name in names if given[name] is None)
         raise ValueError(

@@ -381,7 +381,7 @@ def _errors(model: SindyModel) -> list[str]:
 def describe_restarts(data: Transitions) -> str:
     """Say that a prediction of all data begins anew after gaps, and how often; empty where there is none."""
     gaps = int(data.begins().sum()) - 1
-    return f", begun anew after each of its {gaps} gaps" if gaps > 0 else ""
+    return f", begun anew after {gaps} gap{'s' * (gaps > 1)}" if gaps > 0 else ""
 
 
 def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[Finding] = ()) -> None:

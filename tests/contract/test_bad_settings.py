@@ -91,6 +91,7 @@ def test_words_that_cannot_be_read_or_name_no_plant_to_train_on(refused, tmp_pat
         ([*TASK, "env.dt=1e9"], "env.dt"),
         (["plant.outputs=[theta]", "plant.low=[-0.6]"], "plant.high"),
         (["plant.outputs=[thta]", *TASK[1:]], "'thta'"),
+        (["plant.outputs=[thta]"], "'thta'"),
         ([*TASK, "plant.start={omega: 0}"], "plant.start"),
         ([*TASK, "data.path=nowhere.csv"], "nowhere.csv"),
         ([*TASK, "data.dt=-1"], "data.dt is -1"),
