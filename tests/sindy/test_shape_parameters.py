@@ -52,6 +52,17 @@ def test_the_width_of_dry_friction_is_found(guess):
     assert found(model) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("guess", [3.0, 12.0])
+def test_trajectories_alone_find_the_width_of_dry_friction(guess):
+    """No regression moves it before."""
+    words = ["v", f"tanh(~{guess:g} v)", "u"]
+    model = SindyModel(CART, words, Regression("bic"), Refinement("trajectory", rounds=0))
+    model.fit(recording(cart, [0.0], n=200))
+    assert model.library.shapes[0].frequency == pytest.approx(6.5, rel=1e-3)
+    expected = {("v", "id(v)"): -0.4, ("v", "tanh(v)"): -1.2, ("v", "id(u)"): 2.0}
+    assert found(model) == pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.parametrize("guess", [0.5, 6.0])
 def test_the_inertia_of_an_arm_is_found_with_its_torques(guess):
     words = ["w", f"w per_cos2(~{guess:g} a)", f"u per_cos2(~{guess:g} a)", "u"]
