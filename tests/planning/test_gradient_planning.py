@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 from dynasindy.agents import Actor
 from dynasindy.envs import ControlEnv
 from dynasindy.planning import GradientPlanning, Planned
-from dynasindy.planning.gradient_planning import _Episodes, _schedule
+from dynasindy.planning.gradient_planning import _Episodes
 from dynasindy.planning.rollout import imagine
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.systems.xi import Xi
@@ -168,7 +168,9 @@ def test_a_plant_that_is_lost_is_won_back_from_the_best_policy_in_shorter_steps(
     planner.test = lambda network=None: next(scores)
     planner.plan()
     factors = [0.5, 0.5, 0.05, 0.05, 0.05, 0.05]  # 2.1 is more than twice the cost of 1, 1.9 is not
-    assert rates == pytest.approx([factor * _schedule(k, 6) for k, factor in enumerate(factors)])
+    falls = [0.01 + 0.99 * math.cos(math.pi * k / 12) ** 2 for k in range(6)]  # half a cosine, down to 1 %
+    warmed = [(k + 1) / 10 * fall for k, fall in enumerate(falls)]
+    assert rates == pytest.approx([factor * rate for factor, rate in zip(factors, warmed, strict=True)])
     assert torch.equal(seen[2], seen[0]) and not torch.equal(seen[4], seen[0])  # back once, and on from there
 
 
