@@ -89,6 +89,8 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
         os.environ[name] = separator.join(filter(None, [more, os.environ.get(name)]))
     Sweep.here = True
     use_command_words()  # for what is refused before a job begins; workers of a sweep call it in `job`
+    for kind in (DeprecationWarning, FutureWarning):  # what a library tells those who program with it
+        warnings.simplefilter("ignore", kind)
     warnings.formatwarning = lambda message, *_, **__: fit_stderr(f"warning: {message}") + "\n"
     handle_signals(stop)
     try:

@@ -66,6 +66,8 @@ def plain_heading(heading: str) -> str:
         name, unit = heading, ""
     if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
         name, unit = name[: -len(end) - 1], SUFFIXES[end]
+    if not unit and (found := re.fullmatch(r"(.*\w)\s*(\u00b0[CF]?|%)", name)):  # no letters of a name
+        name, unit = found.groups()
     name, unit = (name, _plain_unit(unit)) if unit else _apart(name)
     if not NAME.fullmatch(name):
         plain = re.sub(r"\W+", "_", name).strip("_")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynasindy.data.columns import Column, with_units
-from dynasindy.data.headings import in_radians
+from dynasindy.data.headings import in_radians, plain_headings, split_unit
 from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
 
@@ -29,6 +29,14 @@ def test_a_turn_is_two_pi_in_any_unit(unit, becomes, turn):
     """A turn per second is 60 rpm."""
     found, factor = in_radians(unit)
     assert found == becomes and turn * factor == pytest.approx(TURN)
+
+
+@pytest.mark.parametrize(
+    ("heading", "name", "unit"),
+    [("Temp °C", "Temp", "°C"), ("Pump %", "Pump", "%"), ("arm°", "arm", "°"), ("Level", "Level", "")],
+)
+def test_a_sign_at_the_end_is_the_unit(heading, name, unit):
+    assert [split_unit(plain) for plain in plain_headings([heading])] == [(name, unit)]
 
 
 def test_turns_per_minute_are_those_of_an_angle_or_stay():
