@@ -67,7 +67,7 @@ class LinearModel:
             most: largest order.
         """
         starts, _ = start_rows(data, most, steps)
-        starts = starts[:: -(-len(starts) * steps // ENOUGH_SAMPLES)]
+        starts = starts[:: 1 + len(starts) * steps // ENOUGH_SAMPLES]
         later, real = samples_after(data, starts, steps)
         spread = variance(data.x_next.double()).clamp_min(1e-300)
 

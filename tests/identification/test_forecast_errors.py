@@ -52,6 +52,13 @@ def test_a_state_that_no_sensor_sees_is_estimated_from_the_samples_before():
     assert np.allclose(begin, x[[100, 400]], atol=1e-5) and np.allclose(end, x[[125, 425]], atol=1e-5)
 
 
+def test_a_linear_model_is_fitted_to_a_recording_too_short_to_compare_orders():
+    """Of q[k+1] = 2 cos(w dt) q[k] - ... one past sample alone tells nearly all, as a step is short."""
+    data, _ = recording(60)
+    model = LinearModel.fit(data, 50, 16)
+    assert model.order == 1 and abs(float(model.weights[0, 0]) - 1) < 0.1
+
+
 @pytest.mark.parametrize("starts", [[30], [30, 400, 1390]])
 def test_a_plant_is_predicted_from_its_past_samples(starts):
     data, x = recording(delay=2)
