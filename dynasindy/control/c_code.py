@@ -49,18 +49,18 @@ def block(lines: Iterable[str]) -> str:
     return "\n".join(f" * {line}".rstrip() for line in wrapped)
 
 
-def fill(template: str, /, **words: object) -> str:
-    """Return the text of a template of Jinja in `dynasindy/control/c`, whose statements are lines that begin with `@`.
+def fill(template: str, /, packages: tuple[str, ...] = ("dynasindy.control",), **words: object) -> str:
+    """Return the text of a template of Jinja in `c` of some packages, whose statements are lines that begin with `@`.
 
     What is filled in is not looked at again, so that words of a file cannot open gaps of their own.
     """
-    return _templates().get_template(template).render(words)
+    return _templates(packages).get_template(template).render(words)
 
 
 @cache
-def _templates() -> jinja2.Environment:
+def _templates(packages: tuple[str, ...]) -> jinja2.Environment:
     found = jinja2.Environment(
-        loader=jinja2.PackageLoader("dynasindy.control", "c"),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package, "c") for package in packages]),
         undefined=jinja2.StrictUndefined,
         line_statement_prefix="@",
         keep_trailing_newline=True,

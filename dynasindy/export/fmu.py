@@ -88,7 +88,7 @@ def controller_fmu(controller: Controller, path: Path, version: int = 3) -> bool
         *(_Variable(f"rate_{state}", f"{units[state]}/s") for state in controller.outputs),
         *(_Variable(f"u_{word}", "1", True) for word in signature.input_names),
     )
-    text = fill(
+    text = _fill(
         "fmu_controller.c",
         name=name,
         dt=number(controller.dt),
@@ -123,7 +123,7 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
     step, ends = model.step or step, stop_positions(stops, signature.n_x)
     words = {"model": model, "found": formulas(model), "stops": ends, "past": PAST}
-    text = fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
+    text = _fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
     units = zip(signature.state_names, signature.state_units, strict=True)
     variables = (
         *(_Variable(f"u_{word}", "1") for word in signature.input_names),
@@ -132,10 +132,14 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
     return _write(name, step, variables, {f"{name}.c": text}, path, version)
 
 
+def _fill(template: str, **words: Any) -> str:
+    return fill(template, ("dynasindy.export", "dynasindy.control"), **words)
+
+
 def _interface(version: int) -> str:
     if version not in FINE:
         raise ValueError(f"FMI {version} is not written; allowed are 2 and 3")
-    return fill("fmi.c", version=version, token=_GAP, fine=FINE[version], absent=ABSENT[version])
+    return _fill("fmi.c", version=version, token=_GAP, fine=FINE[version], absent=ABSENT[version])
 
 
 def _write(
@@ -148,11 +152,11 @@ def _write(
     words: dict[str, Any] = {"name": name, "files": [file for file in sources if file.endswith(".c")]}
     about = {"step": repr(step), "variables": variables, "units": sorted({variable.unit for variable in variables})}
     more = {"version": version, "release": __version__, "token": token}
-    described = fill("modelDescription.xml", **words, **about, **more)
+    described = _fill("modelDescription.xml", **words, **about, **more)
     files = {"modelDescription.xml": described.encode()}
     files |= {f"sources/{file}": text.encode() for file, text in sources.items()}
     if version == 3:
-        files["sources/buildDescription.xml"] = fill("buildDescription.xml", **words).encode()
+        files["sources/buildDescription.xml"] = _fill("buildDescription.xml", **words).encode()
     built = compiler() is not None
     if built:
         files[f"binaries/{_platform(version)}/{name}{SUFFIX}"] = _compiled(sources)
