@@ -199,7 +199,7 @@ def remove_empty(folder: str | Path | None) -> None:
 
 def _resolve_latest(word: str) -> str:
     """Return a word of a command line: `run=latest` is the newest run of runs/, `run=latest~1` the one before it."""
-    asked = re.fullmatch(r"(run|resume|save)=latest(?:~(\d+))?", word)
+    asked = re.fullmatch(r"(run|resume)=latest(?:~(\d+))?", word)
     if asked is None:
         return word
     files = sorted(Path("runs").glob("**/config.yaml"), key=lambda file: file.stat().st_mtime, reverse=True)

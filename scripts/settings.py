@@ -60,11 +60,11 @@ PLANT: dict[str, Any] = {
 TOP: dict[str, Any] = {
     **{"seed": Annotated[int, range(2**63)], "threads": Annotated[int, THREADS, "eight for each core"]},
     **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource, "level": Level},
-    **dict.fromkeys(("run", "resume", "controller", "save", "name"), str | None),
+    **dict.fromkeys(("run", "resume", "controller"), str | None),
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
-    **dict.fromkeys(("integral", "animate", "finish", "tensorboard", "any_commit"), bool),
+    **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
     **dict.fromkeys(("evaluation.must_improve", "evaluation.must_control"), bool),
-    **dict.fromkeys(("settings", "slim", "plugins"), list[str]),
+    **dict.fromkeys(("settings", "plugins"), list[str]),
     "scenarios": Annotated[list[str], SOME],
     "formats": list[Literal["png", "svg", "pdf", "eps", "jpg", "jpeg", "tif", "tiff", "webp"]],
     "source": Literal["simulated", "logged"],
@@ -145,8 +145,6 @@ def _require_plant_settings(plant: Any, text: str) -> None:
 def _hints(tree: Mapping[str, Any], finished: bool) -> dict[str, Any]:
     """Return what the keys of a config allow that are no arguments; TorchRL is imported for those that need it."""
     hints = TOP | (EXPORTING if "fmi" in tree else {}) | (CHECKING if "draws" in tree else {})
-    if "save" in tree:  # a run may be kept without any scenario
-        hints["scenarios"] = list[str]
     if "train" in tree or finished:  # elsewhere a plant has words for the task of an experiment, which is not built
         from dynasindy.dyna.experiment import Recipe
 

@@ -175,35 +175,6 @@ class Wave(Reference):
         return params
 
 
-class Mixture(Reference):
-    """One of several references per row, drawn with given weights.
-
-    Args:
-        references: The components; all with the same number of outputs.
-        weights: One weight >= 0 per component; equal if omitted.
-
-    Raises:
-        ValueError: No component, different numbers of outputs, or weights that do not fit.
-    """
-
-    def __init__(self, references: Sequence[Reference], weights: Sequence[float] | None = None) -> None:
-        weights = [1.0] * len(references) if weights is None else weights
-        if not references or len({r.n_r for r in references}) != 1:
-            raise ValueError(f"a mixture needs references with equal numbers of outputs, got {references}")
-        if len(weights) != len(references) or min(weights) < 0 or sum(weights) <= 0:
-            raise ValueError(f"a mixture needs one weight >= 0 per reference, got {list(weights)}")
-        self.references = list(references)
-        self.weights = torch.tensor(list(weights), dtype=torch.float32)
-        self.n_r = references[0].n_r
-
-    def sample(self, batch: torch.Size, generator: torch.Generator) -> Tensor:
-        """Draw a component and its parameters per row, `(*batch, n_r, 5)`."""
-        draws = torch.stack([r.sample(batch, generator) for r in self.references])
-        draws = draws.reshape(len(self.references), batch.numel(), self.n_r, N_PARAMS)
-        choice = torch.multinomial(self.weights, batch.numel(), replacement=True, generator=generator)
-        return draws[choice, torch.arange(batch.numel())].reshape(*batch, self.n_r, N_PARAMS)
-
-
 SHARE = 0.25
 """Amplitude of a wave in target ranges: a square jumps over half of the range, as far as a step from its middle."""
 FIRST = 0.75

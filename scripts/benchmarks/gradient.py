@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -37,7 +37,7 @@ from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import System, Tras, Trms33, Xi
 from dynasindy.systems.tras import TrasConstants
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.tasks import Mixture, RandomStep, Reference, Tracking, TrackingReward, Wave
+from dynasindy.tasks import RandomStep, Reference, Tracking, TrackingReward, Wave
 
 Pair = tuple[float, float]
 
@@ -205,6 +205,20 @@ class Judging(Callback):
         for scenario, metric, values in judge(CASES[self.name], self.plant, self.parts, self.seed):
             self.rows.append({**head, "scenario": scenario, "metric": metric, **values, **costs})
         self.wall, self.cpu = self.wall - time.perf_counter(), self.cpu - cpu_seconds()
+
+
+class Mixture(Reference):
+    """One of several references per row."""
+
+    def __init__(self, references: Sequence[Reference]) -> None:
+        self.references, self.n_r = references, references[0].n_r
+
+    def sample(self, batch: torch.Size, generator: torch.Generator) -> torch.Tensor:
+        """Draw a component and its parameters per row, `(*batch, n_r, 5)`."""
+        draws, rows = torch.stack([each.sample(batch, generator) for each in self.references]), batch.numel()
+        choice = torch.multinomial(torch.ones(len(draws)), rows, replacement=True, generator=generator)
+        shape = draws.shape[1:]
+        return draws.reshape(len(draws), rows, *shape[-2:])[choice, torch.arange(rows)].reshape(shape)
 
 
 def build_recipe(case: Case, plant: str, seed: int, planning: dict[str, Any]) -> Recipe:

@@ -126,7 +126,7 @@ def test_what_is_missing_or_wrong_where_a_log_is_planned_from(refused, log, tmp_
         ("evaluate", ["run=nowhere"], "nowhere"),
         ("check", ["run=FOLDER"], "FOLDER"),
         ("export", ["run=PATH"], "PATH"),
-        ("report", ["save=nowhere"], "nowhere"),
+        ("report", ["results=nowhere"], "nowhere"),
         ("table", [], "folder"),
         ("ablation", ["setting=direct,oracle", "planning.updatez=3"], "'updatez'"),
         ("ablation", ["experiment=smoke", "hydra/launcher=basic", "level.error=-1"], "level"),

@@ -79,7 +79,7 @@ def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
         ("evaluate", "run=run", "scenarios=[step]", "formats=[svg]", "animate=true"),
         ("check", "run=run", "points=1", "grid=2", "draws=1", "seconds=1"),
         ("export", "run=run", "formats=[c,model]"),
-        ("report", "save=run", "name=mine", "scenarios=[]", "any_commit=true"),
+        ("report",),
         ("rig", "system=pendulum", "controller=run/controller.json", "sensors=exact", "seconds=0.2", "guard.late=100"),
     )
     for words in calls:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from dynasindy.systems import Pendulum
-from dynasindy.tasks import Mixture, RandomStep, Reference, Step, Tracking, Wave, target, wave
+from dynasindy.tasks import RandomStep, Reference, Step, Tracking, Wave, target, wave
 from dynasindy.tasks.references import rate, value
 
 
@@ -67,18 +67,6 @@ def test_random_waves_draw_amplitude_frequency_and_phase_of_every_row_and_output
     torch.testing.assert_close(shares.mean(0), torch.full((6,), 0.5), atol=0.02, rtol=0)
     torch.testing.assert_close(shares.std(0), torch.full((6,), 12**-0.5), atol=0.01, rtol=0)
     assert (torch.corrcoef(shares.T) - torch.eye(6)).abs().max() < 0.06
-
-
-def test_a_mixture_takes_whole_rows_of_its_components_equally_often_unless_told():
-    first, second = Step([[1.0, 2.0]]), Wave([3.0, 4.0], [0.1, 0.2])
-    mixture = Mixture([first, second])
-    drawn = mixture.sample(torch.Size((40, 50)), torch.Generator().manual_seed(0))
-    assert drawn.shape == (40, 50, 2, 5) and mixture.n_r == 2
-    a = (drawn == torch.tensor([[1.0, 0, 0, 0, 0], [2.0, 0, 0, 0, 0]])).all(-1).all(-1)
-    b = (drawn == torch.tensor([[0, 3.0, 0.1, 0, 0], [0, 4.0, 0.2, 0, 0]])).all(-1).all(-1)
-    assert (a ^ b).all() and a.float().mean().item() == pytest.approx(0.5, abs=0.04)
-    steps = Mixture([Step([[float(i)] for i in range(6)]), Step([[9.0]])], [1.0, 0.0])
-    assert at(steps, 0.0, 6).flatten().tolist() == [0, 1, 2, 3, 4, 5]  # row k keeps what its component gave row k
 
 
 def test_a_constant_is_worth_its_offset_in_every_use():

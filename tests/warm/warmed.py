@@ -20,7 +20,7 @@ MODULES = (
     *("matplotlib.pyplot", "matplotlib.backends.backend_agg", "jinja2", "rich.progress", "rich.table", "PIL.Image"),
     *("dynasindy.dyna.run", "dynasindy.viz.run", "dynasindy.rig", "dynasindy.checking", "dynasindy.evaluation"),
     *("dynasindy.export", "dynasindy.export.formats", "dynasindy.workbench", "dynasindy.dyna.from_log"),
-    *("dynasindy.evaluation.saved", "dynasindy.identification.identify", "dynasindy.viz.animation"),
+    *("dynasindy.identification.identify", "dynasindy.viz.animation"),
     *("dynasindy.viz.report", "dynasindy.rig.simulated"),
     *("hydra.experimental.callback", "hydra._internal.logging_config"),
 )

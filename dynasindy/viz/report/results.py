@@ -69,12 +69,10 @@ class Results:
     Attributes:
         folder: Tables as CSV files, and `runs/` with saved runs.
         settings: Resolved configuration of each saved run, by name.
-        requested: Names of the runs that sections asked for, saved or not.
     """
 
     folder: Path
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    requested: set[str] = field(default_factory=set, compare=False)
 
     def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> Run:
         """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
@@ -84,12 +82,12 @@ class Results:
         """
         if experiment == "gradient":
             name = f"{system}_gradient"
-            make, save = f"python scripts/train.py system={system} folder=runs/{name}", f"runs/{name}"
+            make, made = f"python scripts/train.py system={system} folder=runs/{name}", f"runs/{name}"
         else:
             name = f"{system}_{experiment}_{setting}"
-            make, save = f"{ABLATION.format(system, experiment)} setting={setting} seed=0", "runs/ablation"
-        self.requested.add(name)
-        words = f"`{make}`, then `{REPORT} save={save}`"
+            make = f"{ABLATION.format(system, experiment)} setting={setting} seed=0"
+            made = f"runs/ablation/{system}/{experiment}/{setting}/seed_0"
+        words = f"`{make}`, then `cp -r {made} {_path(self.folder)}/runs/{name}`,"
         if name not in self.settings or not (self.folder / "runs" / name).is_dir():
             raise MissingResult(f"Not measured: no saved run `{name}`; {words} makes it.")
         return Run(self.folder / "runs" / name, self.settings[name], words)
@@ -161,7 +159,7 @@ class Entry:
                     except MissingResult as missing:
                         made = [str(missing)]
                     except KeyError as column:
-                        again = f"run their commands again, then `{REPORT} save=runs/ablation`"
+                        again = f"run their commands again, and put their folders into `{_path(results.folder)}/runs`"
                         made = [f"Not measured: saved results of {words} are older and have no {column}; {again}."]
                 section.parts += [part for part in made if not isinstance(part, Finding)]
                 if build is self.builders[0][0]:
