@@ -15,21 +15,12 @@ from dynasindy.checking.linear_loop import (
     Array,
     Margins,
     RestingLoop,
+    at_end,
     find_rest,
     guess_rest,
     loop_margins,
     noise_gain,
     without_dry_friction,
-)
-from dynasindy.checking.simulation import (
-    AWAY,
-    LimitCycles,
-    LoopSimulation,
-    Plane,
-    diverged_rows,
-    find_limit_cycles,
-    recovery_plane,
-    simulate_loop,
 )
 from dynasindy.progress import reporting_as, track
 from dynasindy.sindy import SindyModel
@@ -38,13 +29,20 @@ from dynasindy.systems.ranges import Ends
 
 PERIODS = 400
 """Control periods of a flight whose length is not given, those of the paper's episodes; a slow plant gets more time."""
-
-
 DRAWN = 0.05
 """Largest share by which coefficients are drawn at random where the model does not tell how well it knows them."""
-
 WITHIN = f"each within {100 * DRAWN:g} % of itself, as the model tells no standard errors"
 """How they were drawn by that share."""
+FULL = 0.99
+"""Part of its way from the middle to a limit at which an input counts as saturated."""
+TOLERANCE = 0.05
+"""Distance of a plant which has come back from where the loop rests [ranges of the output]."""
+AWAY = 3.0
+"""Distance from the target beyond which what ends there has run away [target ranges, or ways to it if longer]."""
+LONGER = 5
+"""How many times as long as the others flights are where the loop is not stable: a slow swing has time to grow."""
+GROWTH = 1.1
+"""Ratio of the swings in the last part of such a flight to those in the part before, from which on they grow."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +109,116 @@ class Settings:
 
 
 @dataclass(frozen=True)
+class LoopSimulation:
+    """Flights of one length.
+
+    Attributes:
+        x: States, `(rows, T + 1, n_x)`.
+        u: Inputs held in between, `(rows, T, n_u)`.
+        r: References, `(rows, n_r)`.
+        outputs: Indices of the tracked states.
+        dt: Control period [s].
+        limits: Least and largest inputs, `(2, n_u)`.
+    """
+
+    x: Tensor
+    u: Tensor
+    r: Tensor
+    outputs: list[int]
+    dt: float
+    limits: Tensor
+
+    @property
+    def last(self) -> int:
+        """How many samples at the end count as steady."""
+        return at_end(self.u.shape[1], self.dt)
+
+    @property
+    def steady_error(self) -> Tensor:
+        """Mean absolute error of each output over the last seconds, `(rows, n_r)`; infinite where a flight diverged."""
+        error = (self.x[:, -self.last :, self.outputs] - self.r.unsqueeze(1)).abs().mean(1)
+        return error.nan_to_num(torch.inf, torch.inf)
+
+    @property
+    def end(self) -> Tensor:
+        """Mean of each output over the last seconds, `(rows, n_r)`."""
+        return self.x[:, -self.last :, self.outputs].mean(1)
+
+    @property
+    def slew(self) -> Tensor:
+        """Largest change of each input from a period to the next, the first one from zero, `(rows, n_u)`."""
+        first = torch.zeros_like(self.u[:, :1])
+        return torch.cat([first, self.u], 1).diff(dim=1).abs().amax(1)
+
+    @property
+    def saturated(self) -> Tensor:
+        """Share of the control periods in which each input is at its limit, `(rows, n_u)`."""
+        low, high = self.limits.to(self.u)
+        return ((2 * self.u - low - high).abs() > FULL * (high - low)).double().mean(1)
+
+
+def diverged_rows(y: Tensor, r: Tensor, reach: Tensor, dt: float) -> Tensor:
+    """Return which flights have run away: they end out of reach of their target, or in no number, bool `(rows,)`.
+
+    Args:
+        y: Outputs, `(rows, T + 1, n_r)`.
+        r: Their targets, `(n_r,)`.
+        reach: Distance of each output from its target beyond which it is out of reach, `(n_r,)`.
+        dt: Time between two samples [s].
+    """
+    end = y[:, -at_end(y.shape[1] - 1, dt) :]
+    return ~((end - r).abs() <= reach).all(-1).all(-1)
+
+
+def simulate_loop(
+    loop: ClosedLoop, x: Tensor, r: Tensor, seconds: float, phase: str = "steps to the targets"
+) -> LoopSimulation:
+    """Switch the controller on at states `(rows, n_x)` and let it hold references `(rows, n_r)`.
+
+    Args:
+        loop: The loop.
+        x: States.
+        r: References.
+        seconds: Length of each flight [s].
+        phase: What is under way, in words.
+    """
+    (z, covariance), r, states, inputs = loop.started(x.double()), r.double(), [x.double()], []
+    periods = max(1, round(seconds / loop.dt))
+    for _ in track(phase, range(periods), periods, "control periods"):
+        z, covariance, u = loop.step(z, covariance, r)
+        states.append(z[:, loop.parts["x"]])
+        inputs.append(u)
+    return LoopSimulation(
+        torch.stack(states, 1), torch.stack(inputs, 1), r, loop.task.outputs, loop.dt, loop.task.input_limits
+    )
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Initial errors of two states, all others at rest, and whether the plant comes back from them.
+
+    Attributes:
+        names: The two states.
+        units: Their units.
+        first, second: Errors of each, `(n,)` [their units].
+        back: Whether it comes back to where the loop rests, bool `(n, n)`, rows by the first state.
+        steady_error: Error of each output where the loop rests, `(n_r,)`; infinite if it runs away from its rest.
+    """
+
+    names: tuple[str, str]
+    units: tuple[str, str]
+    first: Tensor
+    second: Tensor
+    back: Tensor
+    steady_error: Tensor
+
+    @property
+    def share(self) -> float:
+        """Share of the grid from which it comes back."""
+        return float(self.back.double().mean())
+
+
+@dataclass(frozen=True)
 class Spread:
     """What becomes of the loop with other plants.
 
@@ -136,6 +244,23 @@ class Spread:
 
 
 @dataclass(frozen=True)
+class LimitCycles:
+    """The end of long flights, as long as one of the other flights; a row is zero where the loop is stable.
+
+    Attributes:
+        outputs: Half of the way between the ends of each output, `(n_targets, n_r)`; infinite where it grows.
+        inputs: Half of the way between the ends of each input, `(n_targets, n_u)`.
+        error: Mean absolute error of each output, `(n_targets, n_r)`; infinite where a flight diverged.
+        seconds: Length of a flight [s].
+    """
+
+    outputs: Tensor
+    inputs: Tensor
+    error: Tensor
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Check:
     """What was found; targets come first in every array.
 
@@ -144,7 +269,8 @@ class Check:
         settings: What was tried.
         targets: References, `(n_targets, n_r)`.
         begin: State in which steps begin, `(n_x,)`.
-        rest: Where the loop rests at them.
+        farthest: Number of the target that is farthest from there.
+        rest: Where the loop rests at the targets.
         margins: Per target and input, at rest; none where the loop is not stable.
         smooth: The same of large movements, which dry friction hardly damps; none of a plant without dry friction.
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
@@ -153,7 +279,7 @@ class Check:
         steps: Flights from `begin` to each target.
         drawn: Flights from `begin` to the farthest target with each plant that was drawn.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
-        planes: From which errors around the middle target the plant comes back.
+        planes: From which errors around the middle of the target range the plant comes back.
         swings: What becomes of flights to the targets at which the loop is not stable.
     """
 
@@ -161,6 +287,7 @@ class Check:
     settings: Settings
     targets: Tensor
     begin: Tensor
+    farthest: int
     rest: RestingLoop
     margins: list[list[Margins]]
     smooth: list[list[Margins]]
@@ -174,20 +301,14 @@ class Check:
     swings: LimitCycles
 
     @property
+    def stable(self) -> Tensor:
+        """Whether the loop comes to rest and is stable there, bool `(n_targets,)`."""
+        return self.rest.stable
+
+    @property
     def seconds(self) -> float:
         """Length of its flights [s]."""
-        assert self.settings.seconds is not None, "a check knows how long it flew"
-        return max(1, round(self.settings.seconds / self.loop.dt)) * self.loop.dt
-
-    @property
-    def middle(self) -> Tensor:
-        """Target around which the errors of `planes` lie, `(n_r,)`: the middle of their range."""
-        return self.settings.middle
-
-    @property
-    def farthest(self) -> int:
-        """Number of the target of `drawn`."""
-        return _farthest(self.loop, self.targets, self.begin)
+        return self.steps.u.shape[1] * self.loop.dt
 
     @property
     def reach(self) -> Tensor:
@@ -213,11 +334,6 @@ class Check:
         states = zip(signature.state_names, self.begin.tolist(), signature.state_units, strict=True)
         return ", ".join(f"{name} = {x:.3g} {unit}" for name, x, unit in states if x) or "the origin"
 
-    @property
-    def stable(self) -> Tensor:
-        """Whether the loop comes to rest and is stable there, bool `(n_targets,)`."""
-        return self.rest.stable
-
 
 def check(loop: ClosedLoop, settings: Settings) -> Check:
     """Look at a loop.
@@ -239,7 +355,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     seconds = settings.seconds or PERIODS * loop.dt
     settings, targets = replace(settings, seconds=seconds), settings.targets
     rest, begin = find_rest(loop, targets, seconds=seconds), _begin(loop, settings)
-    good = rest.stable
+    good, farthest = rest.stable, int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
     rows = [rest.linear.row(k) if ok else None for k, ok in enumerate(good.tolist())]
     both = [
         ([], None) if row is None else (loop_margins(row), noise_gain(row))
@@ -247,34 +363,27 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     ]
     smooth = without_dry_friction(loop, rest, targets)
     others, how = variants(loop.plant.model, settings.draws, settings.seed)
+    drawn, phase = None, "steps of plants that differ from the model"
+    if n := len(others):
+        starts, ends = begin.expand(n, -1), targets[farthest].expand(n, -1)
+        drawn = simulate_loop(loop.varied(others), starts, ends, seconds, phase)
     return Check(
         loop,
         settings,
         targets,
         begin,
+        farthest,
         rest,
         [margins for margins, _ in both],
         [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [noise for _, noise in both],
         *_sensors(loop),
         simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
-        _drawn(loop, others, targets[_farthest(loop, targets, begin)], begin, seconds),
+        drawn,
         spread(loop, targets[good], rest.select(good), others, how, seconds),
         _recovery(loop, settings, targets, rest, seconds),
-        find_limit_cycles(loop, targets, good, seconds, begin),
+        _limit_cycles(loop, targets, ~good, seconds, begin),
     )
-
-
-def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:
-    """Start around the middle of the target range, which is none of an even number of targets along an output."""
-    r = settings.middle.unsqueeze(0)
-    held = torch.isclose(targets, r, atol=0.0).all(-1).nonzero().flatten()
-    home = rest.select(held) if len(held) else find_rest(loop, r, seconds=seconds)
-    return recovery_plane(loop, home.z[0, loop.parts["x"]], r[0], settings.reach, settings.grid, seconds)
-
-
-def _farthest(loop: ClosedLoop, targets: Tensor, begin: Tensor) -> int:
-    return int((targets - begin[loop.task.outputs]).square().sum(-1).argmax())
 
 
 def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
@@ -295,12 +404,63 @@ def _sensors(loop: ClosedLoop) -> tuple[Array, Array]:
     return variance.where(variance.isfinite(), 0.0).sqrt().numpy(), sensors.resolution(loop.signature).numpy()
 
 
-def _drawn(loop: ClosedLoop, others: Tensor, target: Tensor, begin: Tensor, seconds: float) -> LoopSimulation | None:
-    if not (n := len(others)):
-        return None
-    phase = "steps of plants that differ from the model"
-    plants = loop.varied(others)
-    return simulate_loop(plants, begin.expand(n, -1), target.expand(n, -1), seconds, phase)
+def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:
+    """Start around the middle of the target range in planes of states, and see from where the plant comes back.
+
+    There is a plane of each output and its rate, and of each two outputs; where there is neither, of the output and
+    another state. A plant has come back where it ends as a flight without an initial error does: a loop that rests
+    beside its target comes back to there, and its steady error is told apart.
+    """
+    task, signature = loop.task, loop.signature
+    pairs = [(task.outputs[k], rate) for k, rate in zip(task.rated, task.rates, strict=True)]
+    pairs += [(a, b) for k, a in enumerate(task.outputs) for b in task.outputs[k + 1 :]]
+    # A plant of the first order has no rates.
+    pairs = pairs or [(a, b) for a in task.outputs for b in range(signature.n_x) if a != b][:1]
+    if not pairs:
+        return []
+    r, points = settings.middle.unsqueeze(0), settings.grid
+    held = torch.isclose(targets, r, atol=0.0).all(-1).nonzero().flatten()  # none of an even number along an output
+    home = rest.select(held) if len(held) else find_rest(loop, r, seconds=seconds)
+    x, scale = home.z[0, loop.parts["x"]], torch.tensor(signature.x_scale, dtype=torch.float64)
+    axis = settings.reach * torch.linspace(-1.0, 1.0, points, dtype=torch.float64)
+    starts = x.double().repeat(len(pairs), points, points, 1)
+    for start, (a, b) in zip(starts, pairs, strict=True):
+        start[..., a] += scale[a] * axis.unsqueeze(1)
+        start[..., b] += scale[b] * axis
+    flat = starts.flatten(0, -2)
+    if loop.plant.stops is not None:
+        flat = loop.plant.stops.apply(flat)[0]
+    flat = torch.cat([flat, x.to(flat).unsqueeze(0)])
+    flights = simulate_loop(loop, flat, r.expand(len(flat), -1), seconds, "recovery from initial errors")
+    left = replace(flights, r=flights.end[-1:]).steady_error  # from there, not from the target
+    back = (left <= TOLERANCE * scale[task.outputs]).all(-1)[:-1].unflatten(0, (len(pairs), points, points))
+    names, units, error = signature.state_names, signature.state_units, flights.steady_error[-1]
+    return [
+        Plane((names[a], names[b]), (units[a], units[b]), scale[a] * axis, scale[b] * axis, found, error)
+        for (a, b), found in zip(pairs, back, strict=True)
+    ]
+
+
+def _limit_cycles(loop: ClosedLoop, targets: Tensor, lost: Tensor, seconds: float, begin: Tensor) -> LimitCycles:
+    """Fly to the targets at which the loop is not stable, bool `(n_targets,)`."""
+    n_r, n_u = loop.task.n_r, loop.signature.n_u
+    found = LimitCycles(*(torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r)), LONGER * seconds)
+    if not bool(lost.any()):
+        return found
+    r, part = targets[lost], max(1, round(seconds / loop.dt))
+    phase = "flights where the loop is not stable"
+    flights = simulate_loop(loop, begin.expand(len(r), -1), r, found.seconds, phase)
+    y = flights.x[..., flights.outputs]
+    before, last = _half(y[:, -2 * part : -part]), _half(y[:, -part:])
+    found.outputs[lost] = torch.where(last > GROWTH * before, math.inf, last).nan_to_num(math.inf, math.inf)
+    found.inputs[lost] = _half(flights.u[:, -part:])
+    found.error[lost] = (y[:, -part:] - r.double().unsqueeze(1)).abs().mean(1).nan_to_num(math.inf, math.inf)
+    return found
+
+
+def _half(values: Tensor) -> Tensor:
+    """Return half of the way between the least and the largest value, `(rows, T, n)` to `(rows, n)`."""
+    return (values.amax(1) - values.amin(1)) / 2
 
 
 def variants(model: SindyModel, draws: int, seed: int) -> tuple[Tensor, str]:

@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.checking.check import Check
+from dynasindy.checking.check import TOLERANCE, Check
 from dynasindy.checking.linear_loop import Margins
-from dynasindy.checking.simulation import TOLERANCE
 from dynasindy.findings import Finding, note, records, weak, wrong
 
 

@@ -13,8 +13,8 @@ from matplotlib.patches import Circle, Patch
 from torch import Tensor
 
 from dynasindy.checking import Check, Thresholds
+from dynasindy.checking.check import TOLERANCE, diverged_rows
 from dynasindy.checking.linear_loop import frequencies, open_loop_response
-from dynasindy.checking.simulation import TOLERANCE, diverged_rows
 from dynasindy.text import format_duration
 from dynasindy.viz.style import (
     BLACK,

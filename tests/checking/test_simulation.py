@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.checking.simulation import (
-    LONGER,
-    LoopSimulation,
-    diverged_rows,
-    find_limit_cycles,
-    recovery_plane,
-    simulate_loop,
-)
+from dynasindy.checking.check import LONGER, LoopSimulation, Settings, check, diverged_rows, simulate_loop
+
+HERE = Settings((0.0,), (0.0,), points=1, reach=0.5, draws=0)
+ENDS = Settings((-0.4,), (0.4,), points=2, grid=2, draws=0)
 
 
 def test_a_flight_is_the_power_of_a_matrix(loops):
@@ -62,7 +58,7 @@ def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, 
             return tensordict.set("action", tensordict["action"].clamp(-0.5, 0.5))
 
     loop = loops(Limited(3.0, 3.0), carts(spring=-1.0))
-    (plane,) = recovery_plane(loop, torch.zeros(2), torch.zeros(1), 0.5, 9, 12.0)
+    (plane,) = check(loop, replace(HERE, grid=9, seconds=12.0)).planes
     assert plane.names == ("p", "v")
     np.testing.assert_allclose(plane.first, np.linspace(-1, 1, 9), atol=1e-12)  # half of the ranges of 2 m and 3 m/s
     np.testing.assert_allclose(plane.second, np.linspace(-1.5, 1.5, 9), atol=1e-12)
@@ -74,13 +70,9 @@ def test_a_law_that_is_too_weak_for_a_hill_loses_the_plant_beyond_a_line(loops, 
 
 def test_a_loop_that_rests_beside_its_target_comes_back_to_there_and_its_error_is_told_apart(loops, law):
     # v' = 2 (0 - p) - 2.5 v + 1 rests at p = 0.5, a quarter of the range of 2 m from the target.
-    (plane,) = recovery_plane(loops(law(2.0, 2.5, bias=1.0)), torch.tensor([0.5, 0.0]), torch.zeros(1), 0.5, 5, 20.0)
+    (plane,) = check(loops(law(2.0, 2.5, bias=1.0)), replace(HERE, grid=5, seconds=20.0)).planes
     assert plane.share == 1.0
     assert plane.steady_error.tolist() == pytest.approx([0.5], abs=1e-6)
-
-
-ENDS = torch.tensor([[-0.4], [0.4]], dtype=torch.float64)
-ORIGIN = torch.zeros(2)
 
 
 def moved(k_p, k_v, friction, target, periods, dt=0.1):
@@ -98,18 +90,20 @@ def moved(k_p, k_v, friction, target, periods, dt=0.1):
 
 @pytest.mark.parametrize("seconds", [20.0, 3.0])
 def test_swings_are_those_of_a_motion_that_is_computed_exactly(loops, carts, law, seconds):
-    found = find_limit_cycles(
-        loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), ENDS, torch.tensor([False, True]), seconds, ORIGIN
-    )
+    found = check(loops(law(40.0, 1.0, limit=1.0), carts(friction=0.8)), replace(ENDS, seconds=seconds)).swings
     last = round(10 * seconds)
     places, inputs = moved(40.0, 1.0, 0.8, -0.4, last * LONGER)
     assert found.seconds == seconds * LONGER
     assert float(found.outputs[0]) == pytest.approx(np.ptp(places[-last:]) / 2, rel=0.02)
     assert float(found.inputs[0]) == pytest.approx(np.ptp(inputs[-last:]) / 2, rel=0.02)
     assert float(found.error[0]) == pytest.approx(np.abs(places[-last:] + 0.4).mean(), rel=0.02)
-    assert not found.outputs[1].any() and not found.inputs[1].any() and not found.error[1].any()  # it is stable
 
 
 def test_swings_that_grow_have_no_size(loops, law):
-    found = find_limit_cycles(loops(law(-1.0, 0.0)), ENDS, torch.tensor([False, False]), 4.0, ORIGIN)
+    found = check(loops(law(-1.0, 0.0)), replace(ENDS, seconds=4.0)).swings
     assert found.outputs.isinf().all() and (found.error > 1).all()
+
+
+def test_a_loop_that_is_stable_swings_nowhere(loops):
+    found = check(loops(), replace(ENDS, seconds=4.0)).swings
+    assert not found.outputs.any() and not found.inputs.any() and not found.error.any()
