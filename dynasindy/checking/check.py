@@ -444,7 +444,8 @@ def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: Resti
 def _limit_cycles(loop: ClosedLoop, targets: Tensor, lost: Tensor, seconds: float, begin: Tensor) -> LimitCycles:
     """Fly to the targets at which the loop is not stable, bool `(n_targets,)`."""
     n_r, n_u = loop.task.n_r, loop.signature.n_u
-    found = LimitCycles(*(torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r)), LONGER * seconds)
+    outputs, inputs, error = (torch.zeros(len(targets), n, dtype=torch.float64) for n in (n_r, n_u, n_r))
+    found = LimitCycles(outputs, inputs, error, LONGER * seconds)
     if not bool(lost.any()):
         return found
     r, part = targets[lost], max(1, round(seconds / loop.dt))
