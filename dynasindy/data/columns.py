@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +24,10 @@ from dynasindy.data.headings import (
     split_unit,
     units_of,
 )
-from dynasindy.data.table import REGULAR, ColumnSummary, correct_map, read_columns, summarise_columns
+from dynasindy.data.table import REGULAR, ColumnSummary, read_columns, summarise_columns
 from dynasindy.findings import Finding, LogError, note, weak
-from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling
-from dynasindy.systems.base import WHOLE, Signature
 
 Array = NDArray[np.float64]
-ROUNDED = 1e-3
-"""Part by which an input may leave its ends and still be meant to be within them, as rounding makes it."""
-EVEN = 0.8
-"""Ratio of the ways to both sides of zero from which on an input is taken to go as far to either."""
-WIDE = 20.0
-"""Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +237,7 @@ def infer(
         lacks = "time" if not timed else "command" if len(live) < 2 else "states" if found else "inputs"
         facts: dict[str, Any] = {"columns": [*look.headings], "numbers": [*look.numeric], "clock": clock}
         if look.numeric and lacks != "command":
-            facts["guess"] = guess_columns(look, clock if timed else None, [*found], dt)
+            facts["guess"] = _guess_columns(look, clock if timed else None, [*found], dt)
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     if led:
         out.append(weak("log.followed", columns=led, states=[*left, *led]))
@@ -279,50 +270,6 @@ def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, ke
     if absent := [split_unit(name)[0] for name, found in named.items() if not found]:
         raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
     return {found[0]: columns[found[0]] for found in named.values()}
-
-
-def columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
-    """Return columns of what was given of states or inputs.
-
-    Args:
-        group: A heading, the keys of a column or a column, by name.
-        states: Whether they are states, of which some may do without a heading; inputs alone have ends.
-
-    Raises:
-        ValueError: One is no column, has no heading and needs one, or is a state with ends.
-    """
-    made = {name: _column(given) for name, given in group.items()}
-    logged = states and any(column.name for column in made.values())
-    for name, column in made.items():
-        if states and column.low is not None:
-            raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
-        if not (column.name or logged):
-            raise ValueError(f"{name} has no column; allowed is the name of one: {correct_map()}")
-    return made
-
-
-def _column(given: object) -> Column:
-    if isinstance(given, str):
-        return Column(given)
-    column = given if isinstance(given, Column) else None
-    if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
-        column = Column(**given)
-    if column is None or not _is_valid(column):
-        raise ValueError(
-            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
-            f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
-        )
-    return column
-
-
-def _is_valid(column: Column) -> bool:
-    low, high = column.low, column.high
-    numbers: list[object] = [column.scale, *(v for v in (low, high, column.rest) if v is not None)]
-    if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers):
-        return False
-    ends = low is not None and high is not None and low < high
-    words: list[object] = [column.name, column.unit]
-    return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
 
 
 def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) -> str:
@@ -368,21 +315,11 @@ def _is_regular(column: Array) -> bool:
     return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < 0.5).mean() > HELD)
 
 
-def guess_columns(
-    look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None = None
-) -> dict[str, Any]:
-    """Return a first guess at what is time, what an input and what a state, as facts for a reader.
+def _guess_columns(look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None) -> dict[str, Any]:
+    """Return a first guess at what is time, what an input and what a state, as facts for a reader; given is none.
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
-    other. The input is the column that is held longest, as only levels of an actuator are, or else the last one. Both
-    are guesses, and what was found by its heading is none. A column that never changes or counts the rows is neither
-    input nor state.
-
-    Args:
-        look: The columns of the file.
-        time: Heading of the time, None where it is not known.
-        inputs: Names of inputs that were found.
-        dt: Sampling time that was given [s].
+    other. The input is the column that is held longest, as only levels of an actuator are, or else the last one.
     """
     columns, named = look.moving, time is not None
     if time is None:
@@ -404,122 +341,3 @@ def guess_columns(
         "counter": time if counts else "",
         "held": held,
     }
-
-
-def actuator_ranges(
-    path: str, u: Array, inputs: Mapping[str, Column], guess: bool, findings: list[Finding]
-) -> tuple[list[ActuatorScaling], dict[str, Any] | None]:
-    """Return the range of each input and what becomes 0 and 1 of it: as it was given, or else -1 and 1.
-
-    Beside it stands the column map that gives these ends, None where nobody has to say whether they are right.
-
-    Args:
-        path: The file, for messages.
-        u: Inputs in their own units, `(N, n_u)`.
-        inputs: Their columns by name, with the ends that the user gave.
-        guess: Whether an input that goes beyond [-1, 1] has the ends of its range where none were given.
-        findings: What was decided; that of inputs is added.
-
-    Raises:
-        LogError: An input is constant, or goes beyond the ends that were given; -1 and 1 keep it as it is.
-    """
-    found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
-    for (name, given), values in zip(inputs.items(), u.T, strict=True):
-        least, most = float(values.min()), float(values.max())
-        extent = extents[name] = {"input": name, "least": least, "most": most}
-        if least == most:
-            raise LogError("log.constant_input", file=path, input=name, value=least)
-        if np.isin(values, (least, most)).all():
-            findings.append(weak("log.two_levels", input=name, low=least, high=most))
-        reach = _guess_range(least, most) if guess else PLAIN
-        if given.low is not None and given.high is not None:
-            reach = ActuatorScaling.of(given.low, given.high, given.rest)
-            width, ends = reach.high - reach.low, {"low": reach.low, "high": reach.high}
-            if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * width / 2:
-                raise LogError("log.input_ends", file=path, **ends, **extent)
-            if (most - least) / width * WIDE <= 1:
-                findings.append(weak("log.hardly_moved", **ends, percent=100 * (most - least) / width, **extent))
-        found[name] = reach
-        if reach == PLAIN and max(-least, most) > 1 + ROUNDED:
-            findings.append(weak("log.beyond_ends", **extent))
-        elif reach != PLAIN or not guess or given.low is not None:
-            continue
-        elif (most - least) * WIDE < 2:
-            ends = as_map({name: _with_ends(given, ActuatorScaling.of(least, most))})
-            findings.append(weak("log.small_input", inputs=ends, **extent))
-        elif least * most >= 0:
-            one_sided[name] = ActuatorScaling.of(0.0, 1.0) if most > 0 else ActuatorScaling.of(-1.0, 0.0)
-    ranges = as_map({name: _with_ends(inputs[name], reach) for name, reach in (found | one_sided).items()})
-    findings += [note("log.one_sided", **extents[name], inputs=ranges) for name in one_sided]
-    for name, reach in found.items():
-        if reach != PLAIN:
-            scale = {"rest": reach.rest, "one": reach.rest + reach.unit, "low": reach.low, "high": reach.high}
-            findings.append(note("log.scaled", input=name, unit=inputs[name].unit, **scale))
-    if guessed := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
-        findings.append(note("log.guessed_ends", inputs=ranges))
-    return list(found.values()), ranges if one_sided or guessed else None
-
-
-def _guess_range(low: float, high: float) -> ActuatorScaling:
-    """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
-
-    Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
-    """
-    if max(-low, high) <= 1 + ROUNDED:
-        return PLAIN
-    if min(-low, high) >= EVEN * max(-low, high):
-        low, high = -max(-low, high), max(-low, high)
-    return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
-
-
-def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
-    """Return a column with these ends; an actuator reaches where it rests, whether the log has tried it or not."""
-    low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
-    rest = None if reach.rest == ActuatorScaling.of(low, high).rest else reach.rest
-    return replace(column, low=low, high=high, rest=rest)
-
-
-def with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], plant: Signature) -> dict[str, Column]:
-    """Return columns of inputs with the ends that a plant says of its actuators.
-
-    A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
-
-    Args:
-        inputs: Columns by name.
-        headings: Headings of the file.
-        plant: Names, ends and units of the inputs.
-
-    Raises:
-        ValueError: Other ends, or another unit, were given of an input.
-    """
-    columns, inside = dict(inputs), units_of(headings)
-    for place, (name, own) in enumerate(zip(plant.input_names, plant.input_units or "-" * plant.n_u, strict=True)):
-        column, reach = columns.get(name), _reach_of(plant, place)
-        if column is None or reach == PLAIN:
-            continue
-        unit = inside.get(column.name, "") if column.unit == "-" else column.unit
-        if column.low is not None and column.high is not None:
-            given = ActuatorScaling.of(column.low, column.high, column.rest)
-            both = (given.low, given.high, given.rest), (reach.low, reach.high, reach.rest)
-            if not np.allclose(*both, rtol=1e-9, atol=1e-9 * (reach.high - reach.low)):
-                raise ValueError(
-                    f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in "
-                    f"data.inputs, and from {reach.low:g} to {reach.high:g} and at {reach.rest:g} in "
-                    "system.inputs; give them once"
-                )
-        elif unit != "-":
-            if unit and own not in ("-", unit):
-                mended = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
-                raise ValueError(
-                    f"input {name} is in {unit} in the log, and in {own} in system.inputs; give the factor from one to "
-                    f"the other: 'data.inputs={mended}'"
-                )
-            columns[name] = replace(column, unit=unit or own, low=reach.low, high=reach.high, rest=reach.rest)
-    return columns
-
-
-def _reach_of(plant: Signature, place: int) -> ActuatorScaling:
-    """Return what an input of a plant reaches, in its own unit, and what is zero of it."""
-    limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u)
-    low, high = (float(plant.in_own_units(ends)[place]) for ends in limits.T)
-    return ActuatorScaling(low, high, float(plant.in_own_units(np.zeros(plant.n_u))[place]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -13,7 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.columns import Column, as_map
-from dynasindy.data.headings import in_radians, is_rate_of
+from dynasindy.data.headings import is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -38,15 +37,11 @@ ROWS = 5000
 BRIDGED = 10
 """Samples of a rate that may be missing in a row; over these it is taken to be straight, over more nothing is told."""
 PLAIN = ("rate", "velocity", "speed")
-"""What a rate is called that may be that of any state."""
+"""What a rate is called that may be that of any state, where no unit says so."""
 RPM = 2 * math.pi / 60
 """A turn per minute [rad/s]."""
 NEAR = 0.05
 """Part by which a factor that the log tells may differ from one whose cause is known."""
-LENGTHS = ("m", "cm", "mm", "km")
-"""Units of lengths."""
-PER_TIME = re.compile(r"(.+)/(s|sec|ms|min|h)")
-"""How the unit of a rate is written, but for rpm."""
 NO_TIE = (0.0, 0.0)
 """Factor and correlation of what does not move."""
 CAUSES = {
@@ -109,7 +104,8 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
     """
     names = signature.state_names
     known = {state: rate for state, rate in known.items() if {state, rate} <= set(names)}
-    wrong, units = dict[str, Finding](), list[Finding]()
+    units = dict(zip(names, signature.state_units, strict=True))
+    wrong, other = dict[str, Finding](), list[Finding]()
 
     @cache
     def compare(state: str, rate: str) -> tuple[float, float]:
@@ -124,15 +120,17 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
     measured = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
     for rate in measured:
         sure = [s for s in measured if known.get(s) == rate] or [s for s in measured if is_rate_of(s, rate)]
-        others = [s for s in measured if s not in known and s != rate and _may_be(s, rate, signature)]
+        plain = rate in PLAIN and units[rate] == "-"
+        fits = (s for s, unit in units.items() if (unit == "-" if plain else _unit_of_rate(unit) == units[rate]))
+        others = [s for s in fits if s in measured and s not in known and s != rate]
         ties = {s: compare(s, rate) for s in sure or others}
         state, (factor, correlation) = max(ties.items(), key=lambda tie: abs(tie[1][1]), default=("", NO_TIE))
         clear = EXACT if known.get(state) == rate and abs(correlation) > ALIKE else CLEAR
         if state in wrong or abs(correlation) <= (TIED if sure else ALIKE) or 1 / clear < factor < clear:
             continue
         facts = {"state": state, "rate": rate, "factor": factor, "cause": _explain_factor(factor)[0]}
-        units.append(weak("log.rate_units", **facts, guessed=not sure))
-    return [*wrong.values(), *units]
+        other.append(weak("log.rate_units", **facts, guessed=not sure))
+    return [*wrong.values(), *other]
 
 
 def require_consistent_rates(
@@ -171,27 +169,9 @@ def require_consistent_rates(
 
 
 def is_speed_in_rpm(data: Transitions, angle: int, speed: int) -> bool:
-    """Tell whether a column is the slope of an angle, in turns per minute.
-
-    Args:
-        data: The recording.
-        angle: Place of a state in rad.
-        speed: Place of the column.
-    """
+    """Tell whether the column at a place is the slope of the angle at another one [rad], in turns per minute."""
     factor, correlation = _compare(data, angle, speed)
     return abs(correlation) > ALIKE and abs(math.log(abs(factor) / RPM)) < NEAR
-
-
-def _may_be(state: str, rate: str, signature: Signature) -> bool:
-    """Return whether the units allow a rate to be that of a state; without units its name must be that of a rate."""
-    units = dict(zip(signature.state_names, signature.state_units, strict=True))
-    if rate in PLAIN and units[rate] == "-":
-        return units[state] == "-"
-    per_time = PER_TIME.fullmatch("rev/min" if units[rate] == "rpm" else units[rate])
-    if per_time is None or (rate not in PLAIN and not units[rate].endswith(("/s", "/sec"))):
-        return False
-    both = {"m" if unit in LENGTHS else in_radians(unit, turns=False)[0] for unit in (units[state], per_time[1])}
-    return len(both) == 1
 
 
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:

@@ -6,8 +6,9 @@ A row without a time or an input is skipped. One without a state stays, NaN ther
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +20,30 @@ from numpy.typing import NDArray
 from dynasindy.data.clock import CLOCK, clock_of, in_seconds, period_of
 from dynasindy.data.columns import (
     Column,
-    actuator_ranges,
     as_map,
-    columns_of,
     find_clock,
     infer,
-    with_actuator_ranges,
     with_units,
 )
 from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample
 from dynasindy.data.table import Table, correct_map, read_columns, select_columns
-from dynasindy.findings import Finding, LogError, note
+from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
-from dynasindy.systems.actuator_scaling import actuator_units
-from dynasindy.systems.base import Signature
+from dynasindy.systems.actuator_scaling import PLAIN, ActuatorScaling, actuator_units
+from dynasindy.systems.base import WHOLE, Signature
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import format_duration
 
 Array = NDArray[np.float64]
+ROUNDED = 1e-3
+"""Part by which an input may leave its ends and still be meant to be within them, as rounding makes it."""
+BOTH = 0.8
+"""Ratio of the ways to both sides of zero from which on an input is taken to go as far to either."""
+WIDE = 20.0
+"""Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 LEAST = 50
 """Fewest transitions that are worth a fit, and samples of each state."""
 TINY = 1e-19
@@ -199,7 +203,7 @@ class LogReader:
         findings = [each for part in parts for each in self._findings_of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
         u = _joined([part.u for part in parts])
-        ranges, ends = actuator_ranges(str(self), u, inputs, plant is None, after)
+        ranges, ends = _actuator_ranges(str(self), u, inputs, plant is None, after)
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         for part in parts:
             part.findings.clear()
@@ -235,7 +239,7 @@ class LogReader:
         """Return the heading of the time, states and inputs: those that were given, of the plant, or else inferred."""
         mapped = [isinstance(given, Mapping) for given in (self.states, self.inputs)]
         states, inputs = (
-            columns_of(given if isinstance(given, Mapping) else {name: name for name in given or ()}, states)
+            _columns_of(given if isinstance(given, Mapping) else {name: name for name in given or ()}, states)
             for given, states in ((self.states, True), (self.inputs, False))
         )
         first, taken = Path(self.paths[0]), [split_unit(c.name or n)[0] for n, c in {**states, **inputs}.items()]
@@ -247,7 +251,7 @@ class LogReader:
                 for name, unit in zip(plant.state_names, plant.state_units, strict=True)
             }
             inputs = inputs or {name: Column(name) for name in plant.input_names}
-            return time, states, with_actuator_ranges(inputs, headings, plant)
+            return time, states, _with_actuator_ranges(inputs, headings, plant)
         if not (states and inputs and all(mapped)):
             named = [column.name for column in inputs.values()] or None
             inferred = self._infer(time, named, None if mapped[0] else [*states] or None, findings)
@@ -574,3 +578,135 @@ def _transitions(x: Array, u: Array, segment: NDArray[np.int64], usable: NDArray
     states, inputs = torch.from_numpy(np.ascontiguousarray(x)), torch.from_numpy(np.ascontiguousarray(u))
     data = Transitions(states[:-1], inputs[:-1], states[1:], dt, torch.from_numpy(segment[:-1].astype(np.int64)))
     return data.select(whole)
+
+
+def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
+    """Return columns of what was given of states, of which some may have no heading, or of inputs, which have ends."""
+    made = {name: _column(given) for name, given in group.items()}
+    logged = states and any(column.name for column in made.values())
+    for name, column in made.items():
+        if states and column.low is not None:
+            raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
+        if not (column.name or logged):
+            raise ValueError(f"{name} has no column; allowed is the name of one: {correct_map()}")
+    return made
+
+
+def _column(given: object) -> Column:
+    if isinstance(given, str):
+        return Column(given)
+    column = given if isinstance(given, Column) else None
+    if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
+        column = Column(**given)
+    if column is None or not _is_valid(column):
+        raise ValueError(
+            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
+            f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
+        )
+    return column
+
+
+def _is_valid(column: Column) -> bool:
+    low, high = column.low, column.high
+    numbers: list[object] = [column.scale, *(v for v in (low, high, column.rest) if v is not None)]
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in numbers):
+        return False
+    ends = low is not None and high is not None and low < high
+    words: list[object] = [column.name, column.unit]
+    return all(isinstance(word, str) for word in words) and column.scale != 0 and (ends or len(numbers) == 1)
+
+
+def _actuator_ranges(
+    path: str, u: Array, inputs: Mapping[str, Column], guess: bool, findings: list[Finding]
+) -> tuple[list[ActuatorScaling], dict[str, Any] | None]:
+    """Return the range of each input `(N, n_u)`, as it was given or, if asked, as the log shows it; findings are added.
+
+    Beside it stands the column map that gives these ends, None where nobody has to say whether they are right.
+    """
+    found, one_sided, extents = dict[str, ActuatorScaling](), dict[str, ActuatorScaling](), dict[str, Any]()
+    for (name, given), values in zip(inputs.items(), u.T, strict=True):
+        least, most = float(values.min()), float(values.max())
+        extent = extents[name] = {"input": name, "least": least, "most": most}
+        if least == most:
+            raise LogError("log.constant_input", file=path, input=name, value=least)
+        if np.isin(values, (least, most)).all():
+            findings.append(weak("log.two_levels", input=name, low=least, high=most))
+        reach = _guess_range(least, most) if guess else PLAIN
+        if given.low is not None and given.high is not None:
+            reach = ActuatorScaling.of(given.low, given.high, given.rest)
+            width, ends = reach.high - reach.low, {"low": reach.low, "high": reach.high}
+            if reach != PLAIN and max(reach.low - least, most - reach.high) > ROUNDED * width / 2:
+                raise LogError("log.input_ends", file=path, **ends, **extent)
+            if (most - least) / width * WIDE <= 1:
+                findings.append(weak("log.hardly_moved", **ends, percent=100 * (most - least) / width, **extent))
+        found[name] = reach
+        if reach == PLAIN and max(-least, most) > 1 + ROUNDED:
+            findings.append(weak("log.beyond_ends", **extent))
+        elif reach != PLAIN or not guess or given.low is not None:
+            continue
+        elif (most - least) * WIDE < 2:
+            ends = as_map({name: _with_ends(given, ActuatorScaling.of(least, most))})
+            findings.append(weak("log.small_input", inputs=ends, **extent))
+        elif least * most >= 0:
+            one_sided[name] = ActuatorScaling.of(0.0, 1.0) if most > 0 else ActuatorScaling.of(-1.0, 0.0)
+    ranges = as_map({name: _with_ends(inputs[name], reach) for name, reach in (found | one_sided).items()})
+    findings += [note("log.one_sided", **extents[name], inputs=ranges) for name in one_sided]
+    for name, reach in found.items():
+        if reach != PLAIN:
+            scale = {"rest": reach.rest, "one": reach.rest + reach.unit, "low": reach.low, "high": reach.high}
+            findings.append(note("log.scaled", input=name, unit=inputs[name].unit, **scale))
+    if guessed := any(reach != PLAIN and inputs[name].low is None for name, reach in found.items()):
+        findings.append(note("log.guessed_ends", inputs=ranges))
+    return list(found.values()), ranges if one_sided or guessed else None
+
+
+def _guess_range(low: float, high: float) -> ActuatorScaling:
+    """Return what an input reaches as far as a log shows: [-1, 1] if it stays within, else its range.
+
+    Zero stays zero even where the log has it not, unless it is farther off than the log is wide.
+    """
+    if max(-low, high) <= 1 + ROUNDED:
+        return PLAIN
+    if min(-low, high) >= BOTH * max(-low, high):
+        low, high = -max(-low, high), max(-low, high)
+    return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
+
+
+def _with_ends(column: Column, reach: ActuatorScaling) -> Column:
+    """Return a column with these ends; an actuator reaches where it rests, whether the log has tried it or not."""
+    low, high = min(reach.low, reach.rest), max(reach.high, reach.rest)
+    rest = None if reach.rest == ActuatorScaling.of(low, high).rest else reach.rest
+    return replace(column, low=low, high=high, rest=rest)
+
+
+def _with_actuator_ranges(inputs: Mapping[str, Column], headings: Sequence[str], plant: Signature) -> dict[str, Column]:
+    """Return columns of inputs with the ends that a plant says of its actuators.
+
+    A column whose heading has the unit `[-]` holds the numbers that a rig gets, as its logs do, and keeps them.
+    """
+    columns, inside = dict(inputs), units_of(headings)
+    limits = np.array(plant.input_limits or (WHOLE,) * plant.n_u).T
+    ends = plant.in_own_units(np.stack([*limits, np.zeros(plant.n_u)]))  # and what is zero of each
+    for place, (name, own) in enumerate(zip(plant.input_names, plant.input_units or "-" * plant.n_u, strict=True)):
+        column, reach = columns.get(name), ActuatorScaling(*ends[:, place].tolist())
+        if column is None or reach == PLAIN:
+            continue
+        unit = inside.get(column.name, "") if column.unit == "-" else column.unit
+        if column.low is not None and column.high is not None:
+            given = ActuatorScaling.of(column.low, column.high, column.rest)
+            both = (given.low, given.high, given.rest), (reach.low, reach.high, reach.rest)
+            if not np.allclose(*both, rtol=1e-9, atol=1e-9 * (reach.high - reach.low)):
+                raise ValueError(
+                    f"input {name} goes from {given.low:g} to {given.high:g} and rests at {given.rest:g} in "
+                    f"data.inputs, and from {reach.low:g} to {reach.high:g} and at {reach.rest:g} in "
+                    "system.inputs; give them once"
+                )
+        elif unit != "-":
+            if unit and own not in ("-", unit):
+                mended = f"{{{name}: {{name: {split_unit(column.name)[0]}, unit: {own}, scale: NUMBER}}}}"
+                raise ValueError(
+                    f"input {name} is in {unit} in the log, and in {own} in system.inputs; give the factor from one to "
+                    f"the other: 'data.inputs={mended}'"
+                )
+            columns[name] = replace(column, unit=unit or own, low=reach.low, high=reach.high, rest=reach.rest)
+    return columns

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dynasindy.data.columns import find_clock, guess_columns, infer
-from dynasindy.data.table import summarise_columns
+from dynasindy.data.columns import find_clock, infer
 from dynasindy.findings import LogError, note, weak
 from dynasindy.identification.identify import LoggedData
 
@@ -76,9 +75,9 @@ def test_dates_are_taken_for_the_time_and_a_counter_only_where_there_is_no_other
     path.write_text(
         "\n".join(["row,Winkel,Motor,Zeit", *(",".join(np.array(r.split(","))[[0, 2, 3, 4]]) for r in rows)])
     )
-    assert guess_columns(summarise_columns(path), None, [])["time"] == "Zeit"
+    assert refused(lambda: infer(str(path))).values["guess"]["time"] == "Zeit"
     path.write_text("\n".join(["row,Winkel,Motor", *(",".join(np.array(r.split(","))[[0, 2, 3]]) for r in rows)]))
-    guess = guess_columns(summarise_columns(path), None, [])
+    guess = refused(lambda: infer(str(path))).values["guess"]
     assert guess["time"] == guess["counter"] == "row"
 
 
