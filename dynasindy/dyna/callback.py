@@ -99,6 +99,7 @@ class Episode:
         number: Counted from 1.
         rollout: What happened, `(T,)`.
         error: Open-loop error of the model on it, before the model was fitted to it.
+        one_step: The same of each control period alone.
         trusted: Whether the gate is open.
         refit: What came of the refit after it; None if there was none.
     """
@@ -106,6 +107,7 @@ class Episode:
     number: int
     rollout: TensorDict
     error: ModelError
+    one_step: ModelError
     trusted: bool
     refit: Refit | None = None
 

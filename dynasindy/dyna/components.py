@@ -14,7 +14,7 @@ from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import Count
-from dynasindy.planning import Gate, ModelPrediction, Planner
+from dynasindy.planning import Gate, Planner
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sindy import WorldModel
 
@@ -41,7 +41,6 @@ class Components(PlantComponents):
     """What Algorithm 1 works on.
 
     Attributes:
-        env: The plant through its sensors, with the model's one-step prediction beside every step.
         model_env: The same environment around the world model.
         world_model: Model to fit.
         agent: TD3 agent.
@@ -79,7 +78,7 @@ class Components(PlantComponents):
         """Put sensors without errors, and an observer, between the plant and all else."""
         observer = Observer(self.world_model, Sensors.exact(self.plant.system.signature), self.plant)
         self.sensing = Sensing(self.plant, observer, torch.Generator())
-        self.env = sensed_environment(self.plant, self.model_env, self.sensing)
+        self.env = TransformedEnv(self.plant, self.sensing)
         self.replay.keep(MEASURED_KEYS)
 
     def state_dict(self) -> dict[str, Any]:
@@ -117,20 +116,6 @@ class Components(PlantComponents):
         return {name: part for name, part in parts.items() if part is not None}
 
     _drawing: ClassVar = ("plant", "model_env")
-
-
-def sensed_environment(plant: ControlEnv, model_env: ControlEnv, sensing: Sensing | None) -> EnvBase:
-    """Return the real environment as it is used: through its sensors, the model's one-step prediction beside each step.
-
-    The model predicts from what is seen of the plant, so that it stays outside of the sensors.
-
-    Args:
-        plant: Real environment.
-        model_env: The same environment around the world model.
-        sensing: Sensors and observer; None where all states are seen as they are.
-    """
-    env = plant if sensing is None else TransformedEnv(plant, sensing)
-    return TransformedEnv(env, ModelPrediction(model_env), auto_unwrap=False)
 
 
 @dataclass(frozen=True)

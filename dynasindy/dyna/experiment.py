@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+from torchrl.envs import TransformedEnv
 
 from dynasindy.agents import MEASURED_KEYS, TD3, DynaReplay
-from dynasindy.dyna.components import Components, LoopSettings, sensed_environment
+from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.envs import ControlEnv
 from dynasindy.excitation import Excitation
 from dynasindy.limits import check_memory
@@ -96,7 +97,7 @@ class Recipe:
             )
         return Components(
             plant=plant,
-            env=sensed_environment(plant, model_env, sensing),
+            env=plant if sensing is None else TransformedEnv(plant, sensing),
             model_env=model_env,
             excitation=excitation,
             world_model=world_model,

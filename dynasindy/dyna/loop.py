@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import torch
 from tensordict.nn import TensorDictModuleBase
 
 from dynasindy.dyna.callback import Callback, Episode, Place
@@ -66,10 +67,11 @@ def train(
         cost.updates += updates
         # Planning: after every N episodes, on the updated model if it is trusted.
         error, refitted = replay_error(parts.model_env, rollout), None
+        one_step = replay_error(parts.model_env, rollout, torch.arange(rollout.numel()), 1)
         if planner.due(number):
             refitted = refit(parts, settings, rollout)
             cost.add(planner.plan()) if parts.gate.judge(refitted.error) else planner.distrust()
-        callback.episode(Episode(number, rollout, error, parts.gate.is_open, refitted), cost)
+        callback.episode(Episode(number, rollout, error, one_step, parts.gate.is_open, refitted), cost)
         callback.reached(place.past_episode(number))
     # Deployment.
     return agent.deployed

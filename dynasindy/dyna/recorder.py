@@ -161,7 +161,7 @@ class Recorder(Callback):
         row: dict[str, float | None] = {
             "episode": episode.number,
             "return": following["reward"].sum().item(),
-            "one_step_reward_error": (following["predicted_reward"] - following["reward"]).abs().mean().item(),
+            "one_step_reward_error": episode.one_step.reward_error * self.plant.task.unit,
             "reward_error": error.reward_error,
             "state_error": error.state_error,
             "model_trusted": float(episode.trusted),

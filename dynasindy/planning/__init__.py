@@ -1,6 +1,6 @@
 """Planning, in Dyna's sense: learning from imagined experience."""
 
-from dynasindy.planning.gate import Gate, ModelError, ModelPrediction, replay_error
+from dynasindy.planning.gate import Gate, ModelError, replay_error
 from dynasindy.planning.gradient_planning import GradientPlanning
 from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning, Planned, Planner
 
@@ -10,7 +10,6 @@ __all__ = [
     "Imagination",
     "ImaginedReplay",
     "ModelError",
-    "ModelPrediction",
     "NoPlanning",
     "Planned",
     "Planner",

@@ -132,9 +132,9 @@ def test_both_errors_of_the_model_stand_under_their_names(recorded, tmp_path):
     again = Recorder(tmp_path, parts, replace(recorder.evaluating, every=5), 3)
     again.begin()
     rollout = parts.env.rollout(4)
-    rollout["next", "predicted_reward"] = rollout["next", "reward"] + 0.5
-    error, tested = (ModelError(a, b, torch.zeros(4, 6)) for a, b in ((0.25, 0.75), (2.0, 3.0)))
-    again.episode(Episode(2, rollout, error, False, Refit(None, 4.0, 5.0, True, tested)), Cost(7, 8, 9))
+    figures = ((0.25, 0.75), (0.5 / parts.plant.task.unit, 1.0), (2.0, 3.0))
+    error, one_step, tested = (ModelError(a, b, torch.zeros(4, 6)) for a, b in figures)
+    again.episode(Episode(2, rollout, error, one_step, False, Refit(None, 4.0, 5.0, True, tested)), Cost(7, 8, 9))
     (decided,), (logged,) = rows(tmp_path / "gate.csv"), rows(tmp_path / "progress.csv")
     assert [float(decided[key]) for key in ("reward_error", "state_error")] == [0.25, 0.75]
     assert [float(decided[key]) for key in ("judged_reward_error", "judged_state_error")] == [2.0, 3.0]
@@ -166,9 +166,8 @@ def test_the_first_and_the_last_episode_stand_beside_their_predictions(recorded,
     again = Recorder(tmp_path, parts, replace(recorder.evaluating, every=5), 3)
     again.begin()
     rollout = parts.env.rollout(4)
-    rollout["next", "predicted_reward"] = rollout["next", "reward"]
-    predicted = torch.arange(24.0).reshape(4, 6)
-    again.episode(Episode(number, rollout, ModelError(0.0, 0.0, predicted), True), Cost())
+    predicted = ModelError(0.0, 0.0, torch.arange(24.0).reshape(4, 6))
+    again.episode(Episode(number, rollout, predicted, predicted, True), Cost())
     assert [file.stem for file in (tmp_path / "data").glob("*.csv")] == ([f"prediction_{name}_episode"] if name else [])
     for written in (tmp_path / "data").glob("*.csv"):
         told = rows(written)
@@ -217,12 +216,15 @@ def test_behind_sensors_the_state_of_the_observer_is_left_too(recorded, tmp_path
 def test_a_run_reports_its_episodes_with_return_and_model_error(recorded):
     _, _, recorder = recorded
     heard = []
-    rollout = TensorDict({"next": {"reward": torch.full((4, 1), -1.5), "predicted_reward": torch.zeros(4, 1)}}, [4])
+    rollout, error = (
+        TensorDict({"next": {"reward": torch.full((4, 1), -1.5)}}, [4]),
+        ModelError(0.0123, 0.0, torch.zeros(0)),
+    )
     recorder = Recorder(recorder.folder / "other", recorder.parts, replace(recorder.evaluating, every=9), 5)
     with listening(heard.append):
         recorder.begin()
         recorder.progress(3)
-        recorder.episode(Episode(4, rollout, ModelError(0.0123, 0.0, torch.zeros(0)), True), Cost(600))
+        recorder.episode(Episode(4, rollout, error, error, True), Cost(600))
     run = [event for event in heard if event.outer]
     assert [event.count() for event in run] == ["3 of 5 episodes", "4 of 5 episodes"]
     assert all(part in run[1].note for part in ("return -6.0", "error 0.0123", "steps 600"))
