@@ -230,19 +230,11 @@ def _rate_units(
     return f"{slope} Correct the column, or give it a scale in <data.states>.{guess * guessed}"
 
 
-def _quiet(steps: Mapping[str, int], wanted: int, inputs: Sequence[Mapping[str, Any]]) -> str:
-    """Say which states move too little, how far inputs went, and how far they are to go."""
+def _quiet(steps: Mapping[str, int], wanted: int, inputs: Mapping[str, float | None]) -> str:
+    """Say which states move too little, and how far inputs are to go."""
     which = " and ".join(f"{name}, which moves by {count} steps of its sensor" for name, count in steps.items())
-    words = []
-    for each in inputs:
-        unit = "" if each["unit"] == "-" else f" {each['unit']}"
-        far = "as far as its actuator reaches, " * each["limited"]
-        if each["times"] is None:
-            words.append(f"{each['input']}, which does not move")
-            continue
-        went = f"{each['input']}, which goes from {each['low']:.2g} to {each['high']:.2g}{unit}"
-        words.append(f"{went}, {far}about {each['times']:.2g} times as far")
-    move = f"log it anew and move {', or '.join(words)}"
+    far = (f"{n}, which does not move" if by is None else f"{n} {by:.2g} times as far" for n, by in inputs.items())
+    move = f"log it anew and move {', or '.join(far)}"
     return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: {move}"
 
 
@@ -392,9 +384,8 @@ def _forecast_errors(
     for name, each in outputs.items():
         both = dict.fromkeys(f"{value:.2g}" for value in (each["least"], each["most"]))  # one where they are alike
         over = "" if each["overshoot"] is None else f", after it overshot by {each['overshoot']:.2g} % of the step"
-        hidden = "" if each["resolved"] is None else f" (its sensor resolves {each['resolved']:.2g} %)"
         reference = "of a turn" if each["of_turn"] else "of the target range"
-        average = f"{name} {' to '.join(both)} % {reference} on average{hidden}"
+        average = f"{name} {' to '.join(both)} % {reference} on average"
         texts.append(f"{average}, {each['worst']:.2g} % at worst{over}")
     limits = f"limits: {within:g} % on average, {lost:g} % at worst"
     return f"errors at {end} ({limits}): {'; '.join(texts)}"
@@ -443,11 +434,10 @@ def _places(values: Sequence[float]) -> str:
     return f"({', '.join(f'{value:g}' for value in values)})"
 
 
-def _error(error: float | None, limit: float, unit: str, output: str, resolution: float | None, **_: Any) -> str:
+def _error(error: float | None, limit: float, unit: str, output: str, **_: Any) -> str:
     """Say how large an error is, and that no measurement can show it where a sensor does not resolve it."""
     text = "no bound" if error is None or math.isinf(error) else f"{_beside(error, limit)} {unit}"
-    hidden = "" if resolution is None else f" (the sensor cannot show it, which resolves {resolution:.3g} {unit})"
-    return f"{text} of {output}{hidden}"
+    return f"{text} of {output}"
 
 
 def _error_limit(limit: float, unit: str, size: float, output: str, **_: Any) -> str:
@@ -702,8 +692,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": _rate_units,
-    "log.low_signal_targets": "the targets of {state} go from {low:g} to {high:g} {unit}, the log to {reach:.2g} "
-    "only; {quiet}",
     "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
     "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "
     "degrees by unit: deg of its column in <data.states>",

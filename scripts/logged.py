@@ -23,7 +23,7 @@ from dynasindy.dyna import Stopped
 from dynasindy.dyna.from_log import log_report, model_of
 from dynasindy.evaluation.tracking_criteria import WITHIN
 from dynasindy.findings import Finding, note
-from dynasindy.identification.recording_diagnostics import low_signal_targets
+from dynasindy.identification.recording_diagnostics import low_signal_findings
 from dynasindy.identification.source import PERIOD, Source, closest_period, rates_of
 from dynasindy.identification.targets import require_radians, targets_like
 from dynasindy.planning import GradientPlanning
@@ -61,7 +61,8 @@ def prepare(cfg: DictConfig) -> Prepared:
     parts["task"](signature=given.signature if given else source.signature)
     if given is None:  # one that is given has its own library
         parts["world_model"](signature=source.signature)
-    findings = [*findings, *low_signal_targets(source.training, source.signature, targets)]
+    others = [i for i, name in enumerate(source.signature.state_names) if name not in targets]
+    findings = [*findings, *low_signal_findings(source.training, source.signature, others)]
     require_radians(source, targets)
     return planning, source, parts, findings
 

@@ -275,7 +275,6 @@ class Check:
         smooth: The same of large movements, which dry friction hardly damps; none of a plant without dry friction.
         noise: Per target, standard deviation of the inputs per unit of noise, `(n_u, n_x)`; none likewise.
         sensors: Standard deviation of the noise of each state's measurement, as the controller's file has it, `(n_x,)`.
-        resolution: Step between two values that each state's sensor can tell apart, likewise; 0 where none is known.
         steps: Flights from `begin` to each target.
         drawn: Flights from `begin` to the farthest target with each plant that was drawn.
         spread: What becomes of the loop with other plants, at the targets where it is stable with the model.
@@ -293,7 +292,6 @@ class Check:
     smooth: list[list[Margins]]
     noise: list[Array | None]
     sensors: Array
-    resolution: Array
     steps: LoopSimulation
     drawn: LoopSimulation | None
     spread: Spread
@@ -377,7 +375,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         [margins for margins, _ in both],
         [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [noise for _, noise in both],
-        *_sensors(loop),
+        _sensor_noise(loop),
         simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
         drawn,
         spread(loop, targets[good], rest.select(good), others, how, seconds),
@@ -395,13 +393,12 @@ def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
     return guess_rest(loop, settings.middle.unsqueeze(0))[0, loop.parts["x"]]
 
 
-def _sensors(loop: ClosedLoop) -> tuple[Array, Array]:
-    """Return noise and resolution of sensors as the file states them, `(n_x,)`; 0 of a state that is seen as it is."""
+def _sensor_noise(loop: ClosedLoop) -> Array:
+    """Return the noise of sensors as the file states it, `(n_x,)`; 0 of a state that is seen as it is."""
     if loop.observer is None:
-        return np.zeros(loop.signature.n_x), np.zeros(loop.signature.n_x)
-    sensors = loop.observer.sensors
-    variance = sensors.variance(loop.signature)
-    return variance.where(variance.isfinite(), 0.0).sqrt().numpy(), sensors.resolution(loop.signature).numpy()
+        return np.zeros(loop.signature.n_x)
+    variance = loop.observer.sensors.variance(loop.signature)
+    return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
 
 
 def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:

@@ -166,7 +166,7 @@ def largest_error(found: Check, errors: Tensor, limits: Thresholds) -> dict[str,
     ranged = (errors / _sizes(found)).amax(0)
     i = int(ranged.argmax())
     state, value = outputs[i], float(errors[:, i].amax())
-    size, finest = signature.x_scale[state], float(found.resolution[state])
+    size = signature.x_scale[state]
     return {
         "output": signature.state_names[state],
         "unit": signature.state_units[state],
@@ -174,7 +174,6 @@ def largest_error(found: Check, errors: Tensor, limits: Thresholds) -> dict[str,
         "share": float(ranged[i]),
         "limit": limits.error * size,
         "size": size,
-        "resolution": finest if value < finest else None,  # which no measurement can show
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
@@ -39,8 +39,6 @@ class Forecast:
         no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
         overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
-        resolved: Of each output, the step between two values that its sensor can tell apart, in target ranges, where
-            one is known.
         period: What speaks for another control period, and which to try; None if nothing does.
     """
 
@@ -53,7 +51,6 @@ class Forecast:
     no_equilibrium: str = ""
     seconds: float | None = None
     overshoot: Mapping[str, float] = field(default_factory=dict)
-    resolved: Mapping[str, float] = field(default_factory=dict)
     period: Finding | None = None
 
     def __repr__(self) -> str:
@@ -132,7 +129,6 @@ class Forecast:
                 "worst": max(100 * _number(flight.worst[name]) for flight in flown),
                 "of_turn": name in flown[0].turned,
                 "overshoot": over if (over := self.overshoot.get(name, 0.0)) > OVERSHOT else None,
-                "resolved": step if min(shares) < (step := 100 * self.resolved.get(name, 0.0)) else None,
             }
         return {
             "outputs": outputs,
@@ -220,16 +216,7 @@ def predict(
             name: max(overshoot.get(name, 0.0), share) for name, share in zip(result.output_names, over, strict=True)
         }
     seconds = scenario.length(plan)
-    found = Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
-    return found if sensing is None or shown is None else replace(found, resolved=_resolved(shown, sensing))
-
-
-def _resolved(shown: Evaluation, sensing: Sensing) -> dict[str, float]:
-    """Return the step of the sensor of each output, in target ranges; none of a sensor of which none is known."""
-    steps = sensing.observer.sensors.resolution(shown.signature).tolist()
-    boxes = shown.boxes or (1.0,) * len(shown.columns)
-    pairs = zip(shown.output_names, shown.columns, boxes, strict=True)
-    return {name: steps[i] / box for name, i, box in pairs if steps[i] > 0}
+    return Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
 
 
 def _whole(result: Evaluation) -> float:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dynasindy.findings import Finding, LogError, weak
+from dynasindy.findings import Finding, weak
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.noise import sensor_noise
@@ -36,8 +35,6 @@ FEW = 10.0
 """Steps of its sensor that a state has to move by, for its log to tell anything."""
 WANTED = 100.0
 """Steps that a state should move by in a log."""
-FAR = 5.0
-"""Targets this many times as far as a quiet log went are not planned for."""
 TINY = 1e-9
 """Movement of an input that is none."""
 
@@ -186,7 +183,9 @@ def low_signal_states(data: Transitions, but: Collection[int] = ()) -> dict[int,
 
 
 def low_signal_findings(data: Transitions, signature: Signature, but: Collection[int] = ()) -> list[Finding]:
-    """Return which states a log is too quiet to tell of, which inputs to move, and how far.
+    """Return which states a log is too quiet to tell of, and how many times as far each input is to go.
+
+    No input is to go farther than its actuator; of one that does not move no number is told.
 
     Args:
         data: The log.
@@ -195,45 +194,9 @@ def low_signal_findings(data: Transitions, signature: Signature, but: Collection
     """
     if not (moved := low_signal_states(data, but)):
         return []
-    steps = {signature.state_names[i]: round(count) for i, count in moved.items()}
-    inputs = _louder(data, signature, max(WANTED / count for count in moved.values()))
+    steps, wanted = {signature.state_names[i]: round(count) for i, count in moved.items()}, WANTED / min(moved.values())
+    limits = torch.tensor(signature.input_limits or (WHOLE,) * signature.n_u, dtype=torch.float64)
+    went = (data.u.amax(0) - data.u.amin(0)).double()
+    room = zip(signature.input_names, went.tolist(), (limits.diff(dim=1).flatten() / went).tolist(), strict=True)
+    inputs = {name: min(times, wanted) if far > TINY else None for name, far, times in room}
     return [weak("log.low_signal", steps=steps, wanted=round(WANTED), inputs=inputs)]
-
-
-def low_signal_targets(
-    data: Transitions, signature: Signature, targets: Mapping[str, Sequence[float]]
-) -> list[Finding]:
-    """Return which of the states that are to be held a log is too quiet to tell of.
-
-    Args:
-        data: The log.
-        signature: Names, units and ends.
-        targets: Lower and upper end of the targets of each output.
-
-    Raises:
-        LogError: The targets of such a state lie far beyond the log.
-    """
-    places = [signature.state_index(name) for name in targets if name in signature.state_names]
-    findings = low_signal_findings(data, signature, set(range(signature.n_x)) - set(places))
-    for place in low_signal_states(data) if findings else ():
-        name, unit = signature.state_names[place], signature.state_units[place]
-        reach, ends = float(data.x[:, place].abs().nan_to_num(nan=0.0).max()), targets.get(name, (0.0,))
-        if max(map(abs, ends)) > FAR * reach:
-            facts = {"state": name, "unit": unit, "low": ends[0], "high": ends[1], "reach": reach}
-            raise LogError("log.low_signal_targets", **facts, quiet=findings[0])
-    return findings
-
-
-def _louder(data: Transitions, signature: Signature, times: float) -> list[dict[str, Any]]:
-    """Return how far the inputs went, and that they are to go `times` as far, or as far as their actuators reach."""
-    limits = signature.input_limits or (WHOLE,) * signature.n_u
-    low, high = data.u.amin(0).double().numpy(), data.u.amax(0).double().numpy()
-    ends = signature.in_own_units(np.stack([low, high])).T.tolist()
-    units, found = signature.input_units or ("-",) * signature.n_u, []
-    for i, name in enumerate(signature.input_names):
-        moves = high[i] - low[i] > TINY
-        room = (limits[i][1] - limits[i][0]) / (high[i] - low[i]) if moves else math.inf
-        further = min(room, times) if moves else None
-        own = {"input": name, "low": ends[i][0], "high": ends[i][1], "unit": units[i]}
-        found.append({**own, "times": further, "limited": bool(room < times)})
-    return found

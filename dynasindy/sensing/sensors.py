@@ -100,17 +100,6 @@ class Sensors:
             values[name] = channel.variance
         return values
 
-    def resolution(self, signature: Signature) -> Tensor:
-        """Return the step between two values that the sensor of each state tells apart, `(n_x,)` float64, 0 if none.
-
-        Raises:
-            ValueError: A measured state does not exist.
-        """
-        values = torch.zeros(signature.n_x, dtype=torch.float64)
-        for place, channel in self._places(signature).items():
-            values[place] = channel.resolution
-        return values
-
     def read(self, x: Tensor, signature: Signature, rng: torch.Generator) -> Tensor:
         """Measure states.
 

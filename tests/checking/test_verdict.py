@@ -137,15 +137,6 @@ def test_drawn_plants_without_a_rest_or_that_run_away_in_flight_are_counted(good
     assert away.values["ran_away"] == 1 and away.severity == "weak"
 
 
-@pytest.mark.parametrize(("step", "hidden"), [(0.5, True), (1e-9, False)])
-def test_an_error_that_the_sensor_does_not_resolve_is_said_to_be_one(good, step, hidden):
-    # At rest the cart is 0.01 m from its target, which an encoder of 0.5 m does not see.
-    beside = replace(good.steps, x=good.steps.x.clone())
-    beside.x[:, :, 0] = beside.r + 0.01
-    found = replace(good, steps=beside, resolution=np.array([step, 0.0]))
-    assert by_name(found)["steady_error"].values["resolution"] == (step if hidden else None)
-
-
 def test_every_finding_that_may_be_weak_has_a_remedy_whose_settings_exist():
     cfg = OmegaConf.to_container(composed())
     assert {code for code in SENTENCES if code.startswith("check.")} == {*REMEDIES}

@@ -1,22 +1,17 @@
 """A prediction is as good as the worst of the models that it was made on."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
-from tensordict.nn import TensorDictModule
 
 from dynasindy.dyna.verdict import judge_run
 from dynasindy.envs import ControlEnv, DelayedEnv
 from dynasindy.evaluation import forecast as module
 from dynasindy.evaluation.forecast import Forecast, predict
-from dynasindy.evaluation.scenarios import Scenario, evaluate
+from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.evaluation.tracking_criteria import TrackingCriteria
 from dynasindy.findings import weak, wrong
-from dynasindy.sensing import Sensors
 from dynasindy.systems import Pendulum, System
 from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
@@ -51,28 +46,6 @@ def test_one_model_that_is_not_held_breaks_it(flights, errors, more):
         assert [told[name] for name in ("least", "most", "worst")] == pytest.approx(errors[1:])
     assert found.record()["promised"] is False
     assert len(found.record()["flights"]) == len(flights)
-
-
-def test_an_error_that_is_finer_than_the_sensor_is_told_as_one_that_it_cannot_show():
-    fine = Forecast((seen(0.001), seen(0.002)), resolved={"theta": 0.01})
-
-    def resolved(found):
-        return found.findings[0].values["outputs"]["theta"]["resolved"]
-
-    assert resolved(fine) == pytest.approx(1) and "resolves 1 %" in fine.summary()
-    assert resolved(replace(fine, resolved={"theta": 0.0005})) is None
-    assert resolved(replace(fine, resolved={})) is None
-
-
-def test_what_a_sensor_resolves_is_a_share_of_the_targets():
-    box = {"low": [-0.2], "high": [0.2]}
-    task = Tracking(Pendulum().signature, Step([[0.2]]), ("theta",), ("Omega",), TrackingReward((1.0,)), **box)
-    env = ControlEnv(Pendulum(), task)
-    idle = TensorDictModule(lambda seen: 0 * seen[..., :1], ["observation"], ["action"])
-    shown = evaluate(env, idle, Scenario("step", seconds=1.0))
-    for keys, share in (({"resolution": 0.004}, {"theta": pytest.approx(0.01)}), ({"noise": 0.004}, {})):
-        sensing = SimpleNamespace(observer=SimpleNamespace(sensors=Sensors({"theta": keys})))
-        assert module._resolved(shown, sensing) == share
 
 
 def test_a_model_promises_nothing_of_itself():

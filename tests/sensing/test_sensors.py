@@ -45,11 +45,6 @@ def test_the_variance_is_that_of_noise_and_of_rounding():
     assert spread.tolist() == [pytest.approx(0.03), math.inf, pytest.approx(4.03)]
 
 
-def test_the_resolution_is_that_of_each_state_and_none_where_nothing_is_rounded_or_measured():
-    sensors = Sensors({"a": {"resolution": 0.6}, "c": {"noise": 2.0}})
-    assert sensors.resolution(SIGNATURE).tolist() == [0.6, 0.0, 0.0]
-
-
 def test_more_noise_is_added_in_squares_to_what_is_measured_and_to_nothing_else():
     sensors = Sensors({"a": {"resolution": 0.6}, "c": Channel(noise=3.0)}, delay=2, lost=0.1)
     louder = sensors.noisier({"b": 1.0, "c": 4.0})
