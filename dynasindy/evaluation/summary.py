@@ -137,47 +137,39 @@ def to_text(
         errors.remove("steady_state_error")
     else:
         words["steady_state_error"] = f"steady-state error (last {format_duration(steady)})"
-    axes = _columns(summary, "rmse")
-    inputs = _columns(summary, "control_effort")
-    lines = [title] if title else []
+    axes, inputs = _columns(summary, "rmse"), _columns(summary, "control_effort")
     told = [units.get(axis, "rad") for axis in axes]
     shared = told[0] if len(set(told)) == 1 else ""
     beside = len(axes) + len(inputs) if width is None else max(1, (width - 38) // 12)
+    steps = [name for name in ("steps", *STEP, "settled") if any(key.startswith(f"{name}/") for key in summary)]
     stepped = any(summary[f"settled/{axis}"] is not None for axis in axes)
-    steps = ("steps", *STEP, "settled") if any(key.startswith("steps/") for key in summary) else (*STEP, "settled")
-    for some in _split(axes, beside):
-        heads = some if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in some]
-        lines.append(f"{'':38s}" + "".join(f" {name:>11s}" for name in heads))
+
+    def row(heading: str, cells: Sequence[str]) -> str:
+        return f"{heading:38s}" + "".join(f" {cell:>11s}" for cell in cells)
+
+    def cells(metric: str, columns: Sequence[str], factor: float = 1.0) -> list[str]:
+        # Among steps, a time without a number is one that most of them never reach.
+        never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]
+        values = (summary[f"{metric}/{column}"] for column in columns)
+        return [_cell(v, factor, "never" if n else "-") for v, n in zip(values, never, strict=True)]
+
+    lines = [title] if title else []
+    for some in (axes[k : k + beside] for k in range(0, len(axes), beside)):
+        lines.append(row("", some if shared else [f"{axis} [{units.get(axis, 'rad')}]" for axis in some]))
         for name in (*errors, *(steps if stepped else ())):
             unit = shared if name in TRACKING else "" if name == "steps" else UNITS.get(name, "%")
             factor = 100.0 if name == "settled" else 1.0
             if unit == SECONDS.name:
                 times = duration_unit(max((summary[f"{name}/{axis}"] or 0.0 for axis in some), default=0.0))
                 unit, factor = times.name, 1 / times.seconds
-            lines.append(_row(name, f"{words[name]} [{unit}]" if unit else words[name], summary, some, factor))
-    for some in _split(inputs, beside):
-        lines.append(f"{'':38s}" + "".join(f"{name:>12s}" for name in some))
-        lines += [_row(name, f"{words[name]} [{UNITS[name]}]", summary, some) for name in CONTROL]
-    total, stops = summary["return"], summary["stop_share"]
-    lines.append(f"{'return':38s}{_cell(total):>12s}")
+            lines.append(row(f"{words[name]} [{unit}]" if unit else words[name], cells(name, some, factor)))
+    for some in (inputs[k : k + beside] for k in range(0, len(inputs), beside)):
+        lines.append(row("", some))
+        lines += [row(f"{words[name]} [{UNITS[name]}]", cells(name, some)) for name in CONTROL]
+    lines.append(row("return", [_cell(summary["return"])]))
     if summary.get("own_return") is not None:
-        lines.append(f"{'return of the environment itself':38s}{_cell(summary['own_return']):>12s}")
-    lines.append(f"{'share of time at a stop [%]':38s}{_cell(stops, 100.0):>12s}")
-    return "\n".join(lines)
-
-
-def _split(names: Sequence[str], beside: int) -> list[Sequence[str]]:
-    return [names[k : k + beside] for k in range(0, len(names), beside)]
-
-
-def _row(
-    metric: str, words: str, summary: Mapping[str, float | None], columns: Sequence[str], factor: float = 1.0
-) -> str:
-    cells = [summary[f"{metric}/{column}"] for column in columns]
-    # Among steps, a time without a number is one that most of them never reach.
-    never = [metric.endswith("_time") and summary[f"settled/{column}"] is not None for column in columns]
-    values = "".join(f"{_cell(v, factor, 'never' if n else '-'):>12s}" for v, n in zip(cells, never, strict=True))
-    return f"{words:38s}" + values
+        lines.append(row("return of the environment itself", [_cell(summary["own_return"])]))
+    return "\n".join([*lines, row("share of time at a stop [%]", [_cell(summary["stop_share"], 100.0)])])
 
 
 def _columns(summary: Mapping[str, float | None], metric: str) -> list[str]:
