@@ -1,33 +1,31 @@
 """What happens around the jobs of a sweep: mistakes are found before the first, and the end says what came of them."""
 
-import logging
-import os
+from __future__ import annotations
+
 import shutil
 import time
 import traceback
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from cli import program, require_writable
 from errors import MENDABLE, in_words
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
-from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, open_dict
 
 from dynasindy.progress import say
 from dynasindy.safe_io import LinkError
 
-JOBS, SWEPT = "DYNASINDY_JOBS", "DYNASINDY_SWEPT"
-"""Variables that tell workers how many jobs there are, and in which settings they differ."""
+if TYPE_CHECKING:
+    from dynasindy.evaluation.ablation import Level
+
 TASK = {"system", "task", "plant", "experiment", "setting"}
 """Groups that a task is made of; where jobs differ in them, each has a task of its own."""
 LOGGED = {"seed", "planning", "evaluation", "scenario", "threads"}
 """Groups and settings in which jobs on a log may differ without reading it in different ways."""
-HERE = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
-"""Launchers whose jobs run on this machine."""
 
 
 class Sweep(Callback):
@@ -48,25 +46,14 @@ class Sweep(Callback):
 
         folder = Path(config.hydra.sweep.dir)
         Sweep.running, Sweep.began = str(folder), time.time()
-        for name in ("hydra", "hydra_plugins"):  # which would list the jobs, too
-            logging.getLogger(name).setLevel(logging.WARNING)
         show()
         with one_line(config.hydra.job.config_name):
             if (file := folder / "multirun.yaml").is_symlink():  # Hydra would write through it
                 raise LinkError(file)
             _check(config.copy())
-        jobs, different = jobs_of(config.hydra)
-        os.environ[JOBS], os.environ[SWEPT] = str(jobs), " ".join(different)
-
-    def on_job_start(self, config: DictConfig, **kwargs: object) -> None:
-        """Say which job of a sweep begins."""
-        if JOBS in os.environ and config.hydra.mode == RunMode.MULTIRUN:
-            names = os.environ[SWEPT].split()
-            words = " ".join(word for word in config.hydra.overrides.task if word.partition("=")[0] in names)
-            print(f"Job {config.hydra.job.num + 1} of {os.environ[JOBS]}{words and f': {words}'}", flush=True)
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Say where the results are, and which jobs failed."""
+        """Say where the results are, and which jobs failed; an ablation has its tables and figures, too."""
         folder, Sweep.running = Path(config.hydra.sweep.dir), None
         reasons = sorted(str(file) for file in folder.rglob("*error.txt") if file.stat().st_mtime >= Sweep.began)
         if reasons:
@@ -74,27 +61,25 @@ class Sweep(Callback):
         print(f"Sweep: {folder}")
         if any(folder.rglob("metrics.json")) and config.hydra.job.get("config_name") == "train":
             say(f"next:\n  {program('table')} {folder}  # the table of its jobs")
+        if "level" in config:
+            try:
+                _gather(folder, Path(config.results), instantiate(config.level))
+            except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
+                if not isinstance(error, MENDABLE):
+                    traceback.print_exc()
+                Sweep.errors.append(in_words(error, "ablation"))
 
 
-class Gathering(Callback):
-    """When every job of an ablation is done, make the tables and figures of all finished runs."""
+def _gather(folder: Path, results: Path, level: Level) -> None:
+    """Make the tables and figures of all finished runs of an ablation."""
+    from dynasindy.evaluation.ablation import gather
+    from dynasindy.viz.learning import draw_ablation
 
-    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
-        """Gather what lies in the folder of the sweep."""
-        from dynasindy.evaluation.ablation import gather
-        from dynasindy.viz.learning import draw_ablation
-
-        root, results, level = Path(config.hydra.sweep.dir), Path(config.results), instantiate(config.level)
-        try:
-            if gather(root, results, level).empty:
-                print(f"No run in {root} has finished, so there are no tables and figures.")
-                return
-            draw_ablation(results, level.error, share=level.share)
-            say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
-        except Exception as error:  # Hydra would make a warning of it, and the command would end with code 0
-            if not isinstance(error, MENDABLE):
-                traceback.print_exc()
-            Sweep.errors.append(in_words(error, "ablation"))
+    if gather(folder, results, level).empty:
+        print(f"No run in {folder} has finished, so there are no tables and figures.")
+        return
+    draw_ablation(results, level.error, share=level.share)
+    say((results / "ablation.md").read_text(), f"Tables and figures: {results}")
 
 
 def jobs_of(hydra: DictConfig) -> tuple[int, list[str]]:
@@ -113,11 +98,8 @@ def _check(config: DictConfig) -> None:
     """Check the config of a sweep, its launcher, its log and where the results of an ablation go."""
     from settings import check  # it imports torch, and this module is imported before anything is shown
 
-    from dynasindy.limits import device
-
     hydra = config.hydra
-    launcher = hydra.launcher._target_.rpartition(".")[2]
-    if launcher == "SlurmLauncher" and shutil.which("srun") is None:
+    if hydra.launcher._target_.endswith(".SlurmLauncher") and shutil.which("srun") is None:
         raise ValueError("there is no srun here; choose hydra/launcher=joblib, or submitit_local")
     jobs, swept = jobs_of(hydra)
     if not jobs:
@@ -127,8 +109,6 @@ def _check(config: DictConfig) -> None:
         config.folder = ""  # each job has its own
         del config.hydra
     check(config)
-    if "device" in config and launcher in HERE and "device" not in different:
-        device(config.device)
     if config.get("data") is not None or config.get("model") is not None:
         if different <= LOGGED and config.get("resume") is None:
             from logged import prepare

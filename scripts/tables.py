@@ -7,6 +7,7 @@ name below. A number that changes in a file changes in the pages by this command
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
@@ -24,8 +25,6 @@ RESULTS = ROOT / "docs" / "results"
 BLOCK = re.compile(r"(<!-- table: (\w+) -->\n\n).*?(\n\n<!-- end -->)", re.S)
 AXES = ["azimuth", "pitch"]
 ROLLOUTS = ("rollouts_800", "rollouts_400", "rollouts_0")
-LABORATORY = 12
-"""Plants known by logs that stand in a laboratory; those behind them are out of textbooks."""
 TABLES: dict[str, Callable[[], str]] = {}
 """The tables by name, each as Markdown."""
 Rows = Iterator[Sequence[object]]
@@ -238,56 +237,27 @@ def rig_models() -> Rows:
         yield rig, f"{metric} [{own.unit.iloc[0]}]", *(cells.get(name, "") for name in MODELS), another
 
 
-def _plants(behind_bench: bool) -> Rows:
+@table("plant | held to 1 % | error of the worst seed | data")
+def plants() -> Rows:
     found = read("plants.csv")
-    found = found[(found.error_percent != "") & (found.plant.str.endswith("_bench") == behind_bench)]
-    for plant, own in found.groupby("plant", sort=False):
+    found = found[found.error_percent != ""]
+    for plant, own in sorted(found.groupby("plant", sort=False), key=lambda pair: pair[0].endswith("_bench")):
         controlled = own[own.verdict == "CONTROLLED"].seed.nunique()
         error, seconds = (numbers(own, column).max() for column in ("error_percent", "plant_seconds"))
         yield f"`{plant}`", f"{controlled} of {own.seed.nunique()}", f"{error:.3g} %", f"{seconds:g} s"
 
 
-@table("plant | held to 1 % | error of the worst seed | data")
-def plants() -> Rows:
-    return _plants(behind_bench=False)
-
-
-@table("plant | held to 1 % | error of the worst seed | data")
-def bench_plants() -> Rows:
-    return _plants(behind_bench=True)
-
-
-def _logged_plants() -> list[tuple[str, str]]:
-    """Return the plants of the benchmark of logs, each with its title."""
-    found = yaml.safe_load((Path(__file__).with_name("benchmarks") / "logged_plants.yaml").read_text())
-    return [(plant, facts["title"]) for plant, facts in found.items()]
-
-
-def _percent(found: pd.DataFrame) -> str:
-    error = numbers(found, "error_percent").max()
-    return f"{error:.3g} %" if error < 100 else "lost"
-
-
-@table("plant, what is measured | promised | held to 1 % | error of the worst seed")
+@table("plant, what is measured | promised | held to 1 % | error of the worst seed | error of the first run")
 def logs() -> Rows:
-    for plant, title in _logged_plants()[:LABORATORY]:
-        found = rows("logs.csv", plant=plant)
+    titles = yaml.safe_load((Path(__file__).with_name("benchmarks") / "logged_plants.yaml").read_text())
+    for plant, facts in titles.items():
+        found, first = (of[of.plant == plant] for of in map(read, ("logs.csv", "logs_first.csv")))
+        of = found.seed.nunique()
         promised = found[found.foretold == "CONTROLLED"].seed.nunique()
         missed = found[numbers(found, "error_percent") > 1].seed.nunique()
-        of = found.seed.nunique()
-        yield title, f"{promised} of {of}", f"{of - missed} of {of}", _percent(found)
-
-
-@table("plant, what is measured | at first | error at first | since | error since")
-def textbook_logs() -> Rows:
-    words = {"CONTROLLED": "promised", "NOT promised": "not promised", "no controller": "no controller"}
-    for plant, title in _logged_plants()[LABORATORY:]:
-        cells = []
-        for file in ("logs_first.csv", "logs.csv"):
-            found = read(file).query("plant == @plant and seed == '0'")
-            ended = "not ended" if (file, plant) == ("logs.csv", "cylinder") else "not run"
-            cells += [ended, "none"] if found.empty else [words[found.foretold.iloc[0]], _percent(found)]
-        yield title, *cells
+        errors = [numbers(own, "error_percent").max() for own in (found, first)]
+        worst = ["" if math.isnan(error) else f"{error:.3g} %" if error < 100 else "lost" for error in errors]
+        yield facts["title"], f"{promised} of {of}", f"{of - missed} of {of}", *worst
 
 
 @table("plant | model | error on the test log, simulated | CPU time")
@@ -316,12 +286,13 @@ def rollouts() -> Rows:
         "return at the end": "final_return",
     }
     for plant in ("xi", "tras"):
-        found = [runs(plant, setting) for setting in ROLLOUTS]
-        reached = [f" ({(own.episodes_to_level != '').sum()}/{len(own)} seeds)" for own in found]
         for words, column in measures.items():
-            means = [over_seeds([*numbers(own, column)], 3, "never") for own in found]
-            ends = reached if column == "episodes_to_level" else [""] * len(found)
-            yield f"`{plant}`, {words}", *(m.replace("never [never, never]", "never") + e for m, e in zip(means, ends))
+            cells = []
+            for own in (runs(plant, setting) for setting in ROLLOUTS):
+                mean = over_seeds([*numbers(own, column)], 3, "never").replace("never [never, never]", "never")
+                reached = f" ({(own.episodes_to_level != '').sum()}/{len(own)} seeds)"
+                cells.append(mean + reached * (column == "episodes_to_level"))
+            yield f"`{plant}`, {words}", *cells
 
 
 @table("agent without a model | `xi` | `tras`")
@@ -337,28 +308,26 @@ def model_free() -> Rows:
     for setting, name in words.items():
         cells = []
         for found in (runs(plant, setting) for plant in ("xi", "tras")):
-            reached = sorted(numbers(found[found.episodes_to_level != ""], "episodes_to_level"))
-            never = f"{len(found) - len(reached)} of {len(found)} not within {found.episodes.max()}"
-            ended = [", ".join(f"{k:g}" for k in reached), never * (len(reached) < len(found))]
-            cells.append("; ".join(filter(None, ended)))
+            reached = numbers(found[found.episodes_to_level != ""], "episodes_to_level").sort_values()
+            ended = [", ".join(f"{episode:g}" for episode in reached)] * (len(reached) > 0)
+            if never := len(found) - len(reached):
+                ended.append(f"{never} of {len(found)} not within {found.episodes.max()}")
+            cells.append("; ".join(ended))
         yield name, *cells
 
 
 @table("runs | rollouts | after 60 episodes | after 180 | after 600 | after 1200")
 def paper_errors() -> Rows:
     """Yield the error of the worse axis [mrad] of each seed of the paper's experiment on `xi` along its episodes."""
-    short = read("ablation_curves.csv").query("system == 'xi' and experiment == 'paper'")
-    for runs, found, episodes in (
-        ("600 episodes", short, (60, 180, 600)),
-        ("1200 episodes", read("paper_in_full.csv").query("system == 'xi'"), (60, 180, 600, 1200)),
-    ):
+    curves = read("ablation_curves.csv").query("system == 'xi' and experiment == 'paper'")
+    short = curves.rename(columns=lambda name: name.removeprefix("evaluated_steady_state_error/"))
+    short = short.rename(columns={"alpha_a": "azimuth", "alpha_p": "pitch"})
+    for length, found in (("600", short), ("1200", read("paper_in_full.csv"))):
         for name in ROLLOUTS:
-            cells = [""] * 4
-            for place, episode in enumerate(map(str, episodes)):
-                own = found[(found.setting == name) & (found.episode == episode)]
-                errors = own.filter(regex="evaluated_steady_state_error|^azimuth$|^pitch$").astype(float).max(axis=1)
-                cells[place] = ", ".join(f"{1000 * error:.0f}" for error in errors)
-            yield runs, "none" if name == "rollouts_0" else name.removeprefix("rollouts_"), *cells
+            own = found[found.setting == name]
+            worst = {k: 1000 * of[AXES].astype(float).max(axis=1) for k, of in own.groupby("episode")}
+            cells = [", ".join(f"{error:.0f}" for error in worst.get(k, ())) for k in ("60", "180", "600", "1200")]
+            yield f"{length} episodes", "none" if name == "rollouts_0" else name.removeprefix("rollouts_"), *cells
 
 
 if __name__ == "__main__":
