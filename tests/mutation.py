@@ -97,7 +97,13 @@ class DropStatement(Operator):
 
 
 class Silent(ast.NodeTransformer):
-    """Take out what no test should hold fast: annotations, docstrings and the words of an error."""
+    """Take out what no test should hold fast: annotations, docstrings, the words of an error, and guards of a reader.
+
+    That two lists are as long as each other (`strict`) and that nothing changes a record (`frozen`) decides nothing.
+    """
+
+    def visit_keyword(self, node):
+        return None if node.arg in ("strict", "frozen") else self.generic_visit(node)
 
     def visit_Expr(self, node):
         return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
@@ -161,7 +167,7 @@ def test_files(module):
     return [str(mirror)] * mirror.exists(), str(Path("tests", inside.parent))
 
 
-def run_tests(module, source):
+def run_tests(module, source, contract):
     """Run in the child: import the mutant in place of its file, and return what pytest says."""
     path, compiled = str(module.resolve()), SourceFileLoader.get_code
     SourceFileLoader.get_code = lambda self, name: (
@@ -170,7 +176,8 @@ def run_tests(module, source):
     options = ["-x", "-q", "--no-header", "--tb=line", "-p", "no:cacheprovider"]
     mirror, room = test_files(module)
     code = pytest.main([*options, *mirror]) if mirror else 0
-    return code or pytest.main([*options, room, *(f"--ignore={path}" for path in mirror)])
+    code = code or pytest.main([*options, room, *(f"--ignore={path}" for path in mirror)])
+    return code or (contract and pytest.main([*options, "-m", "not slow", "tests/contract"]))
 
 
 def warm_up():
@@ -184,7 +191,7 @@ def warm_up():
     gc.freeze()
 
 
-def attempt(module, source, seconds):
+def attempt(module, source, seconds, contract):
     """Return the status of a forked run, what it printed and its CPU time; it dies of a signal when that is up."""
     reader, writer = os.pipe()
     if (child := os.fork()) == 0:
@@ -195,7 +202,7 @@ def attempt(module, source, seconds):
             os.close(reader)
             resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
             signal.alarm(60 * seconds)
-            code = int(run_tests(module, source))
+            code = int(run_tests(module, source, contract))
         except BaseException:
             traceback.print_exc(file=sys.stdout)
         finally:
@@ -210,39 +217,43 @@ def attempt(module, source, seconds):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("room", help="a folder of dynasindy, such as systems, or files of one, such as data/ends.py")
+    parser.add_argument(
+        "rooms", nargs="+", help="folders of dynasindy, such as systems, or files, such as data/clock.py"
+    )
     parser.add_argument("--sample", type=int, default=60, help="number of mutants")
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
     parser.add_argument("--again", action="store_true", help="try the survivors of the session again")
+    parser.add_argument("--quick", action="store_true", help="neither tests without a mutant first, nor the contract")
     parser.add_argument(
-        "--seconds", type=int, default=60, help="CPU time of one mutant, after which it counts as killed"
+        "--seconds", type=int, default=400, help="CPU time of one mutant, after which it counts as killed"
     )
     given = parser.parse_args()
     os.chdir(ROOT)
     sys.path.insert(0, str(ROOT))
     operators = {operator.__name__: operator for operator in (ExchangeNeighbours, DropStatement)}
     cosmic_ray.plugins.OPERATOR_PROVIDERS["ours"] = operators
-    named = re.sub(r"\W+", "-", given.room)
+    named = re.sub(r"\W+", "-", "-".join(given.rooms))
     session = Path("outputs", "mutation", f"{named}-{given.sample}-{given.seed}.sqlite")
     session.parent.mkdir(parents=True, exist_ok=True)
     with use_db(str(session)) as database:
         if not database.num_work_items:
-            places = [p for place in Path("dynasindy").glob(given.room) for p in (place, *place.rglob("*.py"))]
-            modules = sorted(p for p in places if p.suffix == ".py" and p.name not in PICTURES)
+            given_places = [place for room in given.rooms for place in Path("dynasindy").glob(room)]
+            files = {file for place in given_places for file in (place, *place.rglob("*.py")) if file.suffix == ".py"}
+            modules = sorted(file for file in files if file.name not in PICTURES)
             database.add_work_items(sample(modules, given.sample, given.seed))
         warm_up()
-        room = next(Path("dynasindy").glob(given.room))
-        first = room / "__init__.py" if room.is_dir() else room
-        status, output, _ = (0, "", 0) if given.again else attempt(first, None, 600)
-        if status:
-            sys.exit(f"the tests of {given.room} fail without any mutant; mend them first\n{output[-2000:]}")
+        folders = {item.mutations[0].module_path.parent for item in database.work_items}
+        for folder in [] if given.again or given.quick else sorted(folders):
+            status, output, _ = attempt(folder / "__init__.py", None, 900, contract=folder == min(folders))
+            if status:
+                sys.exit(f"the tests of {folder} fail without any mutant; mend them first\n{output[-2000:]}")
         todo = {item.job_id: item for item in database.pending_work_items}
         if given.again:
             todo |= {item.job_id: item for item, result in database.completed_work_items if not result.is_killed}
         for job, item in sorted(todo.items()):
             mutation: MutationSpec = item.mutations[0]
             source, original = mutated(mutation), mutation.module_path.read_text()
-            status, output, used = attempt(mutation.module_path, source, given.seconds)
+            status, output, used = attempt(mutation.module_path, source, given.seconds, contract=not given.quick)
             outcome = TestOutcome.KILLED if status else TestOutcome.SURVIVED
             lines = difflib.unified_diff(original.splitlines(), source.splitlines(), n=0, lineterm="")
             diff = "\n".join(list(lines)[3:])
@@ -251,7 +262,7 @@ def main():
             if not status:
                 print(diff, flush=True)
         survived = sum(not result.is_killed for _, result in database.results)
-        print(f"{given.room}: {database.num_results - survived} of {database.num_results} mutants killed")
+        print(f"{' '.join(given.rooms)}: {database.num_results - survived} of {database.num_results} mutants killed")
 
 
 if __name__ == "__main__":

@@ -248,5 +248,4 @@ def _loaded_observer(record: Mapping[str, Any] | None, setup: ControlSetup, file
         raise ValueError("the model of its observer has other states than the controller")
     observer = Observer(model, Sensors(**record["sensors"]), setup)
     observer.load_state_dict(record["state"])
-    observer.late()  # refuses a delay that is too long, before the first measurement does
     return observer

@@ -4,11 +4,12 @@ import math
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 import torch
 
 import dynasindy
-from dynasindy.control.period import other_period, suited_period
+from dynasindy.control.period import as_planned, other_period, suited_period
 from dynasindy.data.recording import Recording
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
@@ -281,3 +282,17 @@ def test_the_period_of_a_slow_difference_equation_is_as_many_steps_as_a_plan_nee
     log = replace(plain, signature=model.signature, **first)
     found, wanted = suited_period(model, tracking_task(model, {"x": (-0.5, 0.5)}), log), SETTLED * 4000 / 80
     assert wanted * 0.99 <= found.seconds < 1.03 * wanted + 1 and found.seconds == round(found.seconds)
+
+
+def test_a_plan_begins_at_zero_where_a_log_passes_through_it_and_else_in_its_middle():
+    """A state that only touches zero passes through it, too; of one that stays away its median counts."""
+    model = known(2.0, 0.2)
+    task = tracking_task(model, {"p": (-5.0, 5.0)})
+    whole = recorded()
+    for low, expected in ((-0.7, 0.0), (0.0, 0.0), (0.3, None), (-1.5, None)):
+        p = torch.linspace(low, low + 1.0, len(whole) + 1).double() ** 3
+        x = torch.stack((p, 0 * p + 2.0), -1)
+        data = replace(whole, x=x[:-1], x_next=x[1:])
+        start = as_planned(task, model, Source.of(Recording(data, model.signature), 0.0)).start
+        middle = float(np.sort(p[:-1])[(len(p) - 2) // 2]) if expected is None else expected
+        torch.testing.assert_close(start.double(), torch.tensor([[middle, 2.0]] * 2).double(), atol=1e-6, rtol=1e-6)

@@ -7,7 +7,7 @@ from torch import nn
 
 from dynasindy.agents.networks import MLP
 from dynasindy.planning.gradient_planning import references
-from dynasindy.planning.imitation import _imitate, arrives, hold
+from dynasindy.planning.imitation import ROWS, _imitate, arrives, hold
 from dynasindy.planning.regulator import Regulator, Weights
 
 
@@ -23,6 +23,27 @@ def test_a_policy_that_imitates_the_law_holds_the_plant_and_keeps_to_it(inverted
         for k in range(100):
             x = env.advance(x, network(env.task.observation(x, params, torch.full((2, 1), 0.05 * k))))[0][..., -1, :]
     torch.testing.assert_close(x[:, 0], params[:, 0, 0], atol=0.02, rtol=0)
+
+
+def test_every_other_lesson_begins_around_a_rest_and_the_rest_where_episodes_do(inverted):
+    env, rests = inverted(start={"theta": [0.3, 0.3]})
+    law, begun = Regulator.of(env, rests, Weights()), []
+    near = law.near
+
+    class Watched(MLP):
+        def forward(self, observation):
+            begun.append(observation)
+            return super().forward(observation)
+
+    def watched(targets, rng):
+        begun.clear()
+        return 0 * near(targets, rng) - 0.2
+
+    law.near = watched
+    network = Watched(3, 1, (8,), squash=True)
+    _imitate(network, law, env, torch.Generator().manual_seed(0), (2, 0))
+    first = next(seen for seen in begun if len(seen) == ROWS)
+    torch.testing.assert_close(first[:, 0], torch.tensor([-0.2, 0.3]).repeat(ROWS // 2))
 
 
 def test_a_policy_begins_as_the_law_only_if_that_earns_more(inverted):

@@ -69,3 +69,19 @@ def test_no_row_reaches_over_two_segments_and_short_ones_have_short_bumps():
     assert len(rates) == (29 - 9 + 1) + (6 - 5 + 1) + 1
     with pytest.raises(ValueError, match="two transitions"):
         weak_form(theta, parts[1], parts[1], {}, 5)
+
+
+@pytest.mark.parametrize("half", [3, 8])
+def test_the_weights_are_a_power_of_a_parabola_over_two_intervals_each(half):
+    """A pulse of the input at one sample is seen with half the weights of the two intervals beside that sample's."""
+    n, at = 41, 20
+    u = torch.zeros(n, 1, dtype=torch.float64)
+    u[at] = 1.0
+    data = Transitions.from_trajectory(torch.zeros(n + 1, 3, dtype=torch.float64), u, DT)
+    functions, _ = weak_form(theta, data, data, {}, half)
+    weights = np.array([(1 - (j / half) ** 2) ** 4 for j in range(1 - half, half)])
+    weights /= weights.sum()
+    pulse = np.zeros(n - 1)
+    pulse[[at - 1, at]] = 0.5
+    expected = np.correlate(pulse, weights, "valid")[:: max(1, half // 4)]
+    np.testing.assert_allclose(functions[:, -1].numpy(), expected, rtol=1e-12, atol=1e-15)
