@@ -1,18 +1,19 @@
-"""Replay of real and imagined transitions, mixed in an exact share.
+"""Replay with separate storages for real and imagined transitions, mixed in an exact share.
 
 TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample while a member is empty; a Dyna
-agent needs every batch to hold the share it was told, from the first batch before any planning. Rows are written once
-an episode or a planning phase, and drawn thousands of times: they lie in the order of time, without a ring.
+agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.agents.finite_checks import require_finite_rollout
+from dynasindy.agents.finite_checks import is_finite, require_finite_rollout
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
     "observation",
@@ -39,26 +40,62 @@ MEASURED_KEYS: tuple[NestedKey, ...] = (*REAL_KEYS, "measurement", "task_params"
 """The same of a plant behind sensors, whose `measurement` and `samples` are NaN where nothing was measured."""
 
 
+class _CheckedWriter(TensorDictRoundRobinWriter):
+    """Writer that refuses rows a storage would accept silently and return as zeros later."""
+
+    def __init__(self, name: str, keys: Sequence[NestedKey]) -> None:
+        super().__init__()
+        self.name, self.keys = name, frozenset(keys)
+
+    def add(self, data: TensorDictBase) -> int | Tensor:
+        """Write one row."""
+        self._check(data)
+        return super().add(data)
+
+    def extend(self, data: TensorDictBase) -> Tensor:
+        """Write rows `(n,)`."""
+        if data.ndim == 1 and not len(data):
+            return torch.zeros(0, dtype=torch.int64)  # a model may diverge at once in every rollout
+        self._check(data)
+        if data.ndim != 1:
+            raise ValueError(
+                f"The {self.name} storage takes rows (n,), given a batch {tuple(data.shape)}; call reshape(-1) first."
+            )
+        return super().extend(data)
+
+    def _check(self, data: TensorDictBase) -> None:
+        given = set(data.keys(include_nested=True, leaves_only=True)) - {"index"}
+        if given != self.keys:
+            raise KeyError(
+                f"The {self.name} storage takes exactly its {len(self.keys)} keys; "
+                f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
+            )
+        if not is_finite(data, self.keys):
+            raise ValueError(f"The {self.name} storage takes finite rows, not NaN or infinity; leave such rows out.")
+
+
 class DynaReplay:
     """Real and imagined transitions, sampled together.
 
     Attributes:
-        real: real transitions `(n,)`, the oldest first.
-        model: imagined transitions `(n,)`, the oldest first, with `LEARN_KEYS`.
+        real: buffer of real transitions, with `keys`.
+        model: buffer of imagined transitions, with `LEARN_KEYS`; a transform appended to it may turn what is
+            written (start states) into what is stored; `model.empty()` evicts all.
         real_ratio: share of real transitions in every batch, or None for the share they have of all
             transitions (the single buffer of Algorithm 1).
 
     Args:
-        capacity: most real rows, of which the oldest make place for new ones.
+        capacity: rows of the real storage.
         batch_size: transitions per batch.
         real_ratio: see above; [0, 1] or None.
         seed: seed of the sampling.
         keys: keys of a real row, `LEARN_KEYS` among them.
-        model_capacity: most imagined rows; `capacity` if not given.
-        device: where all of them lie.
+        model_capacity: rows of the model storage, a ring in which new rows replace the oldest;
+            `capacity` if not given.
+        device: device of the storages.
 
     Raises:
-        ValueError: a size is not positive, or `real_ratio` is not allowed.
+        ValueError: a size is not positive, or `real_ratio` or `keys` is not allowed.
     """
 
     def __init__(
@@ -85,27 +122,31 @@ class DynaReplay:
             raise ValueError(
                 f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."
             )
+        if missing := set(LEARN_KEYS) - set(keys):
+            raise ValueError(f"Replay keys lack {_words(missing)}; give the keys to learn from and any others.")
         self.batch_size, self.real_ratio = batch_size, real_ratio
+        self.capacities = capacity, model_capacity
         self.device = torch.device(device)
         # In the CPU's memory, so that a seed draws the same rows on every device.
         self.generator = torch.Generator().manual_seed(seed)
-        self.capacity, self.model_capacity = capacity, model_capacity
-        self.keys = keys
-        self.real, self.model = self._stored({}), self._stored({})
+        self.real = self._buffer("real", capacity, keys)
+        self.model = self._buffer("model", model_capacity, LEARN_KEYS)
 
     def extend_real(self, rollout: TensorDictBase) -> None:
-        """Store the rows of a real rollout `(*batch, steps)`, of which only the keys of real rows are kept.
+        """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
 
         Raises:
             Diverged: a number is not finite.
         """
-        rows = rollout.select(*self.keys).reshape(-1)
+        writer = self.real.writer
+        assert isinstance(writer, _CheckedWriter)
+        rows = rollout.select(*writer.keys, strict=False).reshape(-1)
         require_finite_rollout(rows)
-        self.real = self._extended(self.real, rows, self.capacity)
+        self.real.extend(rows)
 
-    def extend_model(self, rows: TensorDictBase) -> None:
-        """Store imagined rows `(n,)` with `LEARN_KEYS`."""
-        self.model = self._extended(self.model, rows.select(*LEARN_KEYS), self.model_capacity)
+    def real_in_order(self) -> TensorDict:
+        """Return a copy of the real rows, `(n,)`, the oldest first, in the CPU's memory."""
+        return _in_order(self.real).cpu()
 
     def keep(self, keys: Sequence[NestedKey]) -> None:
         """Keep other keys of real rows from now on; the rows so far are forgotten.
@@ -113,15 +154,38 @@ class DynaReplay:
         Args:
             keys: Keys of a real row, `LEARN_KEYS` among them.
         """
-        self.keys, self.real = keys, self._stored({})
+        self.real = self._buffer("real", self.capacities[0], keys)
 
     def rewrite_newest(self, rows: TensorDictBase) -> None:
-        """Replace as many of the newest real rows as are given, `(n,)`, as by better estimates of their states."""
-        self.real[len(self.real) - len(rows) :] = rows.select(*self.keys).to(self.device)
+        """Replace the newest real rows, as by better estimates of their states.
+
+        Args:
+            rows: As many rows as are to be replaced, `(n,)`, in the order of time.
+
+        Raises:
+            ValueError: There are fewer real rows.
+        """
+        writer, size = self.real.writer, len(self.real)
+        assert isinstance(writer, _CheckedWriter)
+        if len(rows) > size:
+            raise ValueError(f"Replay has {size} real rows, given {len(rows)} to replace them; give at most as many.")
+        places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
+        self.real.storage.set(places, rows, set_cursor=False)
 
     def keep_imagined(self, newest: int) -> None:
-        """Evict all imagined rows but the `newest`."""
-        self.model = self.model[max(0, len(self.model) - newest) :]
+        """Evict all imagined rows but the `newest`.
+
+        Raises:
+            ValueError: `newest` is negative.
+        """
+        if newest < 0:
+            raise ValueError(f"Replay was told to keep {newest} imagined rows; give 0 or more.")
+        if newest >= len(self.model):
+            return
+        rows = _in_order(self.model)[len(self.model) - newest :] if newest else None
+        self.model.empty()
+        if rows is not None:
+            self.model.writer.extend(rows.exclude("index"))  # past the transform, which would imagine anew
 
     def counts(self) -> tuple[int, int]:
         """Return how many real and how many imagined transitions the next batch holds."""
@@ -141,10 +205,11 @@ class DynaReplay:
         if not len(self.real) and not len(self.model):
             raise RuntimeError("Replay is empty; collect real transitions before sampling.")
         drawn = []
-        for rows, k in zip((self.real, self.model), self.counts(), strict=True):
+        for buffer, k in zip((self.real, self.model), self.counts(), strict=True):
             if k:
-                places = torch.randint(len(rows), (k,), generator=self.generator).to(self.device)
-                drawn.append([rows.get(key).index_select(0, places) for key in LEARN_KEYS])
+                places = torch.randint(len(buffer), (k,), generator=self.generator).to(self.device)
+                stored = buffer.storage._storage
+                drawn.append([stored.get(key).index_select(0, places) for key in LEARN_KEYS])
         columns = [torch.cat(pair) for pair in zip(*drawn)] if len(drawn) == 2 else drawn[0]
         observation, action, next_observation, reward, done, terminated, truncated = columns
         following = {"observation": next_observation, "reward": reward}
@@ -153,20 +218,40 @@ class DynaReplay:
         return TensorDict({"observation": observation, "action": action, "next": TensorDict(following, size)}, size)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all rows, and the sampling's generator."""
-        rows = {name: getattr(self, name).clone().cpu().to_dict() for name in ("real", "model")}
-        return {"generator": self.generator.get_state(), **rows}
+        """Return the written rows of both storages, and the sampling's generator."""
+        buffers = {"real": self.real, "model": self.model}
+        state: dict[str, Any] = {"generator": self.generator.get_state()}
+        for name, buffer in buffers.items():
+            rows = buffer[:].clone().cpu().to_dict() if len(buffer) else {}
+            state[name] = {"rows": rows, "writer": buffer.writer.state_dict()}
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         self.generator.set_state(state["generator"])
-        self.real, self.model = self._stored(state["real"]), self._stored(state["model"])
+        for name, buffer in (("real", self.real), ("model", self.model)):
+            buffer.empty()
+            if rows := state[name]["rows"]:
+                stored = TensorDict(rows, batch_size=[len(rows["action"])]).to(self.device)
+                buffer.storage.set(range(len(stored)), stored)
+            buffer.writer.load_state_dict(state[name]["writer"])
 
-    def _stored(self, rows: dict[str, Any]) -> TensorDict:
-        return TensorDict(rows, [len(rows["action"]) if rows else 0], device=self.device)
+    def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
+        return TensorDictReplayBuffer(
+            storage=LazyTensorStorage(capacity, device=self.device),
+            writer=_CheckedWriter(name, keys),
+            batch_size=self.batch_size,
+            generator=self.generator,
+        )
 
-    def _extended(self, before: TensorDict, rows: TensorDictBase, most: int) -> TensorDict:
-        """Return rows with others behind them, of too many the newest."""
-        parts = [part for part in (before, rows.to(self.device)) if len(part)]
-        whole: TensorDict = torch.cat(parts)[-most:] if parts else before
-        return whole
+
+def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
+    """Return a copy of the rows of a ring, the oldest first."""
+    rows: TensorDict = buffer.storage.get(slice(0, len(buffer)))
+    cursor = buffer.writer._cursor % len(buffer)
+    begun: TensorDict = torch.cat([rows[cursor:], rows[:cursor]])
+    return begun
+
+
+def _words(keys: Collection[NestedKey]) -> str:
+    return ", ".join(sorted(key if isinstance(key, str) else ".".join(key) for key in keys)) or "none"

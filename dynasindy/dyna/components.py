@@ -67,8 +67,8 @@ class Components(PlantComponents):
         """
         if self.sensing is not None or not self.world_model.delay:
             return
-        rows = self.replay.real.cpu()
-        older, params = rows[: max(0, len(rows) - len(newest))].copy(), newest["task_params"]
+        rows = self.replay.real_in_order()
+        older, params = rows[: max(0, len(rows) - len(newest))].exclude("index"), newest["task_params"]
         older["task_params"] = params[:1].expand(len(older), *params.shape[1:]).clone()
         self._watch()
         for seen_before in filter(len, (older, newest.copy())):

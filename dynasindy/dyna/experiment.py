@@ -81,7 +81,7 @@ class Recipe:
         keys = {} if sensing is None else {"keys": MEASURED_KEYS}
         replay = self.replay(seed=seeds[3], **keys, **there)
         learned = 4 * (2 * plant.task.n_o + signature.n_u + 1)  # float32, of both storages and of a batch
-        real, model = replay.capacity, replay.model_capacity
+        real, model = (buffer.storage.max_size for buffer in (replay.real, replay.model))
         logged = real * (2 + plant.substeps) * signature.n_x * plant.float_type.itemsize
         check_memory(
             (real + model + replay.batch_size) * learned + logged,

@@ -57,7 +57,7 @@ def fit(parts: Components, held_out: Tensor | None = None) -> object:
         Diverged: What the model has learnt is not finite.
     """
     report_progress("fit")
-    rows = parts.replay.real.cpu()
+    rows = parts.replay.real_in_order()
     if held_out is not None:
         used = torch.ones(len(rows), dtype=torch.bool)
         used[-len(held_out) :] &= ~held_out[-len(rows) :]
@@ -79,8 +79,8 @@ def _added(parts: Components, data: Transitions) -> object:
 
 def _adds(parts: Components) -> bool:
     """Return whether the fit to all real data may be had at the cost of the newest ones."""
-    learns = parts.plant.task.learns  # a reward is told by all data
-    kept = len(parts.replay.real) < parts.replay.capacity  # what is full has lost its oldest data, as a fit to it has
+    real, learns = parts.replay.real, parts.plant.task.learns  # a reward is told by all data
+    kept = len(real) < real.storage.max_size  # a full ring has lost its oldest data, as a fit to it has
     seen = parts.sensing is None  # else what is estimated of a row depends on its neighbours
     return parts.world_model.additive and seen and not learns and kept
 
@@ -175,7 +175,7 @@ def _observe(parts: Components, newest: TensorDictBase) -> None:
     parts.make_up(newest)
     if parts.sensing is None:
         return
-    rows = parts.replay.real.cpu()
+    rows = parts.replay.real_in_order()
     newest = rows[int((rows["step_count"].squeeze(-1) == 0).nonzero().max()) :]
     estimates = parts.sensing.observer.learn(*measurements_and_inputs(newest))
     parts.replay.rewrite_newest(parts.sensing.reestimated(newest, estimates))

@@ -2,16 +2,16 @@
 
 from dynasindy.planning.gate import Gate, ModelError, replay_error
 from dynasindy.planning.gradient_planning import GradientPlanning
-from dynasindy.planning.imagined_replay import ImaginedReplay, NoPlanning, Planned, Planner, imagine_transitions
+from dynasindy.planning.imagined_replay import Imagination, ImaginedReplay, NoPlanning, Planned, Planner
 
 __all__ = [
     "Gate",
     "GradientPlanning",
+    "Imagination",
     "ImaginedReplay",
     "ModelError",
     "NoPlanning",
     "Planned",
     "Planner",
-    "imagine_transitions",
     "replay_error",
 ]

@@ -56,7 +56,7 @@ class _Episodes:
         self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
         self.real_states = self.rows.x
         if planner.replay is not None and len(real := planner.replay.real):
-            self.real_states = real["state"].to(self.rows.x)
+            self.real_states = real[:]["state"].to(self.rows.x)
         largest = self.real_states.abs().amax(0)
         if planner.replay is None:  # where episodes begin says nothing of how far they go
             ranges = torch.tensor(planner.env.task.signature.x_scale).to(largest)

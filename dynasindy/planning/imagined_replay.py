@@ -1,4 +1,7 @@
-"""Planning by imagined replay, as in the paper, and no planning, which leaves plain TD3."""
+"""Planning by imagined replay, as in the paper, and no planning, which leaves plain TD3.
+
+A TorchRL transform turns real start states into imagined transitions.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torch.nn.functional import pad
+from torchrl.envs import Transform
 
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.agents.replay import LEARN_KEYS
@@ -83,38 +87,73 @@ class Planner(ABC):
         """Restore what `state_dict` returned."""
 
 
-@torch.no_grad()
-def imagine_transitions(
-    env: ControlEnv, policy: TensorDictModuleBase, states: Tensor, horizon: int, limit: Tensor | None = None
-) -> tuple[TensorDict, int]:
-    """Roll a policy out in the model from given states, each with a fresh reference.
+class Imagination(Transform):
+    """Write-side transform of a replay buffer: start states go in, imagined transitions are stored.
 
-    The end of an imagined rollout is truncated, never terminated, and a rollout is cut before the first transition that
-    is not finite or that ends beyond the limit.
+    `buffer.append_transform(Imagination(env.with_system(world_model), policy, horizon))`, then
+    `buffer.extend(starts)` with a batch of `state` stores up to `len(starts) * horizon` transitions. Each start
+    gets a fresh reference. The end of an imagined rollout is truncated, never terminated, and a rollout is
+    cut before the first transition that is not finite or that ends beyond the limit.
+
+    Attributes:
+        diverged: How many of the newest rollouts had no finite transition at all.
 
     Args:
-        env: Imagined environment, `env.with_system(world_model)`.
+        env: Imagined environment.
         policy: Policy that acts in it, reading `observation` and writing `action`.
-        states: Start states, `(*batch, n_x)`, on the device where it happens.
         horizon: Length of a rollout [control periods].
         limit: Largest absolute value of each state, `(n_x,)`; any if None.
 
-    Returns:
-        Imagined transitions with `LEARN_KEYS`, flat, at most `batch * horizon`, and how many rollouts have none.
+    Raises:
+        ValueError: The horizon is not positive.
     """
-    start = env.start_from(states.reshape(-1, states.shape[-1]))
-    rollout = env.rollout(horizon, policy, auto_reset=False, tensordict=start, break_when_any_done=False)
-    following = rollout["next"]
-    parts = [following[key] for key in ("state", "observation", "reward")]
-    sound = torch.cat(parts, -1).isfinite().all(-1)
-    diverged = len(sound) - int(sound[:, 0].sum())
-    if limit is not None:
-        sound &= (parts[0].abs() <= limit.to(parts[0])).all(-1)
-    kept = sound.int().cummin(-1).values.bool()
-    last = kept & ~pad(kept[:, 1:], (0, 1))
-    following["truncated"] = following["done"] = last.unsqueeze(-1)
-    # Each column would look for itself which rows of a mask are kept.
-    return rollout.select(*LEARN_KEYS).reshape(-1)[kept.flatten().nonzero().squeeze(-1)], diverged
+
+    def __init__(
+        self,
+        env: ControlEnv,
+        policy: TensorDictModuleBase,
+        horizon: int,
+        limit: Tensor | None = None,
+    ) -> None:
+        super().__init__(in_keys=[], out_keys=[])
+        if horizon < 1:
+            raise ValueError(
+                f"horizon must be at least 1 control period, got {horizon}; mend {setting('planning.horizon')}"
+            )
+        # Held outside nn.Module's registry: the buffer must not own, save or move the environment and policy.
+        self.__dict__.update(env=env, policy=policy)
+        self.horizon = horizon
+        self.limit = limit
+        self.diverged = 0
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self.imagine(tensordict["state"])
+
+    @torch.no_grad()
+    def imagine(self, states: Tensor) -> TensorDict:
+        """Roll the policy out in the model from given states.
+
+        Args:
+            states: Start states, `(*batch, n_x)`, on the device where it happens.
+
+        Returns:
+            Imagined transitions with `LEARN_KEYS`, flat, at most `batch * horizon` of them.
+        """
+        start = self.env.start_from(states.reshape(-1, states.shape[-1]))
+        rollout = self.env.rollout(
+            self.horizon, self.policy, auto_reset=False, tensordict=start, break_when_any_done=False
+        )
+        following = rollout["next"]
+        parts = [following[key] for key in ("state", "observation", "reward")]
+        sound = torch.cat(parts, -1).isfinite().all(-1)
+        self.diverged = len(sound) - int(sound[:, 0].sum())
+        if self.limit is not None:
+            sound &= (parts[0].abs() <= self.limit.to(parts[0])).all(-1)
+        kept = sound.int().cummin(-1).values.bool()
+        last = kept & ~pad(kept[:, 1:], (0, 1))
+        following["truncated"] = following["done"] = last.unsqueeze(-1)
+        # Each column would look for itself which rows of a mask are kept.
+        return rollout.select(*LEARN_KEYS).reshape(-1)[kept.flatten().nonzero().squeeze(-1)]
 
 
 class NoPlanning(Planner):
@@ -142,7 +181,7 @@ class ImaginedReplay(Planner):
     Args:
         env: Imagined environment, `real.with_system(world_model)`.
         agent: Agent whose exploring policy acts in it.
-        replay: Real and imagined transitions.
+        replay: Both storages; the `Imagination` transform is appended to the model's.
         rollouts: Imagined rollouts per planning phase (paper: 400 or 800); 0 plans nothing.
         horizon: Length of a rollout [control periods].
         every: Episodes between two planning phases (paper: N).
@@ -171,21 +210,23 @@ class ImaginedReplay(Planner):
         seed: int = 0,
     ) -> None:
         super().__init__(every)
-        if rollouts < 0 or horizon < 1 or (generations is not None and generations < 1):
+        if rollouts < 0 or (generations is not None and generations < 1):
             raise ValueError(
-                f"planning needs rollouts >= 0, horizon >= 1 and generations >= 1 or null, got {rollouts}, {horizon} "
-                f"and {generations}; mend planning"
+                f"planning needs rollouts >= 0 and generations >= 1 or null, got {rollouts} and {generations}; mend "
+                "planning"
             )
         if not state_bound > 0:
             raise ValueError(f"{setting('planning.state_bound')} must be positive, got {state_bound}")
         self.agent, self.env, self.replay, self.rollouts, self.generations = agent, env, replay, rollouts, generations
-        self.state_bound, self.horizon = state_bound, horizon
+        self.state_bound = state_bound
         self.made: list[int] = []
         self.generator = torch.Generator().manual_seed(seed)
         check_memory(
             4.0 * rollouts * horizon * (2 * env.task.n_o + (2 + env.substeps) * env.system.signature.n_x),
             f"{setting('planning.rollouts')}={rollouts} of {setting('planning.horizon')}={horizon} periods",
         )
+        self.imagination = Imagination(env, agent.explore_imagined, horizon)
+        replay.model.append_transform(self.imagination)
 
     def plan(self) -> Planned:
         """Imagine `rollouts` rollouts with the model and policy as they are now.
@@ -198,13 +239,12 @@ class ImaginedReplay(Planner):
         report_progress("planning", note=f"{self.rollouts} imagined rollouts")
         if self.generations is not None:
             self.replay.keep_imagined(sum(self.made[max(0, len(self.made) + 1 - self.generations) :]))
-        real = self.replay.real
+        real = self.replay.real_in_order()
         rows = len(real) - 1 - torch.randint(len(real), (self.rollouts,), generator=self.generator)
-        limit, starts = self.state_bound * real["next", "state"].abs().amax(0), real["state"][rows.to(real.device)]
-        imagined, diverged = imagine_transitions(self.env, self.agent.explore_imagined, starts, self.horizon, limit)
-        self.replay.extend_model(imagined)
-        self.made.append(len(imagined))
-        if diverged == self.rollouts:
+        self.imagination.limit = self.state_bound * real["next", "state"].abs().amax(0)
+        starts = TensorDict({"state": real["state"][rows]}, [self.rollouts]).to(self.replay.device)
+        self.made.append(len(self.replay.model.extend(starts)))
+        if self.imagination.diverged == self.rollouts:
             self.agent.check()  # its weights may be the reason
             raise Diverged(
                 f"planning by imagined replay: all {self.rollouts} rollouts, from real states, diverged in their first "
@@ -218,7 +258,7 @@ class ImaginedReplay(Planner):
         self.replay.keep_imagined(0)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return how much each phase imagined, and the generator."""
+        """Return how much each phase imagined, and the generator; the limit is set anew by each phase."""
         return {"made": list(self.made), "generator": self.generator.get_state()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

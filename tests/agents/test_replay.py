@@ -3,6 +3,7 @@
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs.transforms import Transform
 
 from dynasindy.agents.replay import LEARN_KEYS, REAL_KEYS, DynaReplay
 from dynasindy.systems import Diverged
@@ -32,7 +33,7 @@ def filled(real_ratio=0.3, batch_size=50, real=200, model=400, **settings):
     if real:
         replay.extend_real(rows(real, keys=REAL_KEYS))
     if model:
-        replay.extend_model(rows(model, value=10_000))
+        replay.model.extend(rows(model, value=10_000))
     return replay
 
 
@@ -50,7 +51,18 @@ def test_real_rollouts_are_flattened_and_reduced_to_their_keys():
     rollout["reference"] = torch.zeros(4, 6, 2)
     replay.extend_real(rollout)
     assert len(replay.real) == 24
-    assert set(replay.real[:].keys(True, True)) == set(REAL_KEYS)
+    assert set(replay.real[:].keys(True, True)) - {"index"} == set(REAL_KEYS)
+
+
+def test_a_transform_may_turn_what_is_written_into_rows():
+    class Imagine(Transform):
+        def _inv_call(self, tensordict):
+            return rows(7 * len(tensordict), value=10_000)
+
+    replay = filled(model=0)
+    replay.model.append_transform(Imagine())
+    replay.model.extend(TensorDict({"state": torch.zeros(3, 6)}, [3]))
+    assert len(replay.model) == 21
 
 
 def test_seed_decides_the_batches_and_the_global_generator_does_not():
@@ -72,27 +84,41 @@ def test_resumed_replay_equals_an_uninterrupted_one(tmp_path, model):
     assert (len(resumed.real), len(resumed.model)) == (200, model)
     for _ in range(2):
         assert torch.equal(replay.sample()["action"], resumed.sample()["action"])
-        for each in (replay, resumed):  # the oldest make place at the same row
-            each.extend_model(rows(100, value=30_000))
+        for each in (replay, resumed):  # the ring wraps at the same row
+            each.model.extend(rows(100, value=30_000))
     assert torch.equal(replay.model[:]["action"], resumed.model[:]["action"])
 
 
+def test_large_numbers_whose_sum_is_none_are_finite():
+    replay = DynaReplay(5, 2, keys=LEARN_KEYS)
+    large = rows(2, 3e38)
+    replay.model.extend(large)
+    replay.extend_real(large.exclude("index"))
+    assert len(replay.model) == len(replay.real) == 2
+    for wrong in (float("nan"), float("inf")):
+        large["next", "observation"][1, 2] = wrong
+        with pytest.raises(ValueError, match="infinity"):
+            replay.model.extend(large)
+
+
 @pytest.mark.parametrize("written", [4, 5, 7, 8])
-def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_of_a_full_replay(written):
+def test_the_newest_real_rows_are_replaced_in_the_order_of_time_also_across_the_end_of_the_ring(written):
     replay = DynaReplay(5, 2, 1.0, keys=LEARN_KEYS)
     for number in range(written):
         replay.extend_real(rows(1, number))
-    before = replay.real["next", "reward"].flatten().tolist()
+    before = replay.real_in_order()["next", "reward"].flatten().tolist()
     replay.sample()
-    stored = replay.real[-3:]
+    stored = replay.real_in_order()[-3:]
     stored["next", "reward"] = torch.tensor([[100.0], [200.0], [300.0]])
     replay.rewrite_newest(stored)
-    assert replay.real["next", "reward"].flatten().tolist() == [*before[:-3], 100, 200, 300]
+    assert replay.real_in_order()["next", "reward"].flatten().tolist() == [*before[:-3], 100, 200, 300]
     drawn = {int(reward) for _ in range(50) for reward in replay.sample()["next", "reward"]}
     assert drawn == {*map(int, before[:-3]), 100, 200, 300}  # batches are drawn from the new rows
     replay.extend_real(rows(1, 50.0))
     expected = [*before[:-3], 100, 200, 300, 50][-5:]
-    assert replay.real["next", "reward"].flatten().tolist() == expected
+    assert replay.real_in_order()["next", "reward"].flatten().tolist() == expected
+    with pytest.raises(ValueError, match="replace"):
+        replay.rewrite_newest(rows(6))
 
 
 def test_a_real_rollout_that_is_not_finite_leaves_no_row():
@@ -122,7 +148,7 @@ def marked(n, first, keys=LEARN_KEYS):
 def test_every_column_of_a_batch_is_that_of_its_key_in_its_row(ratio):
     replay = DynaReplay(100, 40, ratio, keys=LEARN_KEYS)
     replay.extend_real(marked(60, 0))
-    replay.extend_model(marked(60, 100))
+    replay.model.extend(marked(60, 100))
     batch = replay.sample()
     assert batch.batch_size == (40,) and batch["next"].batch_size == (40,)
     number = batch["observation"][:, 0].long()
@@ -141,15 +167,29 @@ def test_shares_are_rounded_to_whole_rows_and_sum_to_the_batch():
     assert filled(None, batch_size=9, real=100, model=200).counts() == (3, 6)
 
 
-def test_both_kinds_of_rows_have_a_most_of_their_own():
+def test_both_storages_are_rings_of_their_own_size():
     replay = DynaReplay(4, 2, keys=LEARN_KEYS, model_capacity=3)
     replay.extend_real(rows(3))
-    assert replay.real["action"][:, 0].tolist() == [0, 1, 2]  # not yet full: as written
+    assert replay.real_in_order()["action"][:, 0].tolist() == [0, 1, 2]  # not yet full: as written
     replay.extend_real(rows(3, 3.0))
-    replay.extend_model(rows(5, 10.0))
-    assert replay.real["action"][:, 0].tolist() == [2, 3, 4, 5]
+    replay.model.extend(rows(5, 10.0))
+    assert replay.real_in_order()["action"][:, 0].tolist() == [2, 3, 4, 5]
     assert len(replay.model) == 3
     replay.keep_imagined(3)  # as many as there are: nothing happens
     assert len(replay.model) == 3
     replay.keep_imagined(1)
     assert replay.model[:]["action"][:, 0].tolist() == [14]
+    assert len(DynaReplay(7, 2).model.storage._storage or ()) == 0 and DynaReplay(7, 2).model.storage.max_size == 7
+
+
+def test_keeping_imagined_rows_does_not_imagine_anew():
+    class Doubled(Transform):
+        def _inv_call(self, tensordict):
+            return torch.cat([tensordict, tensordict])
+
+    replay = DynaReplay(20, 2, keys=LEARN_KEYS)
+    replay.model.append_transform(Doubled())
+    replay.model.extend(rows(3))
+    assert len(replay.model) == 6
+    replay.keep_imagined(4)
+    assert len(replay.model) == 4

@@ -182,7 +182,7 @@ def test_a_delay_that_a_refit_finds_is_made_up_for_from_then_on(periods, held_ou
         assert heard.refits[0].error_after < 0.01 * heard.refits[0].error_before
     # Every period that was flown still counts, and the fit reads what was seen of the first ones.
     assert len(parts.replay.real) == 50 + len(first) + len(second)
-    seen = parts.replay.real["measurement"][50 : 50 + len(first)]
+    seen = parts.replay.real_in_order()["measurement"][50 : 50 + len(first)]
     torch.testing.assert_close(seen, first["state"])
 
 
@@ -200,7 +200,7 @@ def test_a_run_that_makes_up_for_a_delay_goes_on_where_it_was_stopped():
         train(again, made.train, Callback(), place)
         wanted, found = whole.state_dict(), again.state_dict()
         assert torch.equal(wanted["world_model"]["coefficients"], found["world_model"]["coefficients"])
-        stored = [state["replay"]["real"]["observation"] for state in (wanted, found)]
+        stored = [state["replay"]["real"]["rows"]["observation"] for state in (wanted, found)]
         assert torch.equal(*stored)
         weights = [list(parts.agent.deployed.parameters()) for parts in (whole, again)]
         assert all(torch.equal(one, other) for one, other in zip(*weights, strict=True)) and weights[0]

@@ -3,11 +3,13 @@ from functools import cache
 
 import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
 from dynasindy.agents import LEARN_KEYS, TD3, DynaReplay
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import ImaginedReplay, Planned, Planner, imagine_transitions
+from dynasindy.planning import Imagination, ImaginedReplay, Planned, Planner
 from dynasindy.systems import Diverged, System, Tras
 from dynasindy.tasks import RandomStep, Step, Tracking, Wave
 
@@ -64,24 +66,25 @@ class Nowhere(Tras):
 
 def test_a_phase_in_which_every_rollout_diverges_at_once_is_told():
     replay, planner, _ = make(rollouts=12, horizon=5)
-    pitches = replay.real["state"][:, 1]
-    planner.env = planner.env.with_system(Nowhere(-math.inf))
+    pitches = replay.real_in_order()["state"][:, 1]
+    planner.imagination.env = planner.env.with_system(Nowhere(-math.inf))
     with pytest.raises(Diverged, match="12"):
         planner.plan()
     assert not len(replay.model)
     # Where the model is sound at some real states, their rollouts are stored.
-    planner.env = planner.env.with_system(Nowhere(pitches.median().item()))
+    planner.imagination.env = planner.env.with_system(Nowhere(pitches.median().item()))
     assert 0 < planner.plan().imagined < 60
+    assert 0 < planner.imagination.diverged < 12
 
 
 def starts_of(replay, rows=slice(None)):
-    return replay.model["observation"][rows, :6]
+    return replay.model[:]["observation"][rows, :6]
 
 
 def test_branches_begin_at_every_one_of_the_real_states():
     replay, planner, _ = make(rollouts=600, horizon=1)
     planner.plan()
-    same = (starts_of(replay).unsqueeze(1) == replay.real["observation"][:, :6]).all(-1)
+    same = (starts_of(replay).unsqueeze(1) == replay.real_in_order()["observation"][:, :6]).all(-1)
     assert bool(same.any(0).all())
     # Each as often as any other: the counts of 600 draws deviate by the root of their mean.
     assert float((same.sum(0) - 10).abs().max()) <= 5 * 10**0.5
@@ -116,9 +119,17 @@ class Explosion(System):
         return x * (torch.log(torch.tensor(2.0)) / 0.05)
 
 
+def test_starts_in_transitions_out_on_any_buffer():
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(1000), batch_size=16)
+    buffer.append_transform(Imagination(make_env(), POLICY, horizon=7))
+    buffer.extend(TensorDict({"state": torch.zeros(5, 6)}, [5]))
+    assert len(buffer) == 35
+    stored = set(buffer[:].keys(include_nested=True, leaves_only=True)) - {"index"}
+    assert stored == set(LEARN_KEYS)
+
+
 def test_ends_are_truncated_and_never_terminated():
-    imagined = imagine_transitions(make_env(), POLICY, torch.zeros(2, 6), horizon=4)[0]
-    assert set(imagined.keys(include_nested=True, leaves_only=True)) == set(LEARN_KEYS)
+    imagined = Imagination(make_env(), POLICY, horizon=4).imagine(torch.zeros(2, 6))
     ends = imagined["next", "truncated"].flatten().reshape(2, 4)
     assert ends.tolist() == [[False, False, False, True]] * 2
     assert torch.equal(imagined["next", "done"], imagined["next", "truncated"])
@@ -129,7 +140,8 @@ def test_a_rollout_is_cut_before_it_leaves_the_limit():
     # 0.01 doubles to 0.02, 0.04, 0.08, 0.16: three transitions stay within 0.1; 0.04 -> 0.08 stays, once.
     starts = torch.zeros(2, 6)
     starts[:, 1] = torch.tensor([0.01, 0.04])
-    imagined, _ = imagine_transitions(make_env(Explosion()), POLICY, starts, 10, torch.full((6,), 0.1))
+    imagination = Imagination(make_env(Explosion()), POLICY, horizon=10, limit=torch.full((6,), 0.1))
+    imagined = imagination.imagine(starts)
     assert len(imagined) == 3 + 1
     assert imagined["next", "truncated"].flatten().tolist() == [False, False, True, True]
 
@@ -147,7 +159,7 @@ class Turn(System):
 def test_what_follows_a_step_beyond_the_limit_is_cut_although_it_comes_back():
     starts = torch.zeros(3, 6)
     starts[:, 0] = torch.tensor([0.0, -0.45, -0.3])  # the second begins beyond the limit, and would come back
-    imagined, _ = imagine_transitions(make_env(Turn()), POLICY, starts, 5, torch.full((6,), 0.25))
+    imagined = Imagination(make_env(Turn()), POLICY, horizon=5, limit=torch.full((6,), 0.25)).imagine(starts)
     ends = (10 * imagined["next", "observation"][:, 0]).round()
     assert ends.tolist() == [1, 2, -2, -1, 0, 1, 2]
     assert imagined["next", "truncated"].flatten().tolist() == [False, True, False, False, False, False, True]
@@ -158,7 +170,7 @@ def test_imagined_rollouts_are_those_of_a_loop_over_rows_and_periods():
     env = ControlEnv(plant, Tracking(plant.signature, Wave([0.3, 0.2], [0.5, 0.4])))
     policy = TensorDictModule(lambda o: (0.5 * o[..., 6:]).clamp(-1, 1), in_keys=["observation"], out_keys=["action"])
     starts = 0.1 * torch.randn(2, 3, 6, generator=torch.Generator().manual_seed(0))
-    imagined, _ = imagine_transitions(env, policy, starts, 4)
+    imagined = Imagination(env, policy, horizon=4).imagine(starts)
     assert imagined.batch_size == (24,)
     params = env.task.sample(torch.Size((1,)), torch.Generator())
     for i, x in enumerate(starts.reshape(6, 1, 6)):

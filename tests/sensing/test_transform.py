@@ -258,7 +258,7 @@ def test_no_number_of_the_replay_is_true():
     parts = made.build()
     rollout = parts.env.rollout(30, parts.excitation)
     parts.replay.extend_real(rollout)
-    stored, truth = parts.replay.real, rollout["next", "true_state"]
+    stored, truth = parts.replay.real_in_order(), rollout["next", "true_state"]
     for shown in (stored["next", "state"], stored["next", "samples"][:, -1]):
         assert not (shown == truth)[3:].any()  # it begins at rest, with angles of zero
     assert not (stored["next", "reward"] == rollout["next", "true_reward"]).any()
@@ -293,7 +293,7 @@ def test_after_the_first_fit_the_observer_relies_on_the_model_and_the_excitation
     made = recipe(sensors=Sensors(BENCH, rates=KNOWN))
     parts = made.build()
     train(parts, LoopSettings(0), Callback())
-    stored = parts.replay.real
+    stored = parts.replay.real_in_order()
     after = (stored["next", "state"] - excited["next", "true_state"])[:, 2:4].square().mean()
     assert parts.sensing.observer.learnt and after < 0.01 * before
     assert torch.equal(stored["state"][1:], stored["next", "state"][:-1])
