@@ -703,7 +703,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "first guess",
     "fit.trajectories": lambda unmeasured: (
         "the fit compares whole simulations with the log and not single steps, as "
-        + (f"{', '.join(unmeasured)} lack samples" if unmeasured else "single steps seem to miss by noise of sensors")
+        + (f"the log has no samples of {', '.join(unmeasured)}" if unmeasured else "sensors seem to be noisy")
     ),
     "fit.single_steps": "the fit predicts each sample from the one before, as errors of such predictions do not look "
     "like noise of the sensors",
