@@ -78,6 +78,7 @@ def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iter
     from next_steps import command_line, without
     from omegaconf import OmegaConf
 
+    from dynasindy.identification.source import closest_period
     from dynasindy.identification.targets import targets_like
     from dynasindy.sentences import command_word
 
@@ -93,7 +94,7 @@ def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iter
         does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
         keys = ("outputs", "low", "high")
         given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-        if targets := targets_like(source, rates.values(), given, found.model):
+        if targets := targets_like(source, rates.values(), given, found.model, closest_period(source)):
             units = dict(zip(source.signature.state_names, source.signature.state_units, strict=True))
             named = [str(name) for name in given["outputs"] or targets["outputs"]]
             asked = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")

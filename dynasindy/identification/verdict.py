@@ -185,13 +185,6 @@ def require_controlled(model: SindyModel, outputs: Sequence[str]) -> None:
     Raises:
         FindingError: There are such outputs.
     """
-    moved = controlled_states(model)
-    if still := [name for name in outputs if name not in moved]:
-        raise FindingError("model.uncontrolled", outputs=still)
-
-
-def controlled_states(model: SindyModel) -> set[str]:
-    """Return the states that inputs move in the equations, be it through other states; and the inputs."""
     names, moved = model.signature.state_names, set(model.signature.input_names)
     read = {
         name: {v for feature in _used(model.library.features, column) for v in feature.variables}
@@ -199,7 +192,8 @@ def controlled_states(model: SindyModel) -> set[str]:
     }
     for _ in names:
         moved |= {name for name in names if read[name] & moved}
-    return moved
+    if still := [name for name in outputs if name not in moved]:
+        raise FindingError("model.uncontrolled", outputs=still)
 
 
 def inputs_beyond_log(model: SindyModel, logged: Tensor, applied: Tensor) -> list[Finding]:

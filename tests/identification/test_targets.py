@@ -74,7 +74,21 @@ def logged(columns, units):
     return Source.of(Recording(Transitions.from_trajectory(x, ramp[:-1, None], 0.01), signature), 0)
 
 
-def test_an_output_that_no_input_moves_is_not_proposed_where_another_one_is():
+def test_only_targets_that_an_input_holds_are_proposed():
+    """Half of the weight is lifted, as far as an angle whose sine is a half: 30 degrees; the log went to 1.2 rad."""
+    source = logged({"angle": 1.5, "rate": 3.0}, ("rad", "rad/s"))
+    equations = {"angle": {"rate": 1.0}, "rate": {"sin(angle)": -10.0, "rate": -0.5, "u": 5.0}}
+    model = SindyModel(source.signature, ["rate", "sin(angle)", "u"], fixed=equations)
+    found = targets_like(source, ["rate"], NONE, model)
+    low, high = float(found["low"][0]), float(found["high"][0])
+    assert found["outputs"] == ["angle"]
+    assert 0.8 * math.pi / 6 < high <= math.pi / 6 and -math.pi / 6 <= low < -0.8 * math.pi / 6
+    strong = {**equations, "rate": {"sin(angle)": -10.0, "rate": -0.5, "u": 12.0}}
+    whole = SindyModel(source.signature, ["rate", "sin(angle)", "u"], fixed=strong)
+    assert targets_like(source, ["rate"], NONE, whole) == {"outputs": ["angle"], "low": ["-1.2"], "high": ["1.2"]}
+
+
+def test_an_output_that_no_input_moves_is_not_proposed_where_another_one_is_held():
     source = logged({"outside": 1.0, "inside": 1.0}, ("degC", "degC"))
     equations = {"outside": {"outside": -1.0}, "inside": {"inside": -1.0, "u": 2.0}}
     model = SindyModel(source.signature, ["outside", "inside", "u"], fixed=equations)
