@@ -233,22 +233,12 @@ def add_to_json(path: Path, key: str, value: Any) -> None:
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
-def write_cells(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]], end: str = "\n") -> None:
-    """Write a CSV file whole, each cell as it stands.
-
-    Args:
-        path: The file.
-        header: Headings.
-        rows: Cells below them.
-        end: What ends a line.
-    """
-    write_text(path, _csv([header, *rows], end))
-
-
 def write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[float | None]]) -> None:
     """Write a table of numbers whole; empty cells stand for None."""
-    cells = [["" if value is None else f"{value:.9g}" for value in row] for row in rows]
-    write_cells(path, header, cells, "\r\n")
+    text = StringIO(newline="")
+    csv.writer(text).writerow(header)
+    csv.writer(text).writerows(["" if value is None else f"{value:.9g}" for value in row] for row in rows)
+    write_text(path, text.getvalue())
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -257,7 +247,11 @@ def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, A
     Raises:
         ValueError: A row has another column.
     """
-    write_cells(path, columns, _ordered(columns, rows))
+    text = StringIO(newline="")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def append_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -289,22 +283,6 @@ def _waiting(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def _ordered(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> list[list[object]]:
-    """Return the cells of rows in the order of the columns."""
-    cells = []
-    for row in rows:
-        if more := sorted(set(row) - set(columns)):
-            raise ValueError(f"a row has the column {more[0]!r}; the table has {', '.join(columns)}")
-        cells.append([row.get(column, "") for column in columns])
-    return cells
-
-
-def _csv(rows: Iterable[Sequence[object]], end: str) -> str:
-    text = StringIO(newline="")
-    csv.writer(text, lineterminator=end).writerows(rows)
-    return text.getvalue()
 
 
 def file_name(name: object, what: str) -> str:

@@ -391,19 +391,6 @@ def _forecast_errors(
     return f"errors at {end} ({limits}): {'; '.join(texts)}"
 
 
-def _other_period(cause: str, value: float, periods: float, wanted: float, log: bool) -> str:
-    causes = {
-        "oscillation": f"the model swings every {value:.3g} s, which is {periods:.2g} control periods only",
-        "doubling": f"a deviation of the unstable model doubles in {value:.3g} s, which is {periods:.2g} control "
-        "periods only",
-        "settles": f"the model takes {format_duration(value, digits=2)} to settle fully, and a plan looks "
-        f"{format_duration(periods, digits=2)} ahead",
-    }
-    if log:
-        return f"{causes[cause]}: log with a sampling time of {wanted:.2g} s at most"
-    return f"{causes[cause]}: try a control period of {wanted:g} s, {setting('env.dt', wanted)}"
-
-
 def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
     causes = {
         "step": "the step of the model",
@@ -827,7 +814,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
     "{functions} functions of the equations, so that nothing tells how well they hold: log longer, or choose a smaller "
     "library",
-    "control.other_period": _other_period,
     "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g} {unit}, the log from {least:.3g} to "
     "{most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log",
     "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "

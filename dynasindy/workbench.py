@@ -36,7 +36,7 @@ from dynasindy.agents import Actor
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.integral import IntegralAction
-from dynasindy.control.period import as_planned, other_period, suited_period
+from dynasindy.control.period import as_planned, suited_period
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.forecast import Forecast, predict
 from dynasindy.evaluation.scenarios import Policy, Scenario, step_references
@@ -215,8 +215,8 @@ def forecast(
     rests = find_task_equilibria(env)
     never = "" if rests is None else unheld(env, rests)
     if log is None or not len(log.validation):
-        own = replace(predict([model], env, policy, scenario, sensing, within), in_sample=True, no_equilibrium=never)
-        return _advised(own, controller, model, None)
+        own = predict([model], env, policy, scenario, sensing, within)
+        return replace(own, in_sample=True, no_equilibrium=never)
     log = log.with_states_of(model)
     unseen = "what the plan has not seen"
     models = [fit for parts in (1, HALVES) for fit in _refits(model, log.validation, parts, unseen)]
@@ -228,7 +228,7 @@ def forecast(
     if setup.task.ends is not None:
         targets = dict(zip(controller.outputs, zip(*setup.task.ends, strict=True), strict=True))
         doubts += targets_beyond_log(model, log.training.x, targets)
-    return _advised(replace(found, doubts=tuple(doubts), no_equilibrium=never), controller, model, log)
+    return replace(found, doubts=tuple(doubts), no_equilibrium=never)
 
 
 def closed_loop(
@@ -267,13 +267,6 @@ def _doubts(model: SindyModel, log: Source, seconds: float) -> list[Finding]:
     short = shortcoming(forecasts, model.signature, min(seconds, forecasts.characteristic))
     lacking = [short] if short and not runs_away(forecasts, model.signature) else []
     return [*lacking, *(each for each in linear_better(forecasts, model.signature) if each.severity == "wrong")]
-
-
-def _advised(found: Forecast, controller: Controller, model: SindyModel, log: Source | None) -> Forecast:
-    """Return a prediction that says which control period to try where the one of the plan may be why it fails."""
-    if found.controlled or found.no_equilibrium:
-        return found
-    return replace(found, period=other_period(model, controller.setup.task, log, controller.dt))
 
 
 def _steps(task: Tracking) -> Scenario:

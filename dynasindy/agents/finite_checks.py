@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -18,36 +16,23 @@ SUSPECTS: tuple[tuple[NestedKey, str, NestedKey, str], ...] = (
     (("next", "samples"), "the plant moves to", "state", EQUATIONS),
     (("next", "state"), "the plant ends at", "state", EQUATIONS),
     (("next", "reward"), "the reward is", ("next", "state"), "check the task's reward there"),
-    (
-        ("next", "observation"),
-        "the observation is",
-        ("next", "state"),
-        "check the plant and the task there",
-    ),
+    (("next", "observation"), "the observation is", ("next", "state"), "check the plant and the task there"),
 )
 """What may go wrong within a control period, in the order of cause and effect: the number, what it follows from."""
 
 
-def is_finite(rows: TensorDictBase, keys: Collection[NestedKey]) -> bool:
-    """Return whether all numbers of some keys are finite, but for those that `non_finite` leaves out."""
-    return not any(bool(non_finite(key, rows).any()) for key in keys)
-
-
 def is_finite_rollout(rollout: TensorDictBase) -> bool:
     """Return whether all that may go wrong in a rollout of any batch is finite."""
-    return is_finite(rollout, _suspects(rollout))
+    return not any(bool(bad.any()) for bad in _non_finite(rollout).values())
 
 
-def _suspects(rows: TensorDictBase) -> list[NestedKey]:
-    present = set(rows.keys(include_nested=True, leaves_only=True))
-    return [key for key, *_ in SUSPECTS if key in present]
-
-
-def non_finite(key: NestedKey, rows: TensorDictBase) -> Tensor:
-    """Return which numbers of a key are not finite; of what sensors measure, NaN says that nothing was measured."""
-    values: Tensor = rows.get(key)
-    measured = key in ("measurement", ("next", "samples")) and "measurement" in rows.keys()  # noqa: SIM118 - no dict
-    return values.isinf() if measured else ~values.isfinite()
+def _non_finite(rows: TensorDictBase) -> dict[NestedKey, Tensor]:
+    """Return which numbers of each key are not finite; of what sensors measure, NaN says that nothing was measured."""
+    present, found = set(rows.keys(include_nested=True, leaves_only=True)), dict[NestedKey, Tensor]()
+    for key in (key for key, *_ in SUSPECTS if key in present):
+        measured = key == ("next", "samples") and "measurement" in present
+        found[key] = rows.get(key).isinf() if measured else ~rows.get(key).isfinite()
+    return found
 
 
 def require_finite_rollout(rows: TensorDictBase, where: str = "plant") -> None:
@@ -60,7 +45,7 @@ def require_finite_rollout(rows: TensorDictBase, where: str = "plant") -> None:
     Raises:
         Diverged: A number is not finite; the first one is told, with the state, the input and the period.
     """
-    bad = {key: non_finite(key, rows).flatten(1).any(-1) for key in _suspects(rows)}
+    bad = {key: found.flatten(1).any(-1) for key, found in _non_finite(rows).items()}
     first = min((int(found.int().argmax()) for found in bad.values() if bool(found.any())), default=None)
     if first is None:
         return

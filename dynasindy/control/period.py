@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from dynasindy.envs import ControlEnv
-from dynasindy.findings import Finding, note, weak
+from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, Source, closest_period
 from dynasindy.identification.verdict import logged_input_ranges
-from dynasindy.planning.plan_settings import LONGEST, TIME_CONSTANTS, settles
+from dynasindy.planning.plan_settings import LONGEST, settles
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import lag_state_ranges
 from dynasindy.sindy.reconstruction import rate_states, reconstruct
@@ -81,33 +81,6 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         if math.isclose(usual, PERIOD, rel_tol=1e-6)
         else note("control.sampled", seconds=usual, wanted=PERIOD, step=step),
     )
-
-
-def other_period(model: SindyModel, task: Tracking, log: Source | None, dt: float) -> Finding | None:
-    """Return which control period to try where a plan with another one fails, and why; None if that is not the cause.
-
-    Args:
-        model: The fitted model.
-        task: What is to be tracked.
-        log: The log.
-        dt: The control period of the plan [s].
-    """
-    if model.step is not None:
-        return None  # a difference equation swings as often however it is sampled
-    task, (x, u) = as_planned(task, model, log), _places(model, task, log)
-    step, pace = log.training.dt if log else 0.0, _Pace.of(model, x, u, task.outputs)
-    longest = pace.longest
-    if longest < dt * (1 - 1e-6):
-        step = step or _two_digits(longest)
-        logged = step >= dt * (1 - 1e-6)
-        wanted = longest if logged else step * max(1, math.floor(longest / step + 1e-6))
-        facts = {"cause": pace.kind, "value": pace.seconds, "periods": pace.seconds / dt}
-        return weak("control.other_period", **facts, wanted=wanted, log=logged)
-    seconds = settles(ControlEnv(model, task, dt), x, u, math.exp(-TIME_CONSTANTS))
-    if (slow := _lengthened(dt, seconds / LONGEST, longest, step)) > dt * (1 + 1e-6):
-        facts = {"cause": "settles", "value": seconds, "periods": LONGEST * dt}
-        return weak("control.other_period", **facts, wanted=slow, log=False)
-    return None
 
 
 def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Tracking:

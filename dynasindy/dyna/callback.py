@@ -31,55 +31,36 @@ class Cost:
         self.updates += planned.updates
 
 
+FIRST = ("the excitation", "the first planning phase")
+"""Phases before the first episode."""
+
+
 @dataclass
 class Place:
     """Where a run stands; a resumed run goes on from there.
 
     Attributes:
-        excited: Whether the real system was excited and the first model fitted.
-        planned: Whether the planning phase before the first episode is done.
-        episodes: Finished real episodes.
+        number: Phases that are done: the excitation with the first fit, the first planning phase, then episodes.
         cost: What the run has cost so far.
     """
 
-    excited: bool = False
-    planned: bool = False
-    episodes: int = 0
+    number: int = 0
     cost: Cost = field(default_factory=Cost)
 
     @property
-    def number(self) -> int:
-        """Return how many places come before this one."""
-        return self.excited + self.planned + self.episodes
+    def episodes(self) -> int:
+        """Finished real episodes."""
+        return max(0, self.number - len(FIRST))
 
     def summary(self) -> str:
         """Return the latest thing that is done, in words."""
-        if self.episodes:
-            return f"episode {self.episodes}"
-        return "the first planning phase" if self.planned else "the excitation" if self.excited else "nothing"
+        return f"episode {self.episodes}" if self.episodes else ("nothing", *FIRST)[self.number]
 
     def present(self, episodes: int) -> str:
         """Return what is under way in a run of so many episodes, in words."""
-        if not self.excited:
-            return "the excitation"
-        if self.episodes == episodes:
-            return "the last evaluation"
-        return f"episode {self.episodes + 1}" if self.planned else "the first planning phase"
-
-    def past_excitation(self) -> Place:
-        """Move past the excitation and the first fit."""
-        self.excited = True
-        return self
-
-    def past_planning(self) -> Place:
-        """Move past the planning phase before the first episode."""
-        self.planned = True
-        return self
-
-    def past_episode(self, number: int) -> Place:
-        """Move past an episode and what follows it."""
-        self.episodes = number
-        return self
+        if self.number < len(FIRST):
+            return FIRST[self.number]
+        return "the last evaluation" if self.episodes == episodes else f"episode {self.episodes + 1}"
 
     def state_dict(self) -> dict[str, Any]:
         """Return it as plain numbers."""
@@ -87,8 +68,7 @@ class Place:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        self.excited, self.planned, self.episodes = state["excited"], state["planned"], state["episodes"]
-        self.cost = Cost(**state["cost"])
+        self.number, self.cost = state["number"], Cost(**state["cost"])
 
 
 @dataclass(frozen=True)

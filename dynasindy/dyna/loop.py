@@ -40,7 +40,7 @@ def train(
     agent, replay, planner = parts.agent, parts.replay, parts.planner
     place = place or Place()
     cost = place.cost
-    if not place.excited:
+    if place.number == 0:
         # Data collection: excite the real system.
         excited = excite(parts)
         # Initialization: B <- D_real; the actor and the critics were drawn with the agent.
@@ -48,11 +48,13 @@ def train(
         cost.real_steps += excited.numel()
         # Model learning: f_SINDy from D_real.
         callback.fitted(first_fit(parts, excited), excited, cost)
-        callback.reached(place.past_excitation())
-    if not place.planned:
+        place.number = 1
+        callback.reached(place)
+    if place.number == 1:
         # Departure: the first planning phase comes before the first episode, with the model of the excitation.
         cost.add(planner.plan())
-        callback.reached(place.past_planning())
+        place.number = 2
+        callback.reached(place)
     for number in range(place.episodes + 1, settings.episodes + 1):
         # Real interaction.
         report_progress("real episode")
@@ -72,6 +74,7 @@ def train(
             refitted = refit(parts, settings, rollout)
             cost.add(planner.plan()) if parts.gate.judge(refitted.error) else planner.distrust()
         callback.episode(Episode(number, rollout, error, one_step, parts.gate.is_open, refitted), cost)
-        callback.reached(place.past_episode(number))
+        place.number += 1
+        callback.reached(place)
     # Deployment.
     return agent.deployed

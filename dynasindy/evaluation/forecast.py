@@ -39,7 +39,6 @@ class Forecast:
         no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
         overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
-        period: What speaks for another control period, and which to try; None if nothing does.
     """
 
     flights: tuple[TrackingCriteria | None, ...]
@@ -51,7 +50,6 @@ class Forecast:
     no_equilibrium: str = ""
     seconds: float | None = None
     overshoot: Mapping[str, float] = field(default_factory=dict)
-    period: Finding | None = None
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
@@ -95,9 +93,8 @@ class Forecast:
     def findings(self) -> tuple[Finding, ...]:
         """What the simulations show, and what speaks against the models; `wrong` where nothing is promised for it."""
         n, flown = len(self.flights), [flight for flight in self.flights if flight is not None]
-        advice = [self.period] if self.period is not None else []
         if not flown:
-            return (wrong("forecast.runs_away", models=n, of=n), *advice)
+            return (wrong("forecast.runs_away", models=n, of=n),)
         findings = [(wrong if self._missed else note)("forecast.errors", **self._errors(flown))]
         findings += [wrong("forecast.runs_away", models=n - len(flown), of=n)] if len(flown) < n else []
         fates = {(name, name not in flight.swings) for flight in flown for name in flight.away}
@@ -112,9 +109,7 @@ class Forecast:
         idle = sorted({name for flight in flown for name in flight.idle})
         findings += [note("forecast.idle", state=name) for name in idle]
         diverged = len(flown) < n or any(away for _, away in fates)
-        if diverged or self._missed:
-            findings += advice
-        if not (self.controlled or diverged or self.doubts or (advice and self._missed)):
+        if not (self.controlled or diverged or self.doubts):
             findings.append(self._advice(flown))
         return tuple(gravest_first((*findings, *self.doubts)))
 

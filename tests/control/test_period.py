@@ -9,11 +9,11 @@ import pytest
 import torch
 
 import dynasindy
-from dynasindy.control.period import as_planned, other_period, suited_period
+from dynasindy.control.period import as_planned, suited_period
 from dynasindy.data.recording import Recording
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Multisine
-from dynasindy.findings import Finding, note, weak
+from dynasindy.findings import Finding, note
 from dynasindy.identification.source import Source, closest_period
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Signature, System
@@ -228,34 +228,6 @@ def test_the_period_of_an_unstable_plant_is_a_quarter_of_the_time_in_which_it_do
     assert found.seconds <= max(dt, doubles / 4)
     cause = "doubling" if dt < doubles / 4 else "sample_doubling"
     assert found.why == (None if abs(rate) == 3 else chosen(seconds, cause, doubles))
-
-
-def test_a_plan_of_an_unstable_plant_that_fails_is_told_a_shorter_period():
-    model = growing(60.0)
-    task, log = tracking_task(model, {"p": (-0.5, 0.5)}), logged(0.001, model.signature)
-    assert other_period(model, task, log, 0.01) == other("doubling", 0.01155, 1.155, 0.002)
-    assert other_period(model, task, log, 0.002) is None
-
-
-def other(cause, value, periods, wanted, log=False) -> Finding:
-    found = {"value": value, "periods": periods, "wanted": wanted}
-    return weak(
-        "control.other_period", cause=cause, **{name: pytest.approx(v, rel=5e-3) for name, v in found.items()}, log=log
-    )
-
-
-def test_a_plan_that_fails_is_told_which_period_to_try():
-    spring, targets = known(9.4, 0.1), {"p": (-0.5, 0.5)}
-    task, log = tracking_task(spring, targets), logged(0.005, spring.signature)
-    assert other_period(spring, task, log, 0.05) == other("oscillation", 0.10692, 2.138, 0.02)
-    assert other_period(spring, task, log, 0.02) is None
-    coarse = other_period(spring, task, logged(0.05, spring.signature), 0.05)
-    assert coarse == other("oscillation", 0.10692, 2.138, 0.10692 / 5, log=True)
-    slow = tank(4000)
-    told = other_period(slow, tracking_task(slow, {"h": (-0.5, 0.5)}), tank_log(1.0, slow), 1.0).values
-    # All but exp(-7) is over after seven time constants of 398 s, 46 min; in 80 periods that is 34.8 s each.
-    assert (told["cause"], told["periods"]) == ("settles", 80) and 2780 < told["value"] < 2880
-    assert 34.8 <= told["wanted"] <= 36
 
 
 def mapped(a, b, step):

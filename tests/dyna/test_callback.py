@@ -5,9 +5,9 @@ from dynasindy.planning import Planned
 
 
 def test_a_place_that_is_restored_is_the_same_place_and_the_same_cost():
-    here = Place(True, True, 7, Cost(3000, 20, 5))
+    here = Place(9, Cost(3000, 20, 5))
     other = Place()
     other.load_state_dict(json.loads(json.dumps(here.state_dict())))
-    assert other == here and isinstance(other.cost, Cost)
+    assert other == here and here.episodes == 7 and isinstance(other.cost, Cost)
     other.cost.add(Planned(imagined=1, updates=2))
     assert (other.cost.imagined, other.cost.updates) == (21, 7) and here.cost.updates == 5
