@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer, TensorDictRoundRobinWriter
 
-from dynasindy.agents.finite_checks import is_finite, require_finite_rollout
+from dynasindy.agents.finite_checks import is_finite_rollout, require_finite_rollout
 
 LEARN_KEYS: tuple[NestedKey, ...] = (
     "observation",
@@ -70,7 +70,7 @@ class _CheckedWriter(TensorDictRoundRobinWriter):
                 f"The {self.name} storage takes exactly its {len(self.keys)} keys; "
                 f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
             )
-        if not is_finite(data, self.keys):
+        if not is_finite_rollout(data):
             raise ValueError(f"The {self.name} storage takes finite rows, not NaN or infinity; leave such rows out.")
 
 
