@@ -9,8 +9,7 @@ import pytest
 
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.report import Results
-from dynasindy.viz.report.paper import XI
+from dynasindy.viz.report import XI, Results
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 ERRORS = {"rollouts_0": 0.2, "rollouts_400": 0.05, "rollouts_800": 0.01}

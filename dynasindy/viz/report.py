@@ -1,0 +1,792 @@
+"""The report: figures and tables of the paper beside ours, from saved results, and what holds of the paper's claims.
+
+Words may hold `code` and **bold**; all else of them is shown as it stands, and is neither HTML nor a link.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+from dynasindy.evaluation.ablation import Level
+from dynasindy.evaluation.statistics import interquartile_mean
+from dynasindy.safe_io import escape_markdown, file_name, read_json, read_rows, reading, write_text
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.world_model import open_loop
+from dynasindy.systems.transitions import Transitions
+from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.viz.controllers import controller_name
+from dynasindy.viz.gate import gate
+from dynasindy.viz.identification import BEYOND, prediction, training_data
+from dynasindy.viz.learning import average_rewards
+from dynasindy.viz.response import tracking
+from dynasindy.viz.run import Table as Columns
+from dynasindy.viz.run import periods, read_table, stacked
+from dynasindy.viz.style import STYLE, Array
+
+TITLE = "The paper's figures and tables, beside ours"
+WIDTH = 120
+SVG: dict[Any, Any] = {"svg.fonttype": "none", "path.simplify_threshold": 0.3}
+"""Letters stay text, which is smaller than outlines and can be searched."""
+PLANTS = ("xi", "tras")
+OURS = [(plant, "dyna") for plant in PLANTS]
+CASES = [(plant, experiment) for plant in PLANTS for experiment in ("dyna", "paper")]
+"""What the ablation compares its settings in."""
+SETTINGS = {setting: controller_name(setting) for setting in ("rollouts_0", "rollouts_400", "rollouts_800")}
+NONE, SOME, MANY = SETTINGS.values()
+MODEL_FREE = ("rollouts_0_tuned", "sb3_sac", "sb3_sac_5", "sb3_td3", "sb3_td3_5")
+"""Other settings of the ablation that have no model, which planning is compared with too."""
+ABLATION = "python scripts/ablation.py system={} experiment={}"
+STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
+AXES = {"alpha_a": "azimuth", "alpha_p": "pitch"}
+TRACKED, REFERENCES = tuple(AXES), tuple(f"reference_{name}" for name in AXES)
+
+EPISODES = 2500
+"""Episodes after which the paper draws its controllers with a model."""
+FALL = 0.1
+"""Share of the first reward error that the last one is to be below, unless all are below `gate.open_below`."""
+CLOSE = 5.0
+"""RMSE of a state that is predicted well [% of its range]."""
+COEFFICIENT = 1.0
+"""Error of a coefficient that is found [%]."""
+EARLY = 0.25
+"""Share of the evaluations over which early rewards are averaged."""
+SOON = 180
+"""Real episodes within which it is no difference whether 800 or 400 rollouts are at the level first."""
+LEVEL = Level().error
+"""Steady-state error that is asked for of policies with planning [rad]."""
+FINE = 0.01
+"""Steady-state error up to which it is no difference whether that of 800 or of 400 rollouts is less [rad]."""
+FOLLOWS = 0.1
+"""Share of its amplitude up to which the error of a wave counts as followed."""
+TRANSIENT, SETTLED = 10.0, 5.0
+"""Start of a sine that does not count, and end of each level of a square wave that does [s]."""
+
+MODEL = "A model identified from seconds of excitation, refitted as episodes come, predicts the plant."
+SOONER = "Planning on the model lets the policy learn from fewer real episodes."
+EXACT = "With planning the policy holds a reference more exactly than without."
+WAVES = "With the model, sines and square waves are followed."
+CLAIMS = (MODEL, SOONER, EXACT, WAVES)
+
+HYPERPARAMETERS: tuple[tuple[str, str, float, str], ...] = (
+    ("Sampling Time [s]", "t_s", 0.05, "env.dt"),
+    ("Maximum Steps per episode", "-", 400, "task.max_steps"),
+    ("Critic Learning Rate", "alpha", 1e-4, "agent.critic_lr"),
+    ("Actor Learning Rate", "alpha", 1e-4, "agent.actor_lr"),
+    ("Discount Factor", "gamma", 0.995, "agent.gamma"),
+    ("Buffer Size", "D", 2e6, "replay.capacity"),
+    ("Batch Size", "K", 512, "replay.batch_size"),
+    ("Noise", "sigma", 0.15, "agent.exploration_noise"),
+    ("Noise Decay Rate", "-", 1e-3, "agent.noise_decay"),
+    ("Target Smooth Factor", "tau", 0.005, "agent.tau"),
+    ("Target Update Frequency", "-", 10, "agent.target_update_interval"),
+)
+"""Rows of the paper's table "Agent Training Hyperparameters": words, symbol, value, our key."""
+
+XI: Mapping[str, Mapping[str, float]] = {
+    "alpha_a": {"Omega_a": 1.0},
+    "alpha_p": {"Omega_p": 1.0},
+    "Omega_a": {
+        "Omega_a": -10.0573,
+        "omega_a cos(alpha_p)": 9.8316e-4,
+        "u_p cos(alpha_p)": -0.7025,
+        "cos(alpha_p)": 0.9479,
+    },
+    "Omega_p": {
+        "1": 0.5961,
+        "Omega_p": -0.414,
+        "omega_p": 0.0013,
+        "u_a": 0.1303,
+        "Omega_a^2 sin(alpha_p)": -16.3547,
+        "sin(alpha_p)": -3.54373,
+        "cos(alpha_p)": -1.7473,
+    },
+    "omega_a": {"1": 262.7, "omega_a": -5.2281, "u_a": 3.7e4},
+    "omega_p": {"1": -8.54, "omega_p": -1.4193, "u_p": 6.1e3},
+}
+"""Non-zero coefficients of the paper's table "SINDY model Xi matrix", by equation and function."""
+
+Coefficients = Mapping[str, Mapping[str, float]]
+Score = Mapping[str, float | None]
+Row = Mapping[str, str]
+
+
+class Verdict(Enum):
+    """How ours stands to a statement of the paper."""
+
+    HOLDS = "holds"
+    SAME = "no difference"
+    SHORT = "not reached"
+
+
+class Judgement(NamedTuple):
+    """What a figure of the paper shows, which of its claims rests on that, ours in numbers, and the verdict."""
+
+    statement: str
+    claim: str
+    ours: str
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of words, a row per entry of `rows`, and what its numbers come from."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    sources: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure, the name of its file, what it shows, and the commands and commits that it comes from."""
+
+    name: str
+    figure: Figure
+    caption: str
+    sources: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        file_name(self.name, "figure")
+
+    def svg(self) -> str:
+        """Return an SVG element on one line, without metadata, names of groups and digits below 0.1 pt."""
+        file = io.StringIO()
+        with matplotlib.rc_context({**STYLE, **SVG, "svg.hashsalt": self.name}):  # ids differ from other figures'
+            self.figure.savefig(file, format="svg", metadata={"Date": None})
+        element = file.getvalue()
+        element = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", element[element.index("<svg") :], flags=re.S)
+        element = re.sub(r'<g id="[^"]*"', "<g", element)
+        element = re.sub(r' (?:d|x|y)="[^"]+"', lambda outline: _round_digits(outline[0]), element)
+        return re.sub(r"\s*\n\s*", " ", element).strip()
+
+
+Part = str | TextTable | Picture
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading, a paragraph, the parts that show it, and what was judged in each case of plant and experiment."""
+
+    title: str
+    words: str
+    parts: list[Part] = field(default_factory=list)
+    judged: list[tuple[str, Judgement]] = field(default_factory=list)
+
+    def content(self) -> Iterator[Part]:
+        """Yield what stands under the heading, from top to bottom."""
+        yield self.words
+        yield from (part for part in self.parts if isinstance(part, Picture))
+        rows: dict[str, dict[str, str]] = {}
+        for case, one in self.judged:
+            rows.setdefault(one.statement, {})[case] = f"{one.verdict.value} ({one.ours})"
+        if rows:
+            cases = list(dict.fromkeys(case for case, _ in self.judged))
+            cells = [[statement, *(of.get(case, "") for case in cases)] for statement, of in rows.items()]
+            yield TextTable(["the paper", *cases], cells)
+        yield from (part for part in self.parts if not isinstance(part, Picture))
+
+
+def render_markdown(title: str, sections: Sequence[Section]) -> str:
+    """Return a page as Markdown, whose figures are `figures/NAME.svg`.
+
+    What figures and tables come from stands once, in a numbered list at the end of the page.
+    """
+    blocks = [f"# {title}"]
+    sources: dict[str, int] = {}
+    for section in sections:
+        blocks += [f"## {section.title}", *(_markdown(part, sources) for part in section.content())]
+    if sources:
+        blocks += ["## Sources", "\n".join(f"{n}. {escape_markdown(words)}" for words, n in sources.items())]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _round_digits(outline: str) -> str:
+    short = re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}".removesuffix(".0"), outline)
+    return re.sub(r"\s*([MLQCz])\s*", r"\1", short).replace(' "', '"')
+
+
+def _markdown(part: Part, sources: dict[str, int]) -> str:
+    """Return a part as Markdown, and add what it comes from to the sources."""
+    if isinstance(part, str):
+        words = textwrap.wrap(escape_markdown(part), WIDTH, break_long_words=False, break_on_hyphens=False)
+        return "\n".join(words)
+    numbers = [str(sources.setdefault(line, len(sources) + 1)) for line in part.sources]
+    source = f"Source: {', '.join(numbers)}." if numbers else ""
+    if isinstance(part, Picture):
+        image = f"![{part.name.replace('_', ' ')}](figures/{part.name}.svg)"
+        return f"{image}\n\n{_markdown(f'{part.caption} {source}'.strip(), sources)}"
+    rows = (part.header, ["---"] * len(part.header), *part.rows)
+    lines = [" | ".join(escape_markdown(cell).replace("|", r"\|") for cell in row) for row in rows]
+    return "\n".join(f"| {line} |" for line in lines) + f"\n\n{source}" * bool(source)
+
+
+class MissingResult(FileNotFoundError):
+    """A result that a section needs is not there; the message says which command makes it."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A saved run: its folder, its resolved configuration, and the command that makes what it lacks."""
+
+    folder: Path
+    settings: Mapping[str, Any]
+    make: str
+
+    def table(self, name: str) -> Columns:
+        """Read one of its CSV files, or raise `MissingResult`."""
+        return read_table(self._file(name))
+
+    def record(self, name: str) -> dict[str, Any]:
+        """Read one of its JSON files, or raise `MissingResult`."""
+        return read_json(self._file(name))
+
+    def setting(self, key: str) -> Any:
+        """Return a setting by its dotted key, None where the run has none."""
+        value: Any = self.settings
+        for step in key.split("."):
+            value = value.get(step) if isinstance(value, Mapping) else None
+        return value
+
+    @property
+    def source(self) -> str:
+        """Folder, command and commit in words."""
+        origin = self.record("origin.json")
+        return f"Run `{_path(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
+
+    def _file(self, name: str) -> Path:
+        file = self.folder / name
+        if not file.is_file():
+            raise MissingResult(f"Not measured: `{_path(self.folder)}` has no `{name}`; {self.make} makes it.")
+        return file
+
+
+@dataclass(frozen=True)
+class Results:
+    """The folder of results.
+
+    Attributes:
+        folder: Tables as CSV files, and `runs/` with saved runs.
+        settings: Resolved configuration of each saved run, by name.
+    """
+
+    folder: Path
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    def run(self, system: str, experiment: str, setting: str = "rollouts_800") -> Run:
+        """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
+
+        Raises:
+            MissingResult: It is not saved.
+        """
+        if experiment == "gradient":
+            name = f"{system}_gradient"
+            make, made = f"python scripts/train.py system={system} folder=runs/{name}", f"runs/{name}"
+        else:
+            name = f"{system}_{experiment}_{setting}"
+            make = f"{ABLATION.format(system, experiment)} setting={setting} seed=0"
+            made = f"runs/ablation/{system}/{experiment}/{setting}/seed_0"
+        words = f"`{make}`, then `cp -r {made} {_path(self.folder)}/runs/{name}`,"
+        if name not in self.settings or not (self.folder / "runs" / name).is_dir():
+            raise MissingResult(f"Not measured: no saved run `{name}`; {words} makes it.")
+        return Run(self.folder / "runs" / name, self.settings[name], words)
+
+    def rows(self, name: str, system: str, experiment: str) -> list[dict[str, str]]:
+        """Read the rows of a case from a table of the ablation, cell by cell as it stands.
+
+        Raises:
+            MissingResult: There is none.
+        """
+        file = self.folder / name
+        found = [row for row in read_rows(file) if (row["system"], row["experiment"]) == (system, experiment)]
+        if not found:
+            make = ABLATION.format(system, experiment)
+            raise MissingResult(f"Not measured: `{_path(file)}` has no row of it; `{make}` makes them.")
+        return found
+
+
+def _path(path: Path) -> str:
+    """Return a path as a reader of the repository knows it, which may itself lie below a folder `docs`."""
+    parts = path.parts
+    docs = [k for k, part in enumerate(parts) if part == "docs"]
+    return "/".join(parts[docs[-1] :] if docs else parts[-2:])
+
+
+Made = Iterator[Part | Judgement]
+Builder = Callable[..., Iterable[Part | Judgement]]
+
+
+def build(results: Results, folder: Path) -> list[Path]:
+    """Write `report.md` with `figures/`, and return the files.
+
+    Raises:
+        DamagedFileError: A saved file is not what a section expects.
+    """
+    page = pages(results)
+    files = {folder / "report.md": render_markdown(TITLE, page)}
+    for part in (part for section in page for part in section.parts):
+        if isinstance(part, Picture):
+            files[folder / "figures" / f"{part.name}.svg"] = part.svg() + "\n"
+    for file, text in files.items():
+        write_text(file, text)
+    return [*files]
+
+
+def pages(results: Results) -> list[Section]:
+    """Return the sections from top to bottom: the verdict, the paper in its order, and what is beyond it."""
+    with reading(results.folder):
+        sections = [build_section(results, *entry) for entry in SECTIONS]
+    return [_claims(sections), *sections]
+
+
+def build_section(
+    results: Results, title: str, words: str, builder: Builder | None = None, cases: Sequence[tuple[str, ...]] = ()
+) -> Section:
+    """Build a section from what is saved of each case; where something is missing, a line says what makes it.
+
+    Raises:
+        DamagedFileError: What is saved is not what the section expects.
+    """
+    section = Section(title, words)
+    for case in cases:
+        name = " ".join(case)
+        with reading(f"what is saved of {name}"):
+            try:
+                made = list(builder(results, *case)) if builder is not None else []
+            except MissingResult as missing:
+                made = [str(missing)]
+            except KeyError as column:
+                again = f"run their commands again, and put their folders into `{_path(results.folder)}/runs`"
+                made = [f"Not measured: saved results of {name} are older and have no {column}; {again}."]
+        for part in made:
+            if isinstance(part, Judgement):
+                section.judged.append((_case(*case), part))
+            else:
+                section.parts.append(part)
+    return section
+
+
+def _case(plant: str, experiment: str = "", *_: str) -> str:
+    return f"{plant}, `{experiment}`"
+
+
+def _claims(sections: Sequence[Section]) -> Section:
+    """Count how many of the statements behind each claim hold."""
+    judged = [pair for section in sections for pair in section.judged]
+    rows = []
+    for claim in CLAIMS:
+        cells = []
+        for case in CASES:
+            verdicts = [one.verdict for name, one in judged if (one.claim, name) == (claim, _case(*case))]
+            count, same = verdicts.count(Verdict.HOLDS), verdicts.count(Verdict.SAME)
+            words = "holds" if count == len(verdicts) else "in part" if count + same else "not reached"
+            share = f"{words} ({count} of {len(verdicts)}{f', {same} no difference' * bool(same)})"
+            cells.append(share if verdicts else "not measured")
+        rows.append([claim, *cells])
+    about = (
+        "The paper, Dyna-Style Reinforcement Learning Modeling and Control of Non-linear Dynamics, identifies a "
+        "twin-rotor rig by SINDy and trains TD3 on the real rig and on imagined rollouts of the model. What "
+        "follows is built by `python scripts/report.py` from the results saved in the repository: `xi` is the paper's "
+        "published model taken as a plant, `tras` the physics of its laboratory rig; `dyna` are our settings, `paper` "
+        "the paper's. Numbers decide what holds, and stand beside each figure. The paper's controllers with a model "
+        f"have learnt for {EPISODES} episodes, ours for as many as the captions say."
+    )
+    held = [one.verdict for _, one in judged].count(Verdict.HOLDS)
+    words = (
+        f"The paper makes {len(CLAIMS)} claims. Each cell says how many of the statements behind one hold here; of "
+        f"{len(judged)} in all {held} do."
+    )
+    header = ["what the paper claims, in our words", *(_case(*case) for case in CASES)]
+    return Section("The verdict", about, [words, TextTable(header, rows)])
+
+
+def _training(results: Results, plant: str, experiment: str) -> Made:
+    run = results.run(plant, experiment)
+    table = run.table("data/excitation.csv")
+    x, substeps = stacked(table, STATES), int(run.setting("env.substeps") or 1)
+    samples, step = len(x) * substeps, (table["time"][1] - table["time"][0]) / substeps
+    figure = training_data(table["time"], x, stacked(table, INPUTS), SIGNATURE, f"Training data of {plant}")
+    caption = f"What the first model of `{plant}` was fitted to: {samples} samples, {step:.3g} s apart, and the inputs."
+    yield Picture(f"training_data_{plant}", figure, caption, [run.source])
+
+
+def _hyperparameters(results: Results, plant: str) -> Made:
+    names = [name for name in ("paper", "dyna") if f"{plant}_{name}_rollouts_800" in results.settings]
+    runs = {name: results.run(plant, name) for name in names or ["paper"]}
+    rows = [
+        [name, symbol, f"{value:g}", f"`{key}`", *(f"{run.setting(key):g}" for run in runs.values())]
+        for name, symbol, value, key in HYPERPARAMETERS
+    ]
+    header = ["parameter", "symbol", "the paper", "key", *(f"`experiment={name}`" for name in runs)]
+    yield TextTable(header, rows, [run.source for run in runs.values()])
+
+
+def _model_learning(results: Results, plant: str, experiment: str) -> Made:
+    run = results.run(plant, experiment)
+    table = run.table("gate.csv")
+    opened = table["episode"][table["open"] == 1]
+    yield judge_learning(table["episode"], table["reward_error"], opened, float(run.setting("gate.open_below")))
+    figure = gate(table, f"SINDy model learning progress: plant {plant}, experiment {experiment}")
+    caption = f"Error of the model over the episodes on `{plant}`, `{experiment}`."
+    yield Picture(f"model_learning_{plant}_{experiment}", figure, caption, [run.source])
+
+
+def _first_states(results: Results, plant: str, experiment: str) -> Made:
+    errors, picture = _states(results, plant, experiment, "first", "before")
+    rotors = {name: error for name, error in errors.items() if name.startswith("omega_")}
+    yield from (judge_model("the rotor speeds are predicted well", rotors), picture)
+
+
+def _last_states(results: Results, plant: str, experiment: str) -> Made:
+    errors, picture = _states(results, plant, experiment, "last", "after")
+    yield from (judge_model("all six states are predicted closely", errors), picture)
+    # The excitation applied to the final model, as the paper does.
+    run = results.run(plant, experiment)
+    table = run.table("data/excitation.csv")
+    run.record("model.json")  # the model reads its file itself; this says what makes it where it is missing
+    x, u = (torch.as_tensor(stacked(table, names)) for names in (STATES, INPUTS))
+    dt = float(table["time"][1] - table["time"][0])
+    data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
+    predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
+    yield judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
+
+
+def _states(results: Results, plant: str, experiment: str, episode: str, when: str) -> tuple[dict[str, float], Picture]:
+    """Return the errors of an episode's open-loop prediction [% of each state's range], and its figure."""
+    run = results.run(plant, experiment)
+    table = run.table(f"data/prediction_{episode}_episode.csv")
+    real, model = stacked(table, STATES), stacked(table, [f"predicted_{name}" for name in STATES])
+    title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
+    figure = prediction(table["time"], real, model, SIGNATURE, title)
+    caption = f"Open-loop prediction of an episode on `{plant}`, `{experiment}`."
+    return _state_errors(real, model), Picture(f"states_{when}_{plant}_{experiment}", figure, caption, [run.source])
+
+
+def _state_errors(real: Array, model: Array) -> dict[str, float]:
+    """Return the RMSE of each state in percent of its range, infinite where the model ran away."""
+    span = np.ptp(real, axis=0)
+    error = 100 * np.sqrt(np.mean((model - real) ** 2, axis=0)) / np.where(span > 0, span, 1.0)
+    return dict(zip(STATES, np.nan_to_num(error, nan=np.inf).tolist(), strict=True))
+
+
+def _coefficients(results: Results, plant: str, experiment: str, true: Coefficients = XI) -> Made:
+    run = results.run(plant, experiment)
+    model: Coefficients = run.record("model.json")["coefficients"]
+    yield judge_coefficients(model, true)
+    yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
+    names = dict.fromkeys(name for row in (*true.values(), *model.values()) for name in row)
+    rows = [
+        [f"`{name}`", *(_cell(model.get(one, {}).get(name), true.get(one, {}).get(name)) for one in STATES)]
+        for name in names
+    ]
+    yield TextTable(["function", *(f"d `{state}`/dt" for state in STATES)], rows, [run.source])
+
+
+def _cell(ours: float | None, true: float | None) -> str:
+    if ours is None and true is None:
+        return ""
+    return ("0" if ours is None else f"{ours:.5g}") + ("" if true is None else f" ({true:.5g})")
+
+
+def _rewards(results: Results, plant: str, experiment: str) -> Made:
+    rows, runs = (results.rows(name, plant, experiment) for name in ("ablation_curves.csv", "ablation.csv"))
+    seeds: dict[str, dict[str, dict[float, Row]]] = {name: {} for name in SETTINGS}
+    for row in rows:
+        if row["setting"] in SETTINGS and row["evaluated_return"]:
+            seeds[row["setting"]].setdefault(row["seed"], {})[float(row["episode"])] = row
+    seeds = {name: of for name, of in seeds.items() if of}
+    # What not every seed of every setting was evaluated after is not comparable.
+    episodes = sorted(set.intersection(*(set(seed) for of in seeds.values() for seed in of.values())))
+    curves = {
+        SETTINGS[name]: np.array([[float(seed[k]["evaluated_return"]) for k in episodes] for seed in of.values()])
+        for name, of in seeds.items()
+    }
+    to_level: dict[str, list[float]] = {}
+    for name in (*seeds, *MODEL_FREE):
+        own = [row for row in runs if row["setting"] == name]
+        lengths = " or ".join(dict.fromkeys(f"{float(row['episodes']):g}" for row in own))
+        words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
+        if own or name in seeds:
+            to_level[words] = [float(row["episodes_to_level"] or np.inf) for row in own]
+    yield from judge_rewards(curves, to_level)
+    caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes."
+    title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
+    figure = average_rewards(curves, episodes, title)
+    commits = ", ".join(dict.fromkeys(row["commit"] for row in runs if row["setting"] in seeds))
+    where = f"Table `{_path(results.folder / 'ablation_curves.csv')}`"
+    source = f"{where}, made by `{ABLATION.format(plant, experiment)}` at commit {commits}."
+    yield Picture(f"average_rewards_{plant}_{experiment}", figure, caption, [source])
+
+
+def _steps(results: Results, plant: str, experiment: str) -> Made:
+    runs = {words: results.run(plant, experiment, name) for name, words in SETTINGS.items()}
+    _, figure = _draw_tracking(runs, "step", f"Step tracking: plant {plant}, experiment {experiment}")
+    scores = {words: run.record("metrics.json")["evaluation"] for words, run in runs.items()}
+    yield from judge_steps(scores)
+    caption = f"A step on `{plant}`, after {runs[MANY].setting('train.episodes')} episodes."
+    yield Picture(f"step_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
+
+
+def _wave(results: Results, plant: str, experiment: str, shape: str) -> Made:
+    settings = ("rollouts_800", "rollouts_0")
+    runs = {SETTINGS[name]: results.run(plant, experiment, name) for name in settings}
+    tables, figure = _draw_tracking(runs, shape, f"{shape.capitalize()} wave: plant {plant}, experiment {experiment}")
+    output = stacked(tables[MANY], TRACKED)
+    yield from (judge_sine if shape == "sine" else judge_square)(
+        tables[MANY]["time"], stacked(tables[MANY], REFERENCES), output
+    )
+    caption = f"The {shape} wave on `{plant}`, after {runs[MANY].setting('train.episodes')} episodes."
+    yield Picture(f"{shape}_{plant}_{experiment}", figure, caption, [run.source for run in runs.values()])
+
+
+def _draw_tracking(runs: Mapping[str, Run], scenario: str, title: str) -> tuple[dict[str, Columns], Figure]:
+    """Return the trajectories that runs saved of a scenario, and their figure."""
+    file = "data/step_response.csv" if scenario == "step" else f"evaluation/{scenario}.csv"
+    tables = {words: run.table(file) for words, run in runs.items()}
+    first, names = next(iter(tables.values())), tuple(AXES)
+    target, outputs = stacked(first, REFERENCES), {words: stacked(table, names) for words, table in tables.items()}
+    time, inputs = first["time"], None
+    if scenario == "step":
+        time, inputs = periods(first, INPUTS)[0], {words: periods(table, INPUTS)[1] for words, table in tables.items()}
+    return tables, tracking(time, target, outputs, inputs, title=title)
+
+
+def _gradient_run(results: Results, plant: str, scenario: str) -> Made:
+    run = results.run(plant, "gradient")
+    title = f"{scenario.capitalize()}, policy of the main job: plant {plant}"
+    _, figure = _draw_tracking({controller_name("gradient"): run}, scenario, title)
+    seconds = run.record("metrics.json")["cost"]["plant_seconds"]
+    caption = f"The {scenario} on `{plant}` after {seconds:.0f} s of plant time."
+    yield Picture(f"gradient_{scenario}_{plant}", figure, caption, [run.source])
+
+
+def _judge(statement: str, claim: str, ours: str, holds: bool, same: bool = False) -> Judgement:
+    return Judgement(statement, claim, ours, Verdict.HOLDS if holds else Verdict.SAME if same else Verdict.SHORT)
+
+
+def judge_learning(episode: Array, error: Array, opened: Array, below: float) -> Judgement:
+    """Judge the reward error per period of each episode, `(n,)`, not finite where the replay ran away."""
+    worst = int(np.argmax(np.where(np.isnan(error), np.inf, error)))
+    first, last, most = (f"{error[k]:.2g} in episode {episode[k]:.0f}" for k in (0, -1, worst))
+    trusted = f"trusted from episode {opened[0]:.0f}" if len(opened) else "never trusted"
+    ours = f"per period {first}, {last}, at worst {most}; {trusted}, below {below:g} on held-out windows"
+    fallen = bool(error[-1] < FALL * error[0] and error[-1] < below) or bool((error < below).all())
+    return _judge("the reward error of the model is high at first and falls to almost none", MODEL, ours, fallen)
+
+
+def judge_model(statement: str, errors: Mapping[str, float]) -> Judgement:
+    """Judge a model by the RMSE of each state [% of its range]."""
+    words = ", ".join(f"`{name}` {error:.2g}" for name, error in errors.items())
+    return _judge(statement, MODEL, f"RMSE in % of range: {words}", max(errors.values()) < CLOSE)
+
+
+def judge_coefficients(model: Coefficients, truth: Coefficients) -> Judgement:
+    """Judge identified coefficients, by equation and function, against published ones."""
+    true, ours = (
+        {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (truth, model)
+    )
+    hit, false = [key for key in true if key in ours], [key for key in ours if key not in true]
+    worst = 100 * max((abs(ours[key] / true[key] - 1) for key in hit), default=np.inf)
+    small = max((abs(model[s][name]) / max(map(abs, model[s].values())) for s, name in false), default=0.0)
+    words = f"{len(hit)} of them found, the worst {worst:.2g} % off; {len(false)} functions besides"
+    words += f", the largest {small:.1g} of the largest in its equation" if false else ""
+    statement = f"{len(true)} coefficients are not zero"
+    return _judge(statement, MODEL, words, len(hit) == len(true) and not false and worst < COEFFICIENT)
+
+
+def judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[float]]) -> Iterator[Judgement]:
+    """Judge returns per setting, `(n_seeds, n_evaluations)`, and real episodes to the level per setting and seed.
+
+    Settings without returns are other agents without a model, all of which planning has to be ahead of.
+    """
+    mean = {name: _middle(returns.T) for name, returns in curves.items()}
+    early = {name: float(values[: max(1, int(EARLY * len(values)))].mean()) for name, values in mean.items()}
+    level = {name: float(_middle(values)) for name, values in to_level.items()}
+    planned = [name for name in (SOME, MANY) if name in mean]
+    if NONE in mean and planned:
+        greater = all(early[name] > early[NONE] for name in planned)
+        words = f"mean of the first {100 * EARLY:g} %: {_listed(early)}"
+        yield _judge("planning has the greater rewards early", SOONER, words, greater)
+        sooner = max(level[name] for name in planned) < min(level[name] for name in level if name not in planned)
+        words = f"real episodes to the level: {_listed(level)}"
+        yield _judge("planning reaches the required level sooner", SOONER, words, sooner)
+    if len(planned) == 2:
+        words = f"real episodes to the level: {_listed({name: level[name] for name in planned})}"
+        first, soon = level[MANY] < level[SOME], max(level[name] for name in planned) <= SOON
+        statement = f"800 rollouts converge sooner than 400, there in about {SOON} episodes"
+        yield _judge(statement, SOONER, words, first, soon)
+
+
+def judge_steps(scores: Mapping[str, Score]) -> Iterator[Judgement]:
+    """Judge step tracking of the three settings by their `steady_state_error/<axis>` [rad]."""
+    for name, axis in AXES.items():
+        finals = {setting: score[f"steady_state_error/{name}"] for setting, score in scores.items()}
+        error = {setting: np.inf if final is None else final for setting, final in finals.items()}
+        planned = max(error[SOME], error[MANY])
+        words = f"steady-state error [rad]: {_listed(error, 'not finite')}"
+        further = f"{axis}: without planning it settles further from the reference than with it"
+        yield _judge(further, EXACT, words, LEVEL >= planned < error[NONE])
+        smallest = LEVEL >= error[MANY] < min(error[NONE], error[SOME])
+        statement = f"{axis}: 800 rollouts have the smallest steady-state error"
+        yield _judge(statement, EXACT, words, smallest, planned <= FINE)
+
+
+def judge_sine(time: Array, target: Array, output: Array) -> Iterator[Judgement]:
+    """Judge a sine, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
+    rmse = np.sqrt(np.mean((output - target)[time >= TRANSIENT] ** 2, axis=0))
+    statement = f"with the model the sine is followed (RMSE under {100 * FOLLOWS:g} % of it)"
+    return _judge_waves(statement, f"RMSE after {TRANSIENT:g} s: {{:.3g}} rad of {{:.3g}} rad", rmse, target)
+
+
+def judge_square(time: Array, target: Array, output: Array) -> Iterator[Judgement]:
+    """Judge a square wave, `(T, 2)` each: the reference, and the outputs with the model [rad]."""
+    errors = [_at_levels(time, *axis) for axis in zip(target.T, output.T, strict=True)]
+    words = f"{{:.3g}} rad over the last {SETTLED:g} s of each level of {{:.3g}} rad"
+    return _judge_waves("with the model each level is held with little steady-state error", words, errors, target)
+
+
+def _judge_waves(statement: str, words: str, errors: Iterable[float], target: Array) -> Iterator[Judgement]:
+    for axis, error, size in zip(AXES.values(), errors, np.abs(target).max(0), strict=True):
+        yield _judge(f"{axis}: {statement}", WAVES, words.format(error, size), bool(error < FOLLOWS * size))
+
+
+def _at_levels(time: Array, target: Array, y: Array) -> float:
+    """Return the mean error at the end of each level."""
+    errors = []
+    for first, end in pairwise([0, *(np.flatnonzero(np.diff(target)) + 1).tolist(), len(target)]):
+        late = np.arange(first, end)[time[first:end] > time[end - 1] - SETTLED]
+        errors.append(np.abs(y[late] - target[first]).mean())
+    return float(np.mean(errors))
+
+
+def _middle(values: Iterable[float] | Array) -> Array:
+    """Return the interquartile mean of the last dimension."""
+    return interquartile_mean(torch.as_tensor(np.asarray(values, dtype=np.float64))).numpy()
+
+
+def _listed(values: Mapping[str, float], infinite: str = "never") -> str:
+    return ", ".join(f"{name} {infinite if np.isinf(value) else f'{value:.4g}'}" for name, value in values.items())
+
+
+OPEN_LOOP = (
+    " Here the {} real episode is predicted open loop, from its start and its inputs alone, before the model is fitted "
+    f"to it. A state is predicted well when its RMSE is under {CLOSE:g} % of its range. The axes end at most "
+    f"{BEYOND:g} ranges beyond those of the plant; one that leaves them is called cut off."
+)
+SECTIONS: Sequence[tuple[Any, ...]] = (
+    (
+        "Figures 1 to 4: framework, control loop, rig, schematic",
+        "Drawings without data: the framework, the control loop, the rig and its schematic. The framework as it is "
+        "here is drawn in `docs/idea.md`; Algorithm 1 stands line by line beside the code in `docs/algorithm.md`, and "
+        "the rig moves in `docs/figures/tras_sine.gif`.",
+    ),
+    (
+        "Figures 5 to 7: chirp input and training data",
+        "The paper drives both inputs with one chirp over 10 s (figure 5). Its printed formula stays within [0.707, 1] "
+        "and does not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover "
+        "point. It plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp: 1000 samples "
+        "0.01 s apart. Inputs and all six states are drawn here in one figure.",
+        _training,
+        OURS,
+    ),
+    (
+        "Table 1: agent training hyperparameters",
+        "The settings of the saved runs: `experiment=paper` takes the paper's numbers, `experiment=dyna` is ours.",
+        _hyperparameters,
+        [("xi",)],
+    ),
+    (
+        "Figure 8: SINDy model learning progress",
+        "The paper plots the difference between the rewards of model and plant over training episodes: high while the "
+        "model is untrained, then falling as it is refitted to real episodes. The upper panel has this difference per "
+        "control period, of whole episodes replayed through a model that had not seen them, and of held-out windows, "
+        "by which the gate decides whether the model is used for planning. The lower panel has the error of the states "
+        f"before and after each refit. It has fallen if the last error is less than {FALL:g} of the first and than "
+        "`gate.open_below`, or if each is less than that.",
+        _model_learning,
+        CASES,
+    ),
+    (
+        "Figure 9: predicted and real states before reinforcement learning",
+        "The paper's model, fitted to 10 s of chirp alone, predicts the rotor speeds with small errors and has "
+        "difficulty with angles and their rates." + OPEN_LOOP.format("first"),
+        _first_states,
+        CASES,
+    ),
+    (
+        "Figure 10: predicted and real states after reinforcement learning",
+        "After training the paper applies the chirp again: the model's states lie almost on those of the plant."
+        + OPEN_LOOP.format("last"),
+        _last_states,
+        CASES,
+    ),
+    (
+        "Table 2: SINDy model Xi matrix",
+        "The paper prints the coefficients of its model. As the plant `xi` they are the truth, and identification has "
+        f"to find them: all of them to {COEFFICIENT:g} %, and no others.",
+        _coefficients,
+        CASES[:2],
+    ),
+    (
+        "Figure 11: Dyna-Style vs. Direct TD3 average rewards",
+        "The paper plots the average reward over training episodes without planning, with 400 and with 800 rollouts: "
+        "very low at first, higher and rising sooner with planning, soonest with 800 (about 180 episodes), all three "
+        "nearly the same at the end. In `experiment=dyna` the runs without planning make as many gradient updates as "
+        "the others; in `experiment=paper` they are direct TD3. Where the level is compared, other agents without a "
+        "model stand beside them, as far as the ablation has them. A return is that of the policy without noise "
+        "over 64 fixed steps: interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed "
+        f"where there are fewer than three. Early is the first {100 * EARLY:g} % of the evaluations. Where 800 "
+        f"rollouts are at the level no sooner than 400, but both within {SOON} episodes, there is no difference.",
+        _rewards,
+        CASES,
+    ),
+    (
+        "Figures 12 and 13: azimuth and pitch step trajectory tracking",
+        "Figure 12 of the paper tracks an azimuth step, figure 13 a pitch step: without planning both axes settle away "
+        "from the reference (azimuth about 0.08 rad), 400 rollouts come closer with more overshoot, 800 rollouts have "
+        "the smallest steady-state error and, on pitch, little overshoot. Errors are means over 64 targets, of the "
+        f"first seed; {LEVEL:g} rad are asked for with planning, and where both have at most {FINE:g} there is no "
+        "difference. The first of the 64 targets, the one nearest to three quarters of the upper ends, is drawn.",
+        _steps,
+        CASES,
+    ),
+    (
+        "Figure 14: sine wave tracking, with and without the model",
+        "The paper tracks a sine (azimuth 0.35 rad, pitch 0.25 rad, 0.015 Hz) after 2500 episodes with the model and "
+        "about 4500 without. With it both axes follow after a transient, pitch with small deviations at first; "
+        "without it they follow too, with more oscillation.",
+        partial(_wave, shape="sine"),
+        CASES,
+    ),
+    (
+        "Figure 15: square wave tracking, with and without the model",
+        "The paper tracks a square wave (azimuth 0.4 rad, pitch -0.5 rad, 0.01 Hz). With the model both axes reach "
+        "each level with little steady-state error and spikes at the jumps; without it the steady-state error is "
+        f"larger and the spikes are smaller. A level is held if its error is under {100 * FOLLOWS:g} % of it.",
+        partial(_wave, shape="square"),
+        CASES,
+    ),
+    (
+        "Beyond the paper: planning by gradient",
+        "The main job follows the gradient of the reward through the identified model instead of sampling imagined "
+        "transitions: the policy is trained on the model, and judged on the plant. `docs/results/README.md` has its "
+        "errors over seeds and cases and those of other controllers, `docs/identification.md` what identification "
+        "reaches beside PySINDy.",
+        _gradient_run,
+        [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")],
+    ),
+)
+"""The paper from its first figure to its last, and what is beyond it."""
