@@ -1,5 +1,6 @@
 """What counteracts a push: the solution of the linear equations, and no steady error in flight."""
 
+import math
 from functools import partial
 
 import pytest
@@ -48,6 +49,30 @@ def test_a_thrust_that_goes_with_the_square_of_a_speed_is_found_from_rest():
     missing = plant(x - shift[:6], u - shift[6:]) - plant(x, u) - push
     assert (missing / torch.tensor(plant.signature.x_scale)).abs().max() < 1e-3
     assert shift[:2].abs().max() < 1e-3 and shift[4] < -1000.0  # more speed against the push
+
+
+class Crane(System):
+    """A weight on an arm: v' = -sin(p) + tanh(u) - 0.3 v, of which no slope is that of a chord."""
+
+    def __init__(self):
+        super().__init__(Signature(("p", "v"), ("rad", "rad/s"), ("u",), (1.5, 3.0)))
+
+    def forward(self, x, u):
+        p, v = x.unbind(-1)
+        return torch.stack([v, torch.tanh(u[..., 0]) - torch.sin(p) - 0.3 * v], -1)
+
+
+def test_a_push_on_a_curved_plant_is_counteracted_by_newton_s_steps():
+    """tanh(u - du) = tanh(u) + push, by hand; five calls of two steps leave next to nothing."""
+    x, u = torch.tensor([0.4, 0.0], dtype=torch.float64), torch.tensor([0.2], dtype=torch.float64)
+    push = torch.tensor([0.0, -0.2], dtype=torch.float64)
+    shift, left = torch.zeros(3, dtype=torch.float64), []
+    wanted = 0.2 - math.atanh(math.tanh(0.2) - 0.2)
+    for _ in range(5):
+        shift = correction(Crane(), x, u, push, [0], shift)
+        left.append(abs(float(shift[2]) - wanted))
+    assert left[1] < 1e-6 and left[-1] < 1e-8
+    assert shift[:2].abs().max() < 1e-8
 
 
 def pushed(disturbance=True):
