@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from itertools import islice
 
 import torch
@@ -64,13 +64,6 @@ class Factor:
         if known.parametric:
             return known.compute(*args, inside)
         return known.compute(*(args if isinstance(inside, float) and inside == 1 else [inside * a for a in args]))
-
-    def slope(self, columns: Mapping[str, Tensor]) -> Tensor:
-        """Return the derivative of that by the number inside it."""
-        number = torch.full_like(columns[self.variables[0]], self.frequency)
-        moved = torch.func.jvp(lambda p: self.of(columns, p), (number,), (torch.ones_like(number),))
-        slope: Tensor = moved[1]
-        return slope
 
     @property
     def base(self) -> Factor:
@@ -372,14 +365,12 @@ class Library:
         Returns:
             Theta, `(*batch, n_features)`, in the dtype of `x`.
         """
-        return torch.stack(self._evaluated(self.features, x, u), -1)
+        return self._evaluated(self.features, x, u, {})
 
-    def _columns(self, x: Tensor, u: Tensor) -> dict[str, Tensor]:
-        return dict(zip(self._index, (*x.unbind(-1), *u.to(x.dtype).unbind(-1)), strict=True))
-
-    def _evaluated(self, features: Iterable[Feature], x: Tensor, u: Tensor) -> list[Tensor]:
-        """Return the values of features, each factor computed once."""
-        columns, known = self._columns(x, u), dict[Factor, Tensor]()
+    def _evaluated(self, features: Iterable[Feature], x: Tensor, u: Tensor, numbers: Mapping[Factor, Tensor]) -> Tensor:
+        """Evaluate features, each factor computed once, some with other numbers inside them."""
+        columns = dict(zip(self._index, (*x.unbind(-1), *u.to(x.dtype).unbind(-1)), strict=True))
+        known = {factor: factor.of(columns, number) for factor, number in numbers.items()}
 
         def _value(factor: Factor) -> Tensor:
             if factor not in known:
@@ -388,7 +379,8 @@ class Library:
             return known[factor]
 
         one = torch.ones_like(x[..., 0])
-        return [reduce(operator.mul, map(_value, feature.factors)) if feature.factors else one for feature in features]
+        values = [reduce(operator.mul, map(_value, each.factors)) if each.factors else one for each in features]
+        return torch.stack(values, -1)
 
     @property
     def shapes(self) -> tuple[Factor, ...]:
@@ -426,17 +418,14 @@ class Library:
         Returns:
             `(*batch, n_features, n_shapes)`.
         """
-        columns, terms = self._columns(x, u), list[tuple[int, int, int, Feature]]()
-        inner = [shape.slope(columns) for shape in shapes]
-        for i, feature in enumerate(self.features):
-            for k, factor in enumerate(feature.factors):
-                if factor.base in shapes:
-                    lower = (replace(factor, power=factor.power - 1),) if factor.power != 1 else ()
-                    rest = Feature(feature.factors[:k] + lower + feature.factors[k + 1 :])
-                    terms.append((i, shapes.index(factor.base), factor.power, rest))
         slopes = torch.zeros(*x.shape[:-1], len(self.features), len(shapes), dtype=x.dtype, device=x.device)
-        for (i, j, power, _), value in zip(terms, self._evaluated([t[-1] for t in terms], x, u), strict=True):
-            slopes[..., i, j] = inner[j] * power * value
+        for j, shape in enumerate(shapes):
+            if mine := [k for k, each in enumerate(self.features) if shape in (f.base for f in each.factors)]:
+                some, number = [self.features[k] for k in mine], torch.full_like(x[..., 0], shape.frequency)
+                moved = partial(self._evaluated, some, x, u)
+                slopes[..., mine, j] = torch.func.jvp(
+                    lambda p, own=shape, of=moved: of({own: p}), (number,), (torch.ones_like(number),)
+                )[1]
         return slopes
 
 

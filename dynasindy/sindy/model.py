@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -269,20 +269,6 @@ class SindyModel(WorldModel):
         self.covariance = (known := state.get("covariance")) and Covariance(*known)  # not in older states
         self.delay, self._field_of = state["delay"], None
 
-    def kept(self) -> Callable[[], object]:
-        """Return what takes the model back to what it has learnt so far when called."""
-        if type(self) is not SindyModel:  # which may have learnt other things, too
-            return super().kept()
-        # A fit replaces these and changes nothing inside of them, but for the sums.
-        names = ("library", "delay", "covariance", "constraints", "places")
-        learnt, coefficients, sums = {n: getattr(self, n) for n in names}, self.coefficients.clone(), self.sums.copy()
-
-        def _go_back() -> None:
-            self.__dict__.update(learnt)
-            self.coefficients, self.sums = coefficients.clone(), sums.copy()
-
-        return _go_back
-
     def fit(self, transitions: Transitions) -> FitReport:
         """Identify the model from transitions alone, forgetting earlier data.
 
@@ -357,9 +343,8 @@ class SindyModel(WorldModel):
         if self.initial is not None:
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
             late = delay_inputs(guess, self.initial_delay or 0.0)
-            late = simulate_hidden_states(self.library, first, data, late, rates)
-            started = _start_lag_states(self.library, first, late, self.followers)
-            guess = replace(started, u=data.u, u_end=data.u_end)
+            led = simulate_hidden_states(self.library, first, data, late, rates)
+            guess = replace(led, u=data.u, u_end=data.u_end)
         seen = RegressionData(data, guess, rates, delay).delayed(delay)
         rows, cut = self._rows(seen), list[Finding]()
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
@@ -639,31 +624,6 @@ def _by_period(data: Transitions) -> Transitions:
     last = None if data.u_end is None else data.u_end[n - 1 :: n]
     rows = data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n]
     return Transitions(*rows, u_end=last)
-
-
-def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
-    """Return a recording in which states that follow another one begin each stretch where a first model needs them.
-
-    From another begin such a state is off by a part that decays with its own time, and so are the rates of change that
-    it acts on: the part is what they tell by least squares.
-    """
-    field, ends, inputs = generate(library, xi), [guess.x, guess.x_next], (guess.u, guess.last_inputs)
-    seconds = (torch.arange(len(guess)) - guess.segment_starts()).double() * guess.dt
-    _, stretch = guess.segment.unique(return_inverse=True)
-    for follower in followers:
-        others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
-        unit, fast = torch.eye(xi.shape[1], dtype=xi.dtype)[follower], float(xi[:, follower].sum())
-        offs = [torch.exp(-fast * (seconds + k * guess.dt)).unsqueeze(-1) * unit for k in (0, 1)]
-        rates, moved = (
-            0.5 * sum(field(end + size * off, u)[:, others] for end, off, u in zip(ends, offs, inputs, strict=True))
-            for size in (0, 1)
-        )
-        slope, left = moved - rates, (ends[1] - ends[0])[:, others] / guess.dt - rates
-        weight, none = 1 / left.square().mean(0).clamp_min(1e-300), seconds.new_zeros(int(stretch.max()) + 1)
-        sums = [none.index_add(0, stretch, (slope * each * weight).sum(-1)) for each in (left, slope)]
-        part = (sums[0] / sums[1].clamp_min(1e-300)).nan_to_num(0.0, 0.0, 0.0)[stretch].unsqueeze(-1)
-        ends = [end + part * off for end, off in zip(ends, offs, strict=True)]
-    return replace(guess, x=ends[0], x_next=ends[1])
 
 
 def _unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""Noise of sensors, and how many samples of what a model leaves over are worth one."""
+"""Noise of sensors, told from errors of a model and from random pushes."""
 
 from __future__ import annotations
 
@@ -10,29 +10,6 @@ from dynasindy.sindy.library import Library
 from dynasindy.sindy.sensitivity import Parameters, trajectory_sensitivities
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
-
-
-def repetition(error: Tensor, mask: Tensor, joined: Tensor) -> float:
-    """Return how many samples stand for one witness, 1 or more, of what a model leaves over, `(W, L, n_x)`.
-
-    Correlations count until the first that is negative.
-    """
-    # Windows that continue one another lie end to end, zeros behind the shorter ones.
-    sizes = torch.cat([(~joined).nonzero().flatten(), torch.tensor([len(joined)])]).diff().tolist()
-    each = [windows.flatten(0, 1) for windows in (error * mask).split(sizes)]
-    chains = torch.nn.utils.rnn.pad_sequence(each, batch_first=True)
-    length = chains.shape[1]
-    products = torch.fft.irfft(torch.fft.rfft(chains, 2 * length, dim=1).abs().square().sum(0), 2 * length, 0)[:length]
-    counts = mask.sum((0, 1))
-    seen = (products[0] > 0) & (counts > 0)
-    if not bool(seen.any()):
-        return 1.0
-    # Of samples with nothing measured k later the product is zero but for rounding: they end no sum.
-    rho = (products / products[0].clamp_min(1e-300))[:, seen]
-    before = (rho > -1e-9).cumprod(0)
-    samples = (2 * (rho * before).sum(0) - 1).clamp_min(1.0)
-    return float(counts[seen].sum() / (counts[seen] / samples).sum())
-
 
 PLAIN = -0.3
 """Correlation of neighbouring errors of single steps below which a state is noisy: -1/2 of noise of the sensors alone,

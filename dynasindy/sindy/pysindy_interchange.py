@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.equations import mapping
-from dynasindy.sindy.functions import function
+from dynasindy.sindy.formulas import right_sides
 from dynasindy.sindy.library import Feature, Library, parse
 from dynasindy.sindy.model import SindyModel
 from dynasindy.sindy.world_model import WorldModel
@@ -111,38 +110,21 @@ def to_sympy(model: SindyModel) -> dict[str, Any]:
     Of a difference equation it returns the next value of every state.
 
     Raises:
-        ImportError: sympy is not installed.
+        ValueError: The model has a function without a formula, or too many terms.
     """
     import sympy
 
-    names = {name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign")}
-    names |= {"fabs": sympy.Abs, "square": lambda z: z**2, "larger": sympy.Max}
-    library, coefficients = mapping(model.library, model.coefficients)
-    table = coefficients.tolist()
-
-    def _expression(feature: Feature) -> Any:
-        product = sympy.Integer(1)
-        for factor in feature.factors:
-            symbols: list[Any] = [sympy.Symbol(v, real=True) for v in factor.variables]
-            if function(factor.function).parametric:
-                symbols.append(sympy.Float(factor.frequency))
-            elif factor.frequency != 1:
-                symbols = [sympy.Float(factor.frequency) * symbol for symbol in symbols]
-            if formula := function(factor.function).formula:
-                # The formula is of our own code, never of a file, and what it reads are symbols.
-                places = {f"z{i}": symbol for i, symbol in enumerate(symbols)}
-                value = eval(formula.format(*places), names | places)
-            else:
-                value = (getattr(sympy, factor.function, None) or sympy.Function(factor.function))(*symbols)
-            product *= value**factor.power
-        return product
-
+    scope = {name: getattr(sympy, name) for name in ("sin", "cos", "exp", "tanh", "sqrt", "sign")}
+    scope |= {"fabs": sympy.Abs, "square": lambda z: z**2, "larger": sympy.Max}
+    names, program = model.signature, right_sides(model)
+    scope |= {
+        key: [sympy.Symbol(n, real=True) for n in of]
+        for key, of in (("x", names.state_names), ("u", names.input_names))
+    }
+    for name, formula in program.lines:  # written by our own code, of numbers and known functions alone
+        scope[name] = eval(formula, {}, scope)
     return {
-        state: sum(
-            (table[k][i] * _expression(f) for k, f in enumerate(library.features) if table[k][i]),
-            sympy.Integer(0),
-        )
-        for i, state in enumerate(model.signature.state_names)
+        s: sympy.expand(eval(result, {}, scope)) for s, result in zip(names.state_names, program.results, strict=True)
     }
 
 

@@ -269,7 +269,7 @@ class _Fit:
         descent = replace(descent, select=settings.select, penalty=settings.penalty)
         kinds = {
             "simulation": descent,
-            "prediction": replace(descent, joined=False, correlated=True),
+            "prediction": replace(descent, joined=False),
             "innovation": replace(descent, joined=False, window=max(settings.window, OBSERVED)),
         }
         try:

@@ -45,8 +45,6 @@ class Windows:
         joined: whether a window continues the one before, bool `(W,)`.
         dt: length of an interval [s].
         substeps: Runge-Kutta steps in an interval.
-        prior: standard deviation of each coefficient before the recording tells it, `(n_features, n_x)`; without,
-            every coefficient is as likely as any other.
         last_inputs: inputs at the end of each interval, `(W, L, n_u)`; None where they are held.
         history: inputs as they were applied, from M samples before each window to its end, `(W, M + L + 1, n_u)`; with
             them the delay after which they act is fitted, without `inputs` stay as they are.
@@ -63,7 +61,6 @@ class Windows:
     joined: Tensor
     dt: float
     substeps: int = 1
-    prior: Tensor | None = None
     last_inputs: Tensor | None = None
     history: Tensor | None = None
     gain_mask: Tensor | None = None
@@ -166,18 +163,14 @@ class Descent:
         window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
         joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
             chosen where small errors grow along the trajectory, as in chaos.
-        correlated: whether a coefficient must be worth the more, the longer errors last.
-        price: squared error, in units of its variance, that a coefficient must be worth where errors are white.
         select: whether functions come in and go; if not, those of the first estimate stay.
-        penalty: factor on that price.
+        penalty: factor on the squared error that a coefficient must be worth.
         gain_mask: where the gain of an observer is fitted, see `Windows`; None of simulations.
         floor: errors that are as good as none, where samples have no noise, see `Windows`; else None.
     """
 
     window: int
     joined: bool | None = None
-    correlated: bool = False
-    price: float = 0.0
     select: bool = True
     penalty: float = 1.0
     gain_mask: Tensor | None = None
@@ -413,12 +406,9 @@ class Linearised:
     Attributes:
         triangle: R of [fixed unknowns, coefficients, target], all weighted and scaled.
         scale: norms of the columns.
-        cost: sum of squared errors and of squared gaps between windows, both weighted. What is unlikely of the
-            coefficients counts as squared errors do.
-        unlikely: sum of squared coefficients over their variances before the recording tells them.
+        cost: sum of squared errors and of squared gaps between windows, both weighted.
         moves: how the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
         sigma: error of each state, `(n_x,)`.
-        errors: weighted errors of the samples, zero where not measured, `(W, L, n_x)`.
         least: whether no step from here was found to lower the cost.
     """
 
@@ -427,8 +417,6 @@ class Linearised:
     cost: float
     moves: Tensor
     sigma: Tensor
-    errors: Tensor
-    unlikely: float = 0.0
     least: bool = False
 
 
@@ -451,12 +439,11 @@ def linearise_windows(flow: Flow, sigma: Tensor | None = None) -> Linearised:
         sigma = flow.sigma()
     triangles, rest, moves = _condensed(flow, sigma, flow.pieces)
     parameters, rows = flow.parameters, torch.linalg.qr(torch.cat([*triangles, rest]), mode="r")[1]
-    errors, cost = weighted_errors(flow, sigma)
     n_fixed = moves.shape[-1] - len(parameters) - 1
     scale = rows[:, :-1].norm(dim=0).clamp_min(UNOBSERVABLE)
     target = rows[:, -1:] + rows[:, n_fixed:-1] @ parameters.read(flow.estimate.xi).unsqueeze(-1)
     triangle = torch.linalg.qr(torch.cat([rows[:, :-1] / scale, target], -1), mode="r")[1]
-    return Linearised(triangle, scale, cost, moves, sigma, errors, _unlikely(flow))
+    return Linearised(triangle, scale, cost_of(flow, sigma), moves, sigma)
 
 
 def shooting_covariance(flow: Flow) -> Covariance | None:
@@ -500,11 +487,6 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
     nodes = torch.cat(moves) if windows.floor is None else moves[0]
     norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
     rest = [_starts(flow, sigma, nodes, norms)] if joined else []
-    if windows.prior is not None:  # coefficients are likely to be small
-        count, weight = len(flow.parameters), 1 / flow.parameters.read(windows.prior)
-        rest.append(torch.zeros(count, triangles[0].shape[1], dtype=weight.dtype))
-        rest[-1][:, -1 - count : -1] = torch.diag(weight)
-        rest[-1][:, -1] = -weight * flow.parameters.read(flow.estimate.xi)
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
         estimate, parameters = flow.estimate, flow.parameters
@@ -550,25 +532,17 @@ def _starts(flow: Flow, sigma: Tensor, moves: Tensor, norms: Tensor) -> Tensor:
     return torch.cat([starts, _held(estimate, begun, torch.cat([norms.unsqueeze(0), starts]))])
 
 
-def weighted_errors(flow: Flow, sigma: Tensor) -> tuple[Tensor, float]:
-    """Return the weighted errors of the samples, `(W, L, n_x)`, and the cost of `linearise_windows`, by no slopes."""
+def cost_of(flow: Flow, sigma: Tensor) -> float:
+    """Return the cost of `linearise_windows`, by no slopes."""
     estimate, windows = flow.estimate, flow.windows
     weighed = (windows.measured - flow.predicted) * windows.mask / sigma
     starts = (windows.first - estimate.nodes)[~windows.joined].nan_to_num() / sigma
-    cost = float(weighed.square().sum() + starts.square().sum()) + _unlikely(flow)
+    cost = float(weighed.square().sum() + starts.square().sum())
     if bool(windows.joined.any()):
         # A gap shifts all samples that follow, so closing it is worth more than the errors it hid.
         gap_weight = 10.0 * windows.mask.shape[1]
         cost += gap_weight * float((_gaps(flow) / _gap_sigma(sigma, estimate)).square().sum())
-    return weighed, cost
-
-
-def _unlikely(flow: Flow) -> float:
-    """Return the sum of squared coefficients over their variances before the recording tells them."""
-    if flow.windows.prior is None:
-        return 0.0
-    parameters = flow.parameters
-    return float((parameters.read(flow.estimate.xi) / parameters.read(flow.windows.prior)).square().sum())
+    return cost
 
 
 def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
@@ -742,10 +716,7 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
 
 
 def left_over(model: Linearised, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states.
-
-    Half of what is unlikely of the coefficients is added, the logarithm of their prior density but for its sign.
-    """
+    """Return N/2 times the logarithm of the squared errors, summed over measured states."""
     counts, sigma = windows.mask.sum((0, 1)), model.sigma
     seen = sigma > EXACT
-    return float((counts * sigma.log())[seen].sum()) + 0.5 * model.unlikely
+    return float((counts * sigma.log())[seen].sum())

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from dynasindy.progress import TimeIsUp, report_progress
 from dynasindy.sindy.library import Library
-from dynasindy.sindy.noise import repetition
 from dynasindy.sindy.regression import reconsider, walk_down
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
@@ -27,12 +26,12 @@ from dynasindy.sindy.shooting import (
     RunsAway,
     Windows,
     choose_stretches,
+    cost_of,
     left_over,
     linearise_windows,
     move,
     relative_step,
     substeps_for,
-    weighted_errors,
 )
 from dynasindy.systems.transitions import Transitions
 
@@ -53,11 +52,6 @@ STEPS = 30
 """Steps of Levenberg and Marquardt's method at most between two changes of the equations."""
 TRIES = 10
 """Sets of functions that are tried at most."""
-
-
-def _worth(descent: Descent, errors: Tensor, windows: Windows) -> float:
-    """Return what a coefficient must be worth where a model leaves over these errors, `(W, L, n_x)`."""
-    return descent.price * repetition(errors, windows.mask, windows.joined) if descent.correlated else descent.price
 
 
 def first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
@@ -103,7 +97,7 @@ def _price(n: int, free: Tensor) -> float:
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
-def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Estimate:
+def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price: float) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
     What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
@@ -115,15 +109,15 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descen
     least, fewest = math.inf, 0
     for _ in range(TRIES):
         try:
-            flow, model = _descended(flow, descent)
+            flow, model = _descended(flow, price)
         except RunsAway:
             if best is None:
                 raise
             break
         if model is None:
             break
-        limit, left = _worth(descent, model.errors, windows), left_over(model, windows)
-        if best is not None and 2 * (left - least) + limit * (len(flow.parameters) - fewest) >= 0:
+        left = left_over(model, windows)
+        if best is not None and 2 * (left - least) + price * (len(flow.parameters) - fewest) >= 0:
             flow, model = best
             support = flow.parameters.support(free.shape)
             if not bool((came & ~support & ~failed).any()):
@@ -142,7 +136,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descen
         wider = replace(flow, parameters=active + others)
         model = linearise_windows(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
-        better = reconsider(model.triangle, n_fixed, active, others, _worth(descent, model.errors, windows))
+        better = reconsider(model.triangle, n_fixed, active, others, price)
         if better is None:
             break
         kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
@@ -153,7 +147,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, descen
     return flow.estimate if best is None else best[0].estimate
 
 
-def _descended(flow: Flow, descent: Descent) -> tuple[Flow, Linearised | None]:
+def _descended(flow: Flow, price: float) -> tuple[Flow, Linearised | None]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back.
 
     Returns:
@@ -172,8 +166,8 @@ def _descended(flow: Flow, descent: Descent) -> tuple[Flow, Linearised | None]:
         cost = left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
             return _settle(before[0], MOVES_LITTLE, before[1])
-        limit, n_fixed = _worth(descent, model.errors, windows), len(model.scale) - len(flow.parameters)
-        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, limit, NOISY)
+        n_fixed = len(model.scale) - len(flow.parameters)
+        kept, _ = walk_down(model.triangle, torch.arange(len(model.scale)) >= n_fixed, price, NOISY)
         if len(kept) == len(model.scale):
             if enough == MOVES_LITTLE:
                 break
@@ -182,7 +176,7 @@ def _descended(flow: Flow, descent: Descent) -> tuple[Flow, Linearised | None]:
         changed = _changed(flow, model, kept)
         if changed is None:
             break
-        before, left, allowed = (flow, model), cost, 2 * limit * (len(model.scale) - len(kept))
+        before, left, allowed = (flow, model), cost, 2 * price * (len(model.scale) - len(kept))
         flow, model = changed, None
     return flow, model
 
@@ -218,7 +212,7 @@ def _settle(flow: Flow, enough: float = MOVES_LITTLE, model: Linearised | None =
             break
         candidate = move(flow, model, torch.arange(len(model.scale)), damping)
         trial = Flow.of(candidate, parameters, windows)
-        cost = weighted_errors(trial, model.sigma)[1] if bool(trial.predicted.square().isfinite().all()) else math.inf
+        cost = cost_of(trial, model.sigma) if bool(trial.predicted.square().isfinite().all()) else math.inf
         lost = not cost < math.inf or (cost < model.cost and bool(trial.lost().any()))
         after = linearise_windows(trial) if cost < model.cost and not lost else None
         if after is None or not bool(after.triangle.isfinite().all()):
@@ -276,10 +270,10 @@ def refine_trajectory(
     joined = descent.joined
     some = choose_stretches(len(data), selection_rows(free, gain is not None))
 
-    def _priced(n: int) -> Descent:
-        return replace(descent, price=descent.penalty * _price(n, free) if descent.select else 0.0)
+    def _priced(n: int) -> float:
+        return descent.penalty * _price(n, free) if descent.select else 0.0
 
-    part, descent = data.select(some), _priced(int(some.sum()))
+    part, price = data.select(some), _priced(int(some.sum()))
     some_before = None if before is None else before[some]
     first = Estimate(library, xi, guess[some], delay, gain)
     turned = COARSE if descent.floor is None else FINEST
@@ -291,13 +285,13 @@ def refine_trajectory(
         windows = replace(windows, joined=_grows(flow)[1])
     if joined is None and seen and _grows(flow)[0] > GROWN:
         alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search_functions(found, free, alone, descent)
+        own = _search_functions(found, free, alone, price)
         windows = replace(windows, joined=_grows(Flow.of(own, flow.parameters.take(slice(0)), windows))[1])
-        found = _search_functions(own, free, windows, descent)
+        found = _search_functions(own, free, windows, price)
         if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
             found, joined = own, False
     else:
-        found = _search_functions(found, free, windows, descent)
+        found = _search_functions(found, free, windows, price)
     if not bool(some.all()):
         support = (found.xi != 0) & free
         turned, again = min(turned, FINE), replace(descent, joined=joined)
@@ -308,12 +302,12 @@ def refine_trajectory(
         flow = Flow.of(whole, Parameters.where(support), windows)
         found = _descended(flow, _priced(len(data)))[0].estimate
     else:
-        found, windows = _finely(found, free, windows, descent)
-    found = _without_delay(found, free, windows, descent)
+        found, windows = _finely(found, free, windows, price)
+    found = _without_delay(found, free, windows)
     return Flow.of(found, Parameters.where((found.xi != 0) & free), windows)
 
 
-def _without_delay(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> Estimate:
+def _without_delay(found: Estimate, free: Tensor, windows: Windows) -> Estimate:
     """Return an estimate without its delay, where that is not worth a coefficient, or a hundredth of a sample."""
     support = (found.xi != 0) & free
     if not found.delay or not bool(support.any()):
@@ -322,14 +316,14 @@ def _without_delay(found: Estimate, free: Tensor, windows: Windows, descent: Des
         prompt = replace(windows.delayed(0.0), history=None)
         flow, parameters = Flow.of(found, Parameters.where(support), windows), Parameters.where(support)
         simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt))
-        worth = _worth(replace(descent, price=_price(int(windows.mask.sum()), free)), model.errors, windows)
+        worth = _price(int(windows.mask.sum()), free)
         told = found.delay > SHORTEST_DELAY * windows.dt
         if not told or 2 * (left_over(model, prompt) - left_over(linearise_windows(flow), windows)) <= worth:
             return simple.estimate
     return found
 
 
-def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -> tuple[Estimate, Windows]:
+def _finely(found: Estimate, free: Tensor, windows: Windows, price: float) -> tuple[Estimate, Windows]:
     """Return an estimate by the steps that its fastest rate asks for, where it was found by longer ones."""
     support = (found.xi != 0) & free
     if not bool(support.any()):
@@ -339,7 +333,7 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, descent: Descent) -
     if wanted <= windows.substeps:
         return found, windows
     windows = replace(windows, substeps=wanted)
-    return _descended(Flow.of(found, Parameters.where(support), windows), descent)[0].estimate, windows
+    return _descended(Flow.of(found, Parameters.where(support), windows), price)[0].estimate, windows
 
 
 def _grows(flow: Flow) -> tuple[float, Tensor]:
@@ -381,12 +375,10 @@ def _grown(
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
     guess, length = estimate.nodes, descent.window
-    # Samples without noise tell every coefficient.
-    prior = coefficient_prior(estimate.library, estimate.xi, guess, data, length) if descent.floor is None else None
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
         windows = Windows.of(data, length, descent.joined is not False, substeps, before)
-        windows = replace(windows, prior=prior, gain_mask=descent.gain_mask, floor=descent.floor)
+        windows = replace(windows, gain_mask=descent.gain_mask, floor=descent.floor)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 
@@ -404,35 +396,3 @@ def _grown(
             break  # a model that runs away in longer windows is fitted to these
         flow, _, length = found
     return flow
-
-
-# A prior on coefficients. Over the range of a log functions may look nearly alike, as alpha and sin(alpha) at small
-# angles, and a fit to noisy data makes up any function out of their small differences, by coefficients of 1e6 that all
-# but cancel. So a term c f, f a function of an angle, is a priori normal about zero, of a standard deviation of `SHARE`
-# times the rate of change of its equation, both as root-mean-squares over the data: one measurement more. An angle is
-# what stands in a sine, a cosine or a quotient; its powers count, too, or a fit would take the angle and not its sine.
-# Functions of other states have none: powers of a state far from zero, as deg C, cancel one another by nature.
-
-SHARE = 10.0
-"""Standard deviation of a term, in rates of change of its equation."""
-TURNED = ("sin", "cos", "per_cos2")
-"""How the names of the functions of angles begin, of one angle, or of the sum or the difference of two."""
-
-
-def coefficient_prior(library: Library, xi: Tensor, x: Tensor, data: Transitions, window: int = 1) -> Tensor:
-    """Return the standard deviation of each coefficient before data tell it, `(n_features, n_x)`.
-
-    It is infinite without a prior, for a function that is zero throughout, and for a state that does not move. Rates of
-    change are those that a first guess xi tells at states `(N, n_x)`, or those of the states over a window of samples,
-    whichever are larger.
-    """
-    factors = (factor for feature in library.features for factor in feature.factors)
-    angles = {name for factor in factors if factor.function.startswith(TURNED) for name in factor.variables}
-    turned = torch.tensor([bool(angles & feature.variables) for feature in library.features]).unsqueeze(-1)
-    window = max(1, min(window, len(x) - 1))
-    within = data.segment[window:] == data.segment[:-window]
-    moved = (x[window:] - x[:-window])[within] / (window * data.dt)
-    theta = library(x, data.u.to(x.dtype))
-    rates = (theta @ xi).square().mean(0).sqrt().maximum(moved.square().mean(0).nan_to_num().sqrt())
-    widths = SHARE * rates / theta.square().mean(0).sqrt().unsqueeze(-1)
-    return torch.where(turned & (widths > 0) & widths.isfinite(), widths, torch.inf)

@@ -1,4 +1,4 @@
-"""Noise of sensors, random pushes, errors that last, and how many samples are worth one."""
+"""Noise of sensors, random pushes and errors that last."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.noise import looks_noisy, repetition, sensor_noise
+from dynasindy.sindy.noise import looks_noisy, sensor_noise
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature
@@ -81,20 +81,3 @@ def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part
     noise, share = sensor_noise(library, xi, data)
     assert float(noise) == pytest.approx(0.01 * sensor_part, abs=0.001)
     assert looks_noisy(library, xi, data) == told == (float(share) > 0.6)
-
-
-def _autoregressive(n: int, a: float) -> torch.Tensor:
-    noise, values = torch.randn(n, generator=torch.Generator().manual_seed(0), dtype=torch.float64), []
-    last = torch.zeros((), dtype=torch.float64)
-    for e in noise:
-        last = a * last + e
-        values.append(last)
-    return torch.stack(values)
-
-
-@pytest.mark.parametrize("a", [0.0, 0.5, 0.9])
-def test_noise_that_remembers_repeats_itself_as_often_as_theory_says(a):
-    # The correlations of an autoregressive process are a^k, and 1 + 2 sum a^k = (1 + a) / (1 - a).
-    error = _autoregressive(40_000, a).reshape(400, 100, 1)
-    joined = torch.arange(400) > 0
-    assert repetition(error, torch.ones_like(error), joined) == pytest.approx((1 + a) / (1 - a), rel=0.15)

@@ -7,7 +7,6 @@ import pytest
 import torch
 from first_order import DT, LIBRARY, SIGNATURE, TWO, Y0, A, B, column, inputs, motion
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel, shooting
@@ -75,22 +74,6 @@ def test_functions_that_noise_suggests_are_dropped_and_those_that_are_missed_com
     assert (dropped != 0).flatten().tolist() == [True, True, False, False]
     added = coefficients_of(refine_trajectory, LIBRARY, column(0.0, 2.8, 0.0, 0.0), free, data, 10)
     assert np.allclose(added, dropped, atol=0.05 * bound().max())
-
-
-def test_functions_that_resemble_an_error_that_lasts_are_left_out_where_errors_are_said_to_last():
-    free, kept = torch.ones(4, 1, dtype=torch.bool), {False: 0, True: 0}
-    for seed in range(3):
-        steps = np.random.default_rng(seed).normal(size=1201)
-        lasting = lfilter([1], [1, -0.95], steps)  # 1.95 / 0.05, some 40 samples, say the same
-        driven = np.random.default_rng(seed + 50).uniform(-1, 1, 120).repeat(10)
-        y = motion(A, B, Y0, driven) + NOISE * math.sqrt(1 - 0.95**2) * lasting
-        data = Transitions.from_trajectory(torch.from_numpy(y).unsqueeze(-1), torch.from_numpy(driven)[:, None], DT)
-        for correlated in kept:
-            descent = Descent(20, correlated=correlated)
-            xi = refine_trajectory(LIBRARY, column(-1.5, 2.0, 0.1, 0.1), free, data, descent).estimate.xi
-            assert bool((xi[:2] != 0).all())
-            kept[correlated] += int((xi[2:] != 0).sum())
-    assert kept[True] == 0 < kept[False]
 
 
 def test_windows_on_their_own_give_scipy_s_minimum_over_all_their_start_states():
