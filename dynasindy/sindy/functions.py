@@ -317,11 +317,7 @@ def _read(name: str, formula: object) -> tuple[str, Callable[..., Tensor]]:
 
 
 def _translated(node: ast.expr) -> tuple[str, Callable[..., Tensor]]:
-    """Return the text of a part of a formula, and what computes it of the arguments, of their shape.
-
-    Raises:
-        LookupError: it is no such part; the argument is the node.
-    """
+    """Return the text of a part of a formula, and what computes it; a `LookupError` holds a node that is none."""
     match node:
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
             (a, first), (b, second), (sign, both) = _translated(left), _translated(right), _OPERATORS[type(op)]

@@ -98,10 +98,7 @@ def _moved(model: SindyModel, i: int) -> tuple[int, bool]:
 
 
 def _led(seen: RegressionData, wide: SindyModel, signal: str, time: float) -> Rows:
-    """Return averaged functions and rates of change under a state that follows a signal with so much time [s].
-
-    Where that began is not known: behind the functions stands what decays from there, a column for each stretch.
-    """
+    """Return averaged rows under a state that follows a signal with a time [s], then a decay for each stretch."""
     guess, names, n_x = seen.guess, wide.signature, wide.signature.n_x
     if signal in names.input_names:
         level = guess.mean_inputs[:, names.input_names.index(signal)]

@@ -232,10 +232,7 @@ def parse(text: str) -> Feature:
 
 
 def _written(name: str, arguments: str, power: int) -> Factor:
-    """Read the arguments of a function: `alpha_p`, `2 alpha_p`, or `~2 alpha_p` whose number is to be fitted.
-
-    A number that multiplies no argument comes last: `a, b; 2` or `a, b; ~2`.
-    """
+    """Read arguments of a function: `a`, `2 a`, `~2 a` whose number is fitted, or `a, b; 2` if it multiplies none."""
     names, semicolon, last = (part.strip() for part in arguments.partition(";"))
     if (two := _TWO.fullmatch(names)) and re.fullmatch(_NUMBER, last or "1"):
         return Factor((two[1], two[3]), of_two(name, two[2]), power, float(last or 1))

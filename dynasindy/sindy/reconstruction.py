@@ -323,10 +323,7 @@ def _moves_on(library: Library, data: Transitions, i: int) -> bool:
 
 
 def _steps(data: Transitions, i: int) -> tuple[Tensor, int] | None:
-    """Return rows with a step before and after them in their segment, and its length in samples; None if too few.
-
-    All states are there at a row, and the one that is looked at at both ends of the steps, too.
-    """
+    """Return rows with a step before and after them in their segment, and its length in samples; None if too few."""
     labels, counts = data.segment.unique_consecutive(return_counts=True)
     samples = data.x[data.segment == labels[int(counts.argmax())], i].numpy()
     longest, there = interpolate_gaps(samples), np.flatnonzero(~np.isnan(samples))

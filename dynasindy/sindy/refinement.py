@@ -170,14 +170,7 @@ class Refinement:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Refine a model by the settings on a recording.
-
-    Attributes:
-        settings: those of the refinement.
-        constraints: what is known of the equations.
-        recording: what is fitted to; a delay is looked for as far as it reaches.
-        general: whether the library is one for any plant.
-    """
+    """Refine a model by settings on a recording; a delay is looked for as far as that reaches."""
 
     settings: Refinement
     constraints: Constraints

@@ -27,16 +27,9 @@ IDLE = 1e-12
 def _least_missed(
     triangle: Tensor, n: int, removable: Tensor | None = None, dependent: float = DEPENDENT
 ) -> tuple[int, float]:
-    """Find the removable column whose removal lets the squared residual grow least; a dependent column is free to go.
+    """Return the removable column of R without which the squared residual grows least, and by how much; -1 if none.
 
-    Args:
-        triangle: R of [columns, target], `(n + 1, n + 1)` or taller.
-        n: number of columns.
-        removable: columns to choose from, bool `(n,)`; all by default.
-        dependent: part of a column that others leave over, below which it depends on them.
-
-    Returns:
-        Position of the column and the growth of the squared residual; -1 where there is nothing to choose.
+    A column of which others leave over less than `dependent` is free to go.
     """
     if n == 0 or (removable is not None and not bool(removable.any())):
         return -1, math.inf
@@ -56,19 +49,10 @@ def _least_missed(
 def _backward(
     triangle: Tensor, active: Tensor, removable: Tensor | None = None, dependent: float = DEPENDENT
 ) -> Iterator[tuple[Tensor, Tensor, float]]:
-    """Drop columns one by one, the one that is missed least first, until none may be dropped.
+    """Drop columns of R of [columns, target] one by one, the one that is missed least first, until none may be dropped.
 
-    The triangle is factored anew after each drop: nearly collinear functions (alpha, sin alpha, alpha cos alpha at
-    small angles) ruin cheaper updates.
-
-    Args:
-        triangle: R of [columns, target].
-        active: places of its columns, `(n,)`.
-        removable: places that may be dropped, bool; all by default.
-        dependent: see `_least_missed`.
-
-    Yields:
-        R of [columns, target], the places of its columns, and by how much the squared residual grows without the next.
+    Yields R, the places of its columns, and by how much the squared residual grows without the next. R is factored
+    anew after each drop: nearly collinear functions (alpha, sin alpha at small angles) ruin cheaper updates.
     """
     while True:
         n = len(active)
@@ -496,13 +480,7 @@ def _eliminate(
 ) -> Tensor:
     """Drop, one at a time, the coefficient that is missed least, and keep the set of best Bayesian criterion.
 
-    Args:
-        theta: columns of unit norm, `(M, n_features)`.
-        targets: columns of unit norm, `(M, n_x)`.
-        support: coefficients to begin with, bool `(n_features, n_x)`.
-        count: number of samples behind the columns.
-        tolerance: residual norm below which a fit is exact, so that more terms gain nothing.
-        dependent: part of a column that others leave over, below which it depends on them.
+    A residual norm of `tolerance` is exact, so that more terms gain nothing; columns have unit norm.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
     for i in support.any(0).nonzero().flatten().tolist():

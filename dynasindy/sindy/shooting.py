@@ -333,13 +333,9 @@ SMALL = 1e-9
 
 
 def _free_scales(library: Library, xi: Tensor, free: Tensor, unseen: Tensor) -> tuple[Tensor, Tensor]:
-    """Return which units of hidden states are free, and how coefficients change with them.
+    """Return the free units of hidden states, `(D, n_x)`, and the exponents of coefficients, `(D, n_features, n_x)`.
 
-    A unit is held by a coefficient that is given, as a known equation has, and by a function that is no power, as a
-    sine or a bend at a given level. Units of several hidden states may be free only together.
-
-    Returns:
-        Scales, `(D, n_x)`, D of them, and the exponents of the coefficients for each, `(D, n_features, n_x)`.
+    A unit is held by a coefficient that is given and by a function that is no power, as a sine or a bend at a level.
     """
     names, used = library.signature.state_names, xi != 0
     degrees = torch.tensor([[_degree(f, name) for name in names] for f in library.features], dtype=torch.float64)
@@ -373,10 +369,7 @@ def _degree(feature: Feature, name: str) -> float:
 
 
 def _scale_constraints(exponents: Tensor, xi: Tensor, norms: Tensor, places: tuple[Tensor, Tensor]) -> Tensor:
-    """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`.
-
-    Nothing measured depends on such a change, so the fit of everything else is the same with them.
-    """
+    """Return rows that keep a fit from changing the units of hidden states, `(D, F + P + 1)`; errors do not see it."""
     features, states = places
     width, count = len(norms), len(features)
     norms = norms[-1 - count : -1]
@@ -462,13 +455,9 @@ def shooting_covariance(flow: Flow) -> Covariance | None:
 
 
 def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Tensor, Tensor]:
-    """Condense the weighted errors and their slopes by the unknowns, the nodes that continue a window eliminated.
+    """Condense the weighted errors and their slopes by the unknowns, part by part, so that each stays in fast memory.
 
-    Windows are condensed part by part, so that each stays in fast memory.
-
-    Returns:
-        R of the errors of `count` parts of the recording, `(<= F + P + 1, F + P + 1)`, rows that are of none, and how
-        the node of each window moves with the unknowns, `(W, n_x, F + P + 1)`.
+    Returns R of the errors of `count` parts of the recording, rows that are of none, and the moves of all nodes.
     """
     windows, observed = flow.windows, _observed(flow.windows)
     joined, n_seen = bool(windows.joined.any()), int(observed.sum())
@@ -505,14 +494,7 @@ def _observed(windows: Windows) -> Tensor:
 
 
 def _joined(flow: Flow, sigma: Tensor, moves: Tensor, observed: Tensor) -> Tensor:
-    """Return the weighted rows of windows of one trajectory, `(W L n_seen, F + P + 1)`.
-
-    Args:
-        flow: the windows.
-        sigma: error of each state, `(n_x,)`.
-        moves: how their nodes move, `(W, n_x, F + P + 1)`.
-        observed: states that have errors, bool `(n_x,)`.
-    """
+    """Return the weighted rows of windows of one trajectory, `(W L n_seen, F + P + 1)`; `moves` are of their nodes."""
     n_x, windows = flow.predicted.shape[-1], flow.windows.of_states(observed)
     s = flow.s[:, :, observed]
     # error - d predicted: the node's move, then shapes and coefficients.
@@ -548,8 +530,7 @@ def cost_of(flow: Flow, sigma: Tensor) -> float:
 def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]:
     """Return weighted rows of windows on their own, `(W (L + 1) n_seen, F + P + 1)`, and how their nodes move.
 
-    Each node moves as fits its window best, which leaves no unknown of its own (variable projection). None moves where
-    windows begin as they were measured, which one row tells.
+    Each moves as fits its window best (variable projection); none where windows begin as measured: one row tells.
     """
     n_x = flow.predicted.shape[-1]
     if flow.windows.floor is not None:
@@ -566,10 +547,7 @@ def _alone(flow: Flow, sigma: Tensor, observed: Tensor) -> tuple[Tensor, Tensor]
 
 
 def _every(flow: Flow, observed: Tensor) -> Tensor:
-    """Return slopes and errors of each window's start and samples, `(W, L + 1, n_seen, n_x + S + P + 1)`.
-
-    They are zero where nothing was measured.
-    """
+    """Return slopes and errors of starts and samples, `(W, L + 1, n_seen, n_x + S + P + 1)`, zero where unmeasured."""
     windows, s = flow.windows.of_states(observed), flow.s[:, :, observed]
     start_error = windows.first - flow.estimate.nodes[:, observed]
     every = s.new_zeros(len(s), s.shape[1] + 1, *s.shape[2:-1], s.shape[-1] + 1)
@@ -581,10 +559,7 @@ def _every(flow: Flow, observed: Tensor) -> Tensor:
 
 
 def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
-    """Return rows that keep starts where they are which nothing measured depends on, `(S n_x, F + P + 1)`.
-
-    The start of a state that forgets it within a sample would move to any number for an error that is not its own.
-    """
+    """Return rows that hold starts which nothing measured depends on, `(S n_x, F + P + 1)`."""
     n_start = int(begun.sum()) * estimate.nodes.shape[1]
     spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12).repeat(int(begun.sum()))
     faint = rows[:, :n_start].norm(dim=0) * spread < FAINT
@@ -602,19 +577,10 @@ def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
 
 
 def _node_moves(flow: Flow, mine: slice, s: Tensor, ahead: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Express the moves of nodes by those of the first nodes, of the shapes and of the coefficients.
+    """Express the moves of nodes, `(W, n_x, F + P + 1)`, by those of the first nodes, the shapes and the coefficients.
 
-    A window that continues another one starts where that one ends:
-    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities at the end of window j - 1.
-
-    Args:
-        flow: all windows.
-        mine: the windows whose nodes these are.
-        s: sensitivities at their ends, `(W, n_x, n_x + S + P)`.
-        ahead: how the end of the window before them moves, `(n_x, F + P + 1)`; None of the first.
-
-    Returns:
-        The moves, `(W, n_x, F + P + 1)`, and how the end of the last window moves.
+    A window that continues another one starts where that one ends, and `ahead` is how the end of the one before moves:
+    d node_j = gap_j + A d node_(j-1) + B d (shapes, xi), A and B the sensitivities `s` at the end of window j - 1.
     """
     joined, gaps = flow.windows.joined, _gaps(flow)
     n_x, n_own, n_start = s.shape[1], s.shape[2] - s.shape[1], s.shape[1] * int((~joined).sum())
@@ -641,10 +607,9 @@ def _gaps(flow: Flow) -> Tensor:
 
 
 def _limits(flow: Flow, n_fixed: int) -> Tensor:
-    """Return how far each of the fixed unknowns may move at least and at most, `(2, F)`; gain, delay, shapes are last.
+    """Return how far each fixed unknown may move, `(2, F)`; gain, delay and shapes are last.
 
-    What a function is by its number is far from a straight line, and at the ends of its limits nothing tells the way
-    back, so a step goes no further than to some multiple. No observer goes away from what was measured.
+    Far from a straight line, as by its number, nothing tells the way back, so a step goes to some multiple at most.
     """
     estimate, windows, limits = flow.estimate, flow.windows, list[tuple[float, float]]()
     if estimate.gain is not None and windows.gain_mask is not None:

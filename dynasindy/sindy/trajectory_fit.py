@@ -89,19 +89,14 @@ def selection_rows(free: Tensor, observed: bool) -> int:
 
 
 def _price(n: int, free: Tensor) -> float:
-    """Return the squared weighted error that a coefficient must be worth: extended Bayesian criterion.
-
-    The more functions there are to choose from, the better is the best one of those that mean nothing (Chen and
-    Chen 2008).
-    """
+    """Return the squared weighted error that a coefficient must be worth: extended BIC (Chen and Chen 2008)."""
     return math.log(max(n, 2)) + 2 * math.log(max(int(free.sum(0).max()), 1))
 
 
 def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price: float) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
-    What is better to first order may be worse once it has converged, as on a plant that runs away. Then what was there
-    before stays, and the coefficients that came in are not tried again.
+    What is better to first order may be worse once it has converged; then what came in is not tried again.
     """
     flow = Flow.of(estimate, Parameters.where((estimate.xi != 0) & free), windows)
     came = failed = torch.zeros_like(free)
@@ -150,8 +145,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
 def _descended(flow: Flow, price: float) -> tuple[Flow, Linearised | None]:
     """Converge and drop until the support stands still; what turns out worth more than was foreseen comes back.
 
-    Returns:
-        The trajectories after that, and the linear model there; none where no coefficient is left.
+    The linear model beside it is None where no coefficient is left.
     """
     before: tuple[Flow, Linearised] | None = None
     model: Linearised | None = None
@@ -182,10 +176,7 @@ def _descended(flow: Flow, price: float) -> tuple[Flow, Linearised | None]:
 
 
 def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
-    """Return the trajectories with the kept unknowns alone; None where they run away however they are made.
-
-    A whole step of the linear model comes first; where it is too long, what goes is only left out.
-    """
+    """Return the trajectories with the kept unknowns alone, by a whole step or as they are; None where all run away."""
     estimate, parameters = flow.estimate, flow.parameters
     n_fixed = len(model.scale) - len(parameters)
     chosen = parameters.take(kept[kept >= n_fixed] - n_fixed)
@@ -197,11 +188,7 @@ def _changed(flow: Flow, model: Linearised, kept: Tensor) -> Flow | None:
 
 
 def _settle(flow: Flow, enough: float = MOVES_LITTLE, model: Linearised | None = None) -> tuple[Flow, Linearised]:
-    """Make Levenberg-Marquardt steps until one gains less than a part of the cost, `enough`.
-
-    Returns:
-        The trajectories after them, and the linear model there; `model` is that of `flow`, if it is known.
-    """
+    """Make Levenberg-Marquardt steps until one gains less than a part `enough` of the cost; `model` is of `flow`."""
     damping, parameters, windows = 0.0, flow.parameters, flow.windows
     model = model or linearise_windows(flow)
     what = f"{len(parameters)} coefficients, by simulations of {len(windows) * windows.length} samples"
@@ -337,10 +324,7 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, price: float) -> tu
 
 
 def _grows(flow: Flow) -> tuple[float, Tensor]:
-    """Return how much an error of a start grows along windows that join, relative to the spreads of the states.
-
-    Beside it are the windows that continue the one before if it may not grow beyond all measure, bool `(W,)`.
-    """
+    """Return how much an error of a start grows along joined windows, in spreads of the states, and which may join."""
     windows, spread = flow.windows, flow.estimate.nodes.std(0, correction=0).clamp_min(1e-12)
     whole, part, largest, joined = torch.eye(len(spread), dtype=spread.dtype), None, 0.0, windows.joined.clone()
     ends = torch.cat([part.s[:, -1, :, : len(spread)] for _, part in flow.parts(flow.pieces)])
@@ -368,10 +352,7 @@ def _grown(
     turned: float,
     before: Tensor | None = None,
 ) -> Flow:
-    """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away.
-
-    The nodes of the first estimate are a guess of the states before each transition, `(N, n_x)`.
-    """
+    """Return trajectories in windows of the wanted length, or as long as there are, in which they do not run away."""
     turn = relative_step(estimate.library, estimate.xi, estimate.nodes, data.u, data.dt)
     substeps, parameters = substeps_for(turn, turned), Parameters.where(support)
     guess, length = estimate.nodes, descent.window
