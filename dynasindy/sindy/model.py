@@ -344,7 +344,8 @@ class SindyModel(WorldModel):
             first = torch.where(self.constraints.free, self.initial, self.constraints.offset)
             late = delay_inputs(guess, self.initial_delay or 0.0)
             led = simulate_hidden_states(self.library, first, data, late, rates)
-            guess = replace(led, u=data.u, u_end=data.u_end)
+            started = _start_lag_states(self.library, first, led, self.followers)
+            guess = replace(started, u=data.u, u_end=data.u_end)
         seen = RegressionData(data, guess, rates, delay).delayed(delay)
         rows, cut = self._rows(seen), list[Finding]()
         # Where states were not all measured, regressions choose badly, and trajectories from the whole library.
@@ -624,6 +625,30 @@ def _by_period(data: Transitions) -> Transitions:
     last = None if data.u_end is None else data.u_end[n - 1 :: n]
     rows = data.x[::n], data.u[::n], data.x_next[n - 1 :: n], n * data.dt, data.segment[::n]
     return Transitions(*rows, u_end=last)
+
+
+def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, followers: Mapping[int, int]) -> Transitions:
+    """Return a recording in which states that follow begin each stretch where a first model needs them.
+
+    From another begin such a state is off by a part that decays with its own time, which rates of change tell.
+    """
+    field, ends, inputs = generate(library, xi), [guess.x, guess.x_next], (guess.u, guess.last_inputs)
+    seconds = (torch.arange(len(guess)) - guess.segment_starts()).double() * guess.dt
+    _, stretch = guess.segment.unique(return_inverse=True)
+    for follower in followers:
+        others = [i for i in range(xi.shape[1]) if i != follower and bool(xi[:, i].any())]
+        unit, fast = torch.eye(xi.shape[1], dtype=xi.dtype)[follower], float(xi[:, follower].sum())
+        offs = [torch.exp(-fast * (seconds + k * guess.dt)).unsqueeze(-1) * unit for k in (0, 1)]
+        rates, moved = (
+            0.5 * sum(field(end + size * off, u)[:, others] for end, off, u in zip(ends, offs, inputs, strict=True))
+            for size in (0, 1)
+        )
+        slope, left = moved - rates, (ends[1] - ends[0])[:, others] / guess.dt - rates
+        weight, none = 1 / left.square().mean(0).clamp_min(1e-300), seconds.new_zeros(int(stretch.max()) + 1)
+        sums = [none.index_add(0, stretch, (slope * each * weight).sum(-1)) for each in (left, slope)]
+        part = (sums[0] / sums[1].clamp_min(1e-300)).nan_to_num(0.0, 0.0, 0.0)[stretch].unsqueeze(-1)
+        ends = [end + part * off for end, off in zip(ends, offs, strict=True)]
+    return replace(guess, x=ends[0], x_next=ends[1])
 
 
 def _unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
