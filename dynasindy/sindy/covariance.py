@@ -20,7 +20,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.regression import RunningSums
 from dynasindy.sindy.sensitivity import Parameters
 
 STRETCHES = 10
@@ -81,28 +80,6 @@ class Covariance(NamedTuple):
         drawn = xi.expand(count, *xi.shape).clone()
         drawn[:, self.features, self.states] += normal @ self.factor.mT
         return drawn
-
-
-def of_sums(coefficients: Tensor, free: Tensor, sums: RunningSums) -> Covariance | None:
-    """Return the covariance of a regression of which only sums over its samples are known, independent errors assumed.
-
-    It is None where nothing was fitted.
-
-    Args:
-        coefficients: Xi of the fit, `(n_features, n_x)`.
-        free: coefficients that were fitted, bool `(n_features, n_x)`.
-        sums: the samples.
-    """
-    parameters = Parameters.where(free & (coefficients != 0))
-    residual, norms = sums.residual(coefficients), sums.norms()[: sums.n_features]
-    scaled = sums.theta() / torch.where(norms > 0, norms, 1.0)
-    factors = []
-    for state in range(coefficients.shape[1]):
-        active = parameters.features[parameters.states == state]
-        inverse = torch.linalg.pinv(scaled[:, active])
-        sigma = residual[state] / max(sums.count - len(active), 1) ** 0.5
-        factors.append(sigma * inverse / norms[active].unsqueeze(-1))
-    return Covariance.of(parameters, torch.block_diag(*factors))
 
 
 def of_rates(coefficients: Tensor, free: Tensor, theta: Tensor, dx: Tensor) -> Covariance | None:

@@ -29,7 +29,7 @@ from dynasindy.findings import Finding, note, weak
 from dynasindy.safe_io import read_json, reading, write_json
 from dynasindy.sentences import setting
 from dynasindy.sindy.codegen import Field, generate, simulate, write_program
-from dynasindy.sindy.covariance import Covariance, of_rates, of_sums
+from dynasindy.sindy.covariance import Covariance, of_rates
 from dynasindy.sindy.delay import delay_inputs, rows_after_delay
 from dynasindy.sindy.equations import equations, require_finite
 from dynasindy.sindy.fit_report import FitReport, Refined
@@ -358,9 +358,8 @@ class SindyModel(WorldModel):
         constraints = replace(self.constraints, free=free)
         if first is None:
             self._solve(self.sums, constraints, seen.dependent)
-            if self.refinement is None:
-                known = self.coefficients, constraints.free
-                self.covariance = of_sums(*known, self.sums) if earlier else of_rates(*known, *rows)
+            if self.refinement is None and not earlier:  # sums tell the textbook's alone, too small many times over
+                self.covariance = of_rates(self.coefficients, constraints.free, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
