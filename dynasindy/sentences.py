@@ -241,14 +241,6 @@ def _quiet(steps: Mapping[str, int], wanted: int, inputs: Mapping[str, float | N
 # --- the model -------------------------------------------------------------------------------------------------------
 
 
-def _bend(input: str, kind: str, low: float, high: float, unit: str) -> str:
-    ends = [f"{end:.3g}{'' if unit == '-' else f' {unit}'}" for end in (low, high)]
-    if kind == "dead zone":
-        return f"{input} does nothing from {ends[0]} to {ends[1]}"
-    sides = [f"{side} {end}" for side, end in zip(("below", "above"), ends, strict=True) if "inf" not in end]
-    return f"{input} has no more effect {' and '.join(sides)}"
-
-
 def _misses(seconds: float, errors: Mapping[str, float], units: Mapping[str, str], held: Mapping[str, float]) -> str:
     said = ", ".join(f"{name} by {error_of(error)} {units[name]}" for name, error in errors.items())
     than = ", ".join(map(error_of, held.values()))
@@ -734,7 +726,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"the inputs act {f'{1e3 * seconds:.3g} ms' if seconds < 1 else format_duration(seconds)} late"
     ),
     "model.dry_friction": "{state}' has dry friction",
-    "model.input_nonlinearity": _bend,
     "model.lag_state": lambda signal, seconds, is_input, state: (
         (
             f"{signal} acts through a lag of {seconds:.3g} s"

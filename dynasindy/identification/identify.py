@@ -194,7 +194,7 @@ def identify(
 
     Returns:
         The model; `equations()` shows it, `save` keeps it, and `findings` holds what was found before the fit, by it,
-        and of delay, dry friction, dead zones and saturations in the equations. What is found before the
+        and of delay and dry friction in the equations. What is found before the
         fit is a warning, too.
 
     Raises:

@@ -21,7 +21,6 @@ import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
-from dynasindy.identification.equations import equation_findings, idle_states
 from dynasindy.identification.forecast_errors import (
     LinearModel,
     characteristic,
@@ -33,6 +32,7 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.identification.source import Source, rate_name, rates_of
+from dynasindy.identification.verdict import equation_findings, idle_states
 from dynasindy.limits import raise_if_memory
 from dynasindy.progress import Event, TimeIsUp, listening, report_progress, reporting_as
 from dynasindy.sindy.delay import delay_and_trim

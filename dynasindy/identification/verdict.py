@@ -1,4 +1,4 @@
-"""What is found of a fitted model: how far ahead it predicts, where it may be relied on, and what the data show."""
+"""What is found of a fitted model: what it holds, how far ahead it predicts, and where it may be relied on."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from torch import Tensor
 from dynasindy.findings import Finding, FindingError, note, weak, wrong
 from dynasindy.identification.forecast_errors import LOST, ForecastErrors
 from dynasindy.identification.recording_diagnostics import samples_of, sensor_resolution
-from dynasindy.sindy import SindyModel
+from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.library import Factor, Feature
+from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -35,6 +36,10 @@ COARSE = 5e-3
 """Part of what a state covers in a log from which on the step of its sensor may shift coefficients."""
 HELPFUL = 0.5
 """Part of the error of the last value held that a model may have that predicts."""
+FULL = 5.0
+"""Widths of a function tanh(rate / width), at least, in the range of the rate, for it to be dry friction."""
+TOLD = 0.02
+"""Part of a function that the others of its equation leave over, above which the data tell its coefficient."""
 
 
 def model_findings(forecasts: ForecastErrors, signature: Signature) -> list[Finding]:
@@ -288,3 +293,60 @@ def errors(forecasts: ForecastErrors, signature: Signature) -> dict[str, dict[st
         for kind, found in kinds.items()
         for k, h in enumerate(forecasts.horizons)
     }
+
+
+def equation_findings(model: SindyModel, report: FitReport | None = None) -> list[Finding]:
+    """Return what of delay and dry friction is in the equations.
+
+    Args:
+        model: A fitted model.
+        report: Of its fit, which tells what the data do not: a delay that is the longest that was tried is none, and
+            functions whose coefficients the data do not tell are no friction.
+    """
+    resolved = None if report is None else report.told_apart()
+    late = model.delay and not (report is not None and report.delay_at_end)
+    findings = [note("model.delay", seconds=model.delay)] if late else []
+    for i, (name, size) in enumerate(zip(model.signature.state_names, model.signature.x_scale, strict=True)):
+        against = model.coefficients[:, i] < 0
+        told = against if resolved is None else against & (resolved[:, i] > TOLD)
+        if any(_is_dry(feature, name, size) for feature in _used(model.library.features, told)):
+            findings.append(note("model.dry_friction", state=name))
+    return findings
+
+
+def _is_dry(feature: Feature, rate: str, size: float) -> bool:
+    """Tell what opposes a rate alike at any speed but the lowest; what bends only at the range of it is a drag."""
+    return any(
+        factor.function == "tanh" and rate in factor.variables and factor.frequency * size >= FULL
+        for factor in feature.factors
+    )
+
+
+def hidden_states(model: SindyModel, data: Transitions) -> list[str]:
+    """Return the states that no sensor sees in any form: no rates of measured states, and none that only follow.
+
+    Args:
+        model: The model.
+        data: The log, NaN where a state was not measured.
+    """
+    rates, unseen = rate_states(model.library, model.constraints), data.x.isnan().all(0).tolist()
+    names = model.signature.state_names
+    alone = [i for i, blind in enumerate(unseen) if blind and (i not in rates or unseen[rates[i]])]
+    return [names[i] for i in alone if names[i] not in model.followed]
+
+
+def idle_states(model: SindyModel, data: Transitions) -> list[Finding]:
+    """Return which hidden states stand in no equation, and an example of a first guess of their equations.
+
+    Args:
+        model: A fitted model.
+        data: The log, NaN where a state was not measured.
+    """
+    names, inputs = model.signature.state_names, model.signature.input_names
+    read = {name for f in _used(model.library.features, model.coefficients.any(-1)) for name in f.variables}
+    still = [n for n in hidden_states(model, data) if n not in read and not model.coefficients[:, names.index(n)].any()]
+    if not still:
+        return []
+    seen = next((name for name, blind in zip(names, data.x.isnan().all(0).tolist(), strict=True) if not blind), "")
+    first = {still[0]: {inputs[0]: 0.1, still[0]: -0.1}, seen: {still[0]: 0.1}}
+    return [weak("model.idle_state", states=still, initial=first)]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.findings import note
-from dynasindy.identification.equations import equation_findings, hidden_states, idle_states
+from dynasindy.identification.verdict import equation_findings, hidden_states, idle_states
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.regression import RunningSums
 from dynasindy.systems import Tras
@@ -55,28 +55,6 @@ def test_a_delay_is_told_unless_its_search_ended_there(doubts, said):
     model.delay = 0.002
     found = equation_findings(model, replace(report_of(model, 0.5), **doubts))
     assert found == [note("model.delay", seconds=0.002)] * said
-
-
-def test_dead_zones_and_saturations_are_found_in_the_unit_of_the_actuator():
-    """An input of 1 is 12 V: what is flat from -0.25 to 0.5 is so from -3 V to 6 V."""
-    volts = {"input_ends": ((-12.0, 12.0),), "input_units": ("V",)}
-    signature = Signature(("q", "v"), ("rad", "rad/s"), ("u",), (1.0, 4.0), **volts)
-    words = ["q", "v", "u", "max(0, u - 0.5)", "max(0, u - -0.25)"]
-    model = SindyModel(signature, words, known={"q": "v"})
-
-    def bends(*of_u):
-        xi = model.coefficients.clone()
-        xi[2:, 1] = torch.tensor(of_u, dtype=torch.float64)
-        model.set_coefficients(xi)
-        return equation_findings(model)
-
-    def bend(kind, low, high):
-        return {"input": "u", "kind": kind, "low": low, "high": high, "unit": "V"}
-
-    assert bends(20.0, 20.0, -20.0) == [note("model.input_nonlinearity", **bend("dead zone", -3, 6))]
-    assert bends(0.0, -20.0, 20.0) == [note("model.input_nonlinearity", **bend("saturation", -3, 6))]
-    assert bends(20.0, -20.0, 0.0) == [note("model.input_nonlinearity", **bend("saturation", -math.inf, 6))]
-    assert bends(20.0, 5.0, -5.0) == []
 
 
 def report_of(model: SindyModel, apart: float) -> FitReport:
