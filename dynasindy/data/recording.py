@@ -5,7 +5,6 @@ A row without a time or an input is skipped. One without a state stays, NaN ther
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -202,24 +201,29 @@ class LogReader:
         parts = [self._part(path, time, states, inputs) for path in self.paths]
         findings = [each for part in parts for each in self._findings_of(part)]
         inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
-        u = _joined([part.u for part in parts])
+        u = np.concatenate([part.u for part in parts])
         ranges, ends = _actuator_ranges(str(self), u, inputs, plant is None, after)
         rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         for part in parts:
             part.findings.clear()
             part.t, part.x, part.u, part.segment = resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
-        segment = _join_segments([part.segment for part in parts])
-        x = {name: _joined([part.x[name] for part in parts]) for name in parts[0].x}
-        states = _with_speeds(parts[0].states, headings, x, segment, dt)
+        states = _with_speeds(parts[0], dt)
         findings += _conversions(states, headings)
-        usable = _usable_rows(x, parts)
+        pieces, sizes = [], np.zeros(len(states))
+        for part in parts:
+            for name, samples in part.x.items():
+                if (factor := states[name].scale / part.states[name].scale) != 1:
+                    part.x[name] = samples * factor
+            usable = ~(_long_gaps(part.x, part.segment, part.findings) | _stops(part.x, part.findings))
+            full = np.stack([part.x.get(name, np.full(len(part.t), np.nan)) for name in states], -1)
+            sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
+            pieces.append(_transitions(full, part.u, part.segment, usable, dt))
+        data = pieces[0] if len(pieces) == 1 else Transitions.cat(pieces)
         findings += [*after, *(each for part in parts for each in self._findings_of(part))]
-        findings += (note("log.unmeasured", state=name) for name in states if name not in x)
-        full = np.stack([x.get(name, np.full(len(segment), np.nan)) for name in states], -1)
-        data = _transitions(full, _joined([part.u for part in parts]), segment, usable, dt)
+        findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
-        most = dict(zip(states, np.abs(np.nan_to_num(full)).max(0, initial=0.0).tolist(), strict=True))
+        most = dict(zip(states, sizes.tolist(), strict=True))
         if tiny := [name for name, size in most.items() if 0 < size < TINY]:
             raise ValueError(
                 f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
@@ -439,26 +443,6 @@ def _one_period(parts: Sequence[_Part], dt: float | None) -> float:
     return own[0]
 
 
-def _joined(parts: Sequence[Array]) -> Array:
-    """Return the rows of all files; those of a single one are not copied."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def _join_segments(segments: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Return the number of the segment of each row of all files, in which none is of two files."""
-    counts = np.cumsum([0, *(int(segment[-1]) + 1 for segment in segments)])
-    return np.concatenate([segment + count for segment, count in zip(segments, counts[:-1], strict=True)])
-
-
-def _usable_rows(x: Mapping[str, Array], parts: Sequence[_Part]) -> NDArray[np.bool_]:
-    """Tell which rows of all files lie in no long gap of their own one, and at no stop, `(N,)`; findings are added."""
-    usable, ends = [], np.cumsum([0, *(len(part.t) for part in parts)])
-    for part, (first, last) in zip(parts, itertools.pairwise(ends), strict=True):
-        own = {name: column[first:last] for name, column in x.items()}
-        usable.append(~(_long_gaps(own, part.segment, part.findings) | _stops(own, part.findings)))
-    return np.concatenate(usable)
-
-
 def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: list[Finding]) -> NDArray[np.bool_]:
     """Tell which rows lie in a long stretch without a state, or where a recording has not begun or is over, `(N,)`.
 
@@ -482,22 +466,20 @@ def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: lis
     return np.asarray(out | (begun * ahead == 0))
 
 
-def _with_speeds(
-    states: dict[str, Column], headings: Sequence[str], x: dict[str, Array], segment: NDArray[np.int64], dt: float
-) -> dict[str, Column]:
-    """Return the states, turns per minute in rad/s where they are the slope of an angle, and scale these samples."""
-    units, found, names = units_of(headings), dict(states), [*x]
-    plain = [name for name in names if (states[name].unit, states[name].scale) == ("-", 1)]
-    asked = [name for name in plain if PER_MINUTE.fullmatch(units.get(states[name].name, ""))]
+def _with_speeds(part: _Part, dt: float) -> dict[str, Column]:
+    """Return the states of a file, turns per minute in rad/s where they are the slope of an angle."""
+    units, found, names = units_of(part.headings), dict(part.states), [*part.x]
+    plain = [name for name in names if (found[name].unit, found[name].scale) == ("-", 1)]
+    asked = [name for name in plain if PER_MINUTE.fullmatch(units.get(found[name].name, ""))]
     if not asked:
         return found
-    samples = np.stack([*x.values()], -1)
-    data = _transitions(samples, samples[:, :0], segment, np.ones(len(segment), dtype=bool), dt)
-    angles = [place for place, name in enumerate(names) if states[name].unit == "rad"]
+    samples = np.stack([*part.x.values()], -1)
+    data = _transitions(samples, samples[:, :0], part.segment, np.ones(len(samples), dtype=bool), dt)
+    angles = [place for place, name in enumerate(names) if found[name].unit == "rad"]
     for name in asked:
         rpm = any(is_speed_in_rpm(data, k, names.index(name)) for k in angles)
-        unit, scale = in_radians(units[states[name].name], rpm)
-        found[name], x[name] = replace(states[name], unit=unit, scale=scale), x[name] * scale
+        unit, scale = in_radians(units[found[name].name], rpm)
+        found[name] = replace(found[name], unit=unit, scale=scale)
     return found
 
 
