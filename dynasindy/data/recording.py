@@ -517,9 +517,7 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
         if not len(value) or np.ptp(value) == 0:
             continue
         for end in dict.fromkeys((value.min(), value.max(), *_frozen(value))):
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], value == end, [False]])))
-            rests = [pair for pair in zip(edges[::2], edges[1::2], strict=True) if pair[1] - pair[0] >= STOP]
-            rests = [(first, last) for first, last in rests if first == 0 or _is_stop(value, first, last)]
+            rests = [pair for pair in _runs(value == end, STOP) if pair[0] == 0 or _is_stop(value, *pair)]
             # The start of a recording at rest is no stop, unless the state rests there again.
             own = np.zeros_like(mask)
             for first, last in rests if any(first for first, _ in rests) else []:
@@ -530,11 +528,16 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
     return mask
 
 
+def _runs(where: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
+    """Return where stretches of so many places at least begin, and where they are over."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]))).reshape(-1, 2)
+    return [(first, last) for first, last in edges.tolist() if last - first >= least]
+
+
 def _frozen(value: Array) -> list[float]:
     """Return the values at which samples stand that change from row to row otherwise, and jump there and away."""
     steps = np.abs(np.diff(value))
-    begins = np.flatnonzero(np.diff(np.concatenate([[False], steps == 0, [False]])))
-    runs = [pair for pair in zip(begins[::2], begins[1::2], strict=True) if pair[1] - pair[0] >= FROZEN]
+    runs = _runs(steps == 0, FROZEN)
     long = sum(last - first for first, last in runs)
     if not 0 < long <= LONG_FROZEN * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
         return []

@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -112,7 +113,7 @@ class Tracking(Task):
         self.error_scale = error_scale
         self.n_r = reference.n_r
         self.n_o = signature.n_x + (2 if observe_rate else 1) * self.n_r
-        self._extents = tuple(_boxes(signature, self.outputs, low, high).tolist())
+        self._extents = _boxes(signature, self.outputs, low, high)
         self.ends = None if low is None or high is None else (tuple(map(float, low)), tuple(map(float, high)))
         self.start = ranges.start_ranges(signature, start or {}, "task.start")
         self.bounds = ranges.state_limits(signature, bounds or {}, "task.bounds")
@@ -161,18 +162,14 @@ class Tracking(Task):
                 f"references of {reference.n_r} outputs do not fit a task of {self.n_r} outputs, "
                 f"{', '.join(self.output_names)}; give one value per output"
             )
-        other = copy.copy(self)
-        other.references = reference
-        return other
+        return self._changed(references=reference)
 
     def fenced(self, weight: float) -> Tracking:
         """Return the same task with a cost for leaving the bounds, of so much per range of a state and period.
 
         So cost inputs beyond their limits, where these are narrower than -1 and 1.
         """
-        other = copy.copy(self)
-        other.fence = weight if bool(self.bounds.isfinite().any()) or self.limited else 0.0
-        return other
+        return self._changed(fence=weight if bool(self.bounds.isfinite().any()) or self.limited else 0.0)
 
     def with_box(self, extents: Sequence[float]) -> Tracking:
         """Return the same task with another target range, whose extents are taken as they are.
@@ -188,9 +185,7 @@ class Tracking(Task):
                 f"a target range of extents {list(extents)} does not fit the outputs {', '.join(self.output_names)}; "
                 "give one positive number for each"
             )
-        other = copy.copy(self)
-        other._extents = tuple(float(extent) for extent in extents)
-        return other
+        return self._changed(_extents=tuple(map(float, extents)))
 
     def following(self, followers: Mapping[int, int]) -> Tracking:
         """Return the same task in which states that follow other ones begin at these, as at rest.
@@ -200,9 +195,8 @@ class Tracking(Task):
         Args:
             followers: Places of states that follow others, and of those.
         """
-        other, names = copy.copy(self), self.signature.state_names
-        other.followers = {i: state for i, state in followers.items() if names[i] not in self._given}
-        return other
+        names = self.signature.state_names
+        return self._changed(followers={i: state for i, state in followers.items() if names[i] not in self._given})
 
     def as_logged(self, typical: Tensor, known: Mapping[str, tuple[float, float]] | None = None) -> Tracking:
         """Return the same task for a plant that is known by a log alone.
@@ -215,16 +209,11 @@ class Tracking(Task):
             typical: Ends of what is usual in the log, `(2, n_x)`, such as its median twice.
             known: Inputs that shall not leave what the log has tried, and its ends.
         """
-        other, scales = copy.copy(self), list(self.signature.x_scale)
-        both = [(known or {}).get(name, (-1.0, 1.0)) for name in self.signature.input_names]
-        low, high = torch.tensor(both).clamp(-1.0, 1.0).mT
+        scales, typical = list(self.signature.x_scale), typical.double().clone()
+        both = torch.tensor([(known or {}).get(name, (-1.0, 1.0)) for name in self.signature.input_names]).mT
         least, most = self.input_limits
         # Where the log has nothing between the limits that were given, these hold.
-        apart = (low > most) | (high < least)
-        other.input_limits = torch.stack(
-            [least.where(apart, low.maximum(least)), most.where(apart, high.minimum(most))]
-        )
-        typical = typical.double().clone()
+        within = both.clamp(least, most).where((both[0] <= most) & (both[1] >= least), self.input_limits)
         for k, i in enumerate(self.outputs):
             if self.ends is None:
                 continue
@@ -233,10 +222,8 @@ class Tracking(Task):
             reach = max(-low, high)
             if reach > 0:
                 scales[i] = min(scales[i], FARTHEST_SEEN * reach)
-        other.signature = replace(self.signature, x_scale=tuple(scales))
-        if not self.begins:
-            other.start = typical.to(self.start)
-        return other
+        signature, start = replace(self.signature, x_scale=tuple(scales)), typical.to(self.start)
+        return self._changed(input_limits=within, signature=signature, start=self.start if self.begins else start)
 
     def with_input_limits(self, limits: Sequence[Sequence[float]]) -> Tracking:
         """Return the same task whose inputs stay within some limits.
@@ -247,17 +234,22 @@ class Tracking(Task):
         Raises:
             ValueError: There is not one least and one largest input for each, in [-1, 1].
         """
-        other, n_u = copy.copy(self), self.signature.n_u
+        n_u = self.signature.n_u
         try:
-            other.input_limits = torch.tensor(limits)
+            ends = torch.tensor(limits)
         except (TypeError, ValueError):  # rows of unequal length, or words
-            other.input_limits = torch.empty(0)
-        fit = other.input_limits.shape == (2, n_u) and bool((other.input_limits.abs() <= 1).all())
-        if not fit or not bool((other.input_limits[0] <= other.input_limits[1]).all()):
+            ends = torch.empty(0)
+        fit = ends.shape == (2, n_u) and bool((ends.abs() <= 1).all())
+        if not fit or not bool((ends[0] <= ends[1]).all()):
             raise ValueError(
                 f"the limits of the inputs are {str(limits)[:40]}; give {n_u} least and {n_u} largest inputs from -1 "
                 "to 1"
             )
+        return self._changed(input_limits=ends)
+
+    def _changed(self, **attributes: Any) -> Tracking:
+        other = copy.copy(self)
+        vars(other).update(attributes)
         return other
 
     def boxes(self) -> Tensor:
@@ -347,18 +339,17 @@ def _columns(places: list[int]) -> slice | list[int]:
 
 def _boxes(
     signature: Signature, outputs: Sequence[int], low: Sequence[float] | None, high: Sequence[float] | None
-) -> Tensor:
+) -> tuple[float, ...]:
     """Return the extent of each output's targets; that of its range where the targets of a unit are one value each."""
     if (low is None) != (high is None):
         given, absent = ("low", "high") if high is None else ("high", "low")
         raise ValueError(f"the target range has {given} and no {absent}; give both, or neither")
     if low is None or high is None:
-        return torch.ones(len(outputs), dtype=torch.float64)
+        return (1.0,) * len(outputs)
     if not len(low) == len(high) == len(outputs) or not all(a <= b for a, b in zip(low, high, strict=True)):
         raise ValueError(
             f"the target range low={list(low)}, high={list(high)} needs low <= high for each output; mend plant"
         )
     units = [signature.state_units[i] for i in outputs]
     widest = {unit: max(b - a for a, b, u in zip(low, high, units, strict=True) if u == unit) for unit in units}
-    extents = [widest[unit] or signature.x_scale[i] for unit, i in zip(units, outputs, strict=True)]
-    return torch.tensor(extents, dtype=torch.float64)
+    return tuple(float(widest[unit] or signature.x_scale[i]) for unit, i in zip(units, outputs, strict=True))
