@@ -217,10 +217,8 @@ def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], sta
     return f"{path} gives {count} {what}; allowed are {least} or more: log longer.{_taken(left_out)}"
 
 
-def _rate_units(
-    state: str, rate: str, factor: float, cause: str, guessed: bool, unit: str = "", states: Any = None
-) -> str:
-    slope = f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}; {cause}?"
+def _rate_units(state: str, rate: str, factor: float, guessed: bool, unit: str = "", states: Any = None) -> str:
+    slope = f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}: in which units are they?"
     if states is not None:
         return (
             f"{slope} It was given as the rate of {state}; allowed is a rate in {unit}, for its equation is taken as "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dynasindy.data.clock import CLOCK, clock_of, is_counter
 from dynasindy.data.headings import (
-    PER_MINUTE,
+    PLAIN_RATES,
     SECONDS,
     find_names,
     in_radians,
@@ -57,8 +57,8 @@ def with_units(
 ) -> dict[str, Column]:
     """Return columns with the units of their headings; degrees of states become rad.
 
-    A column keeps what was given of it: a scale, and a unit that is none of the two. States in turns per minute of
-    which nobody says that they are the rate of an angle have no unit yet: the log has still to tell.
+    A column keeps what was given of it: a scale, and a unit that is none of the two. Turns per minute are those of an
+    angle if the state is known or called to be its rate, as `speed` is beside a single one.
 
     Args:
         columns: Columns by name.
@@ -70,11 +70,8 @@ def with_units(
     inside = {name: units.get(column.name, "") for name, column in columns.items()}
     angles = [name for name in columns if "rad" in (columns[name].unit, in_radians(inside[name])[0])]
     for name, column in columns.items():
-        turns = column.unit == "rad/s" or any(
-            is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles
-        )
-        if states and PER_MINUTE.fullmatch(inside[name]) and not turns:
-            continue
+        turns = column.unit == "rad/s" or (name in PLAIN_RATES and len(angles) == 1)
+        turns |= any(is_rate_of(angle, name) or (known or {}).get(angle) == name for angle in angles)
         unit, factor = in_radians(inside[name], turns) if states else (inside[name], 1.0)
         if unit and column.scale == 1 and column.unit in ("-", unit):
             found[name] = replace(column, unit=unit, scale=factor)
@@ -92,7 +89,7 @@ def as_map(columns: Mapping[str, Column], headings: Iterable[str] = ()) -> dict[
     for name, column in columns.items():
         heading, inside = split_unit(column.name)[0], units.get(column.name) or "-"
         keys: dict[str, Any] = {"name": heading} if column.name else {}
-        read = in_radians(inside, turns=False) if column.low is None else (inside, 1.0)
+        read = in_radians(inside) if column.low is None else (inside, 1.0)
         if not column.name or (column.unit, column.scale) != read:
             keys |= {"unit": column.unit} if column.unit != "-" else {}
             keys |= {"scale": float(f"{column.scale:.7g}")} if column.scale != 1 else {}

@@ -47,6 +47,8 @@ APART = re.compile(r"\s*(?:[,/_{<-]|\bin\b|(?<=[a-z])(?=[A-Z]))\s*")
 """What may stand between a name and its unit where the unit has no brackets, as in `angle / deg` and `angleDeg`."""
 RATE_NAMES = ("{}_rate", "{}_dot", "{}dot", "d{}", "d_{}", "{}_vel", "{}_velocity", "{}_speed")
 """How the rate of a state is called."""
+PLAIN_RATES = ("rate", "velocity", "speed")
+"""What a rate is called that may be that of any state, where no unit says so."""
 
 
 def split_unit(heading: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.data.columns import Column, as_map
-from dynasindy.data.headings import is_rate_of
+from dynasindy.data.headings import PLAIN_RATES, is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
@@ -36,41 +36,21 @@ ROWS = 5000
 """Rows that are looked at."""
 BRIDGED = 10
 """Samples of a rate that may be missing in a row; over these it is taken to be straight, over more nothing is told."""
-PLAIN = ("rate", "velocity", "speed")
-"""What a rate is called that may be that of any state, where no unit says so."""
 RPM = 2 * math.pi / 60
 """A turn per minute [rad/s]."""
 NEAR = 0.05
 """Part by which a factor that the log tells may differ from one whose cause is known."""
 NO_TIE = (0.0, 0.0)
 """Factor and correlation of what does not move."""
-CAUSES = {
-    180 / math.pi: "degrees beside rad/s",
-    math.pi / 180: "rad beside degrees per second",
-    RPM: "rad beside rpm",
-    6.0: "degrees beside rpm",
-    1 / 60: "a rate per minute",
-    2 * math.pi: "rad beside revolutions per second",
-    0.5 / math.pi: "revolutions beside rad/s",
-    1e3: "thousandths of a unit beside the unit, as mm beside m/s",
-    1e-3: "a time in ms without its unit, or m beside mm/s",
-    1e2: "hundredths of a unit beside the unit, as cm beside m/s",
-    1e-2: "m beside cm/s",
-    1e-6: "a time in us without its unit",
-    86400.0: "a time in days without its unit",
-    1.0: "one of them counted the other way",
-}
-"""What a factor between the slope of a state and its rate comes from."""
+FACTORS = (180 / math.pi, math.pi / 180, RPM, 6.0, 1 / 60, 2 * math.pi, 0.5 / math.pi, 1e3, 1e-3, 1e2, 1e-2, 1e-6, 1.0)
+"""Factors between the slope of a state and its rate that units make: degrees, turns, minutes, and parts of a unit."""
 
 
-def _explain_factor(factor: float) -> tuple[str, float]:
-    """Return the likely cause of a factor between slope and rate, and the factor that it makes, else three digits."""
-    size, turned = abs(factor), factor < 0
-    near = min(CAUSES, key=lambda known: abs(math.log(size / known)))
-    if abs(math.log(size / near)) >= NEAR:
-        return f"in which units are they{', and which one is counted the other way' * turned}", float(f"{factor:.3g}")
-    cause = CAUSES[near] + ", and one of them counted the other way" * (turned and near != 1.0)
-    return cause, math.copysign(near, factor)
+def _exact_factor(factor: float) -> float:
+    """Return the factor that units make and that is next to one that a log tells, else three digits of it."""
+    near = min(FACTORS, key=lambda known: abs(math.log(abs(factor) / known)))
+    told = abs(math.log(abs(factor) / near)) < NEAR
+    return math.copysign(near, factor) if told else float(f"{factor:.3g}")
 
 
 def _unit_of_rate(unit: str) -> str:
@@ -120,7 +100,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
     measured = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
     for rate in measured:
         sure = [s for s in measured if known.get(s) == rate] or [s for s in measured if is_rate_of(s, rate)]
-        plain = rate in PLAIN and units[rate] == "-"
+        plain = rate in PLAIN_RATES and units[rate] == "-"
         fits = (s for s, unit in units.items() if (unit == "-" if plain else _unit_of_rate(unit) == units[rate]))
         others = [s for s in fits if s in measured and s not in known and s != rate]
         ties = {s: compare(s, rate) for s in sure or others}
@@ -128,8 +108,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
         clear = EXACT if known.get(state) == rate and abs(correlation) > ALIKE else CLEAR
         if state in wrong or abs(correlation) <= (TIED if sure else ALIKE) or 1 / clear < factor < clear:
             continue
-        facts = {"state": state, "rate": rate, "factor": factor, "cause": _explain_factor(factor)[0]}
-        other.append(weak("log.rate_units", **facts, guessed=not sure))
+        other.append(weak("log.rate_units", state=state, rate=rate, factor=factor, guessed=not sure))
     return [*wrong.values(), *other]
 
 
@@ -162,16 +141,10 @@ def require_consistent_rates(
         if each.code != "log.rate_units" or known.get(state) != rate or 1 / CLEAR < each.values["factor"] < CLEAR:
             continue
         unit, column = signature.state_units[signature.state_index(state)], columns[rate]
-        scale = _explain_factor(each.values["factor"])[1] * column.scale
+        scale = _exact_factor(each.values["factor"]) * column.scale
         mended = {**columns, rate: replace(column, unit=_unit_of_rate(unit), scale=scale)}
         allowed = f"the unit of {state} per second" if unit == "-" else _unit_of_rate(unit)
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended, headings))
-
-
-def is_speed_in_rpm(data: Transitions, angle: int, speed: int) -> bool:
-    """Tell whether the column at a place is the slope of the angle at another one [rad], in turns per minute."""
-    factor, correlation = _compare(data, angle, speed)
-    return abs(correlation) > ALIKE and abs(math.log(abs(factor) / RPM)) < NEAR
 
 
 def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:

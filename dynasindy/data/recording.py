@@ -24,8 +24,8 @@ from dynasindy.data.columns import (
     infer,
     with_units,
 )
-from dynasindy.data.headings import NAME, PER_MINUTE, find_names, in_radians, named_by, split_unit, units_of
-from dynasindy.data.rates import is_speed_in_rpm, require_consistent_rates
+from dynasindy.data.headings import NAME, find_names, in_radians, named_by, split_unit, units_of
+from dynasindy.data.rates import require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample
 from dynasindy.data.table import Table, correct_map, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note, weak
@@ -207,13 +207,10 @@ class LogReader:
         for part in parts:
             part.findings.clear()
             part.t, part.x, part.u, part.segment = resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
-        states = _with_speeds(parts[0], dt)
+        states = parts[0].states
         findings += _conversions(states, headings)
         pieces, sizes = [], np.zeros(len(states))
         for part in parts:
-            for name, samples in part.x.items():
-                if (factor := states[name].scale / part.states[name].scale) != 1:
-                    part.x[name] = samples * factor
             usable = ~(_long_gaps(part.x, part.segment, part.findings) | _stops(part.x, part.findings))
             full = np.stack([part.x.get(name, np.full(len(part.t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
@@ -464,23 +461,6 @@ def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: lis
     any_state = pd.Series(np.isfinite(np.stack([*x.values()])).any(0).astype(int))
     begun, ahead = any_state.groupby(segment).cummax(), any_state[::-1].groupby(segment[::-1]).cummax()[::-1]
     return np.asarray(out | (begun * ahead == 0))
-
-
-def _with_speeds(part: _Part, dt: float) -> dict[str, Column]:
-    """Return the states of a file, turns per minute in rad/s where they are the slope of an angle."""
-    units, found, names = units_of(part.headings), dict(part.states), [*part.x]
-    plain = [name for name in names if (found[name].unit, found[name].scale) == ("-", 1)]
-    asked = [name for name in plain if PER_MINUTE.fullmatch(units.get(found[name].name, ""))]
-    if not asked:
-        return found
-    samples = np.stack([*part.x.values()], -1)
-    data = _transitions(samples, samples[:, :0], part.segment, np.ones(len(samples), dtype=bool), dt)
-    angles = [place for place, name in enumerate(names) if found[name].unit == "rad"]
-    for name in asked:
-        rpm = any(is_speed_in_rpm(data, k, names.index(name)) for k in angles)
-        unit, scale = in_radians(units[found[name].name], rpm)
-        found[name] = replace(found[name], unit=unit, scale=scale)
-    return found
 
 
 def _conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:

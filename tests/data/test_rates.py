@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.data.columns import Column
-from dynasindy.data.rates import check_rates, is_speed_in_rpm, require_consistent_rates
+from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.envs.rollout_data import disturb, record_plant
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.findings import LogError, weak
@@ -41,27 +41,24 @@ def refused(data, known):
 
 
 @pytest.mark.parametrize(
-    ("angle", "rate", "factor", "cause"),
+    ("angle", "rate", "factor"),
     [
-        (180 / math.pi, 1.0, 57.3, "degrees beside rad/s"),
-        (1.0, 180 / math.pi, 0.01745, "rad beside degrees per second"),
-        (1e3, 1.0, 1000.0, "mm beside m/s"),
-        (1.0, 1e3, 0.001, "a time in ms"),
-        (1.0, 30 / math.pi, 0.1047, "rpm"),
-        (-1.0, 1.0, -1.0, "the other way"),
-        (17.0, 1.0, 17.0, "in which units are they"),
-        (-180 / math.pi, 1.0, -57.3, "degrees beside rad/s, and one of them counted the other way"),
-        (-17.0, 1.0, -17.0, "in which units are they, and which one is counted the other way"),
+        (180 / math.pi, 1.0, 57.3),
+        (1.0, 180 / math.pi, 0.01745),
+        (1e3, 1.0, 1000.0),
+        (1.0, 1e3, 0.001),
+        (1.0, 30 / math.pi, 0.1047),
+        (-1.0, 1.0, -1.0),
+        (17.0, 1.0, 17.0),
+        (-180 / math.pi, 1.0, -57.3),
     ],
 )
 @pytest.mark.parametrize("noise", [0.0, 0.1])
-def test_the_factor_and_its_likely_cause_are_told(angle, rate, factor, cause, noise):
+def test_the_factor_is_told(angle, rate, factor, noise):
     (found,) = check_rates(swing(angle, rate, noise), SIGNATURE, {})
-    told = dict(found.values)
-    assert found.severity == "weak" and cause in told.pop("cause")
     factor = pytest.approx(factor, rel=0.03)
-    assert found.code == "log.rate_units"
-    assert told == {"state": "angle", "rate": "rate", "factor": factor, "guessed": True}
+    assert found.code == "log.rate_units" and found.severity == "weak"
+    assert found.values == {"state": "angle", "rate": "rate", "factor": factor, "guessed": True}
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.3, 1.0])
@@ -187,7 +184,6 @@ def test_a_rate_that_was_exchanged_with_its_state_has_no_factor_and_one_per_minu
     assert refused(data, {"rate": "angle"}).code == "log.rate_exchanged"
     minutes = swing(1.0, 30 / math.pi, 0.1)
     assert refused(minutes, {"angle": "rate"}).values["states"]["rate"]["scale"] == pytest.approx(2 * math.pi / 60)
-    assert is_speed_in_rpm(swing(1.0, 30 / math.pi), 0, 1) and not is_speed_in_rpm(swing(1.0, 1.0), 0, 1)
     assert refused(swing(-17.0), {"angle": "rate"}).values["states"]["rate"]["scale"] == -17.0
 
 

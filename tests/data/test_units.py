@@ -47,7 +47,7 @@ def test_turns_per_minute_are_those_of_an_angle_or_stay():
     assert {name: column.unit for name, column in found.items()} == {
         "pitch": "rad",
         "pitch_rate": "rad/s",
-        "rotor": "-",  # the log has still to tell
+        "rotor": "rpm",
         "motor": "rad/s",
     }
 
