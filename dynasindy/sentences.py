@@ -373,10 +373,9 @@ def _forecast_errors(
     texts = []
     for name, each in outputs.items():
         both = dict.fromkeys(f"{value:.2g}" for value in (each["least"], each["most"]))  # one where they are alike
-        over = "" if each["overshoot"] is None else f", after it overshot by {each['overshoot']:.2g} % of the step"
         reference = "of a turn" if each["of_turn"] else "of the target range"
         average = f"{name} {' to '.join(both)} % {reference} on average"
-        texts.append(f"{average}, {each['worst']:.2g} % at worst{over}")
+        texts.append(f"{average}, {each['worst']:.2g} % at worst")
     limits = f"limits: {within:g} % on average, {lost:g} % at worst"
     return f"errors at {end} ({limits}): {'; '.join(texts)}"
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -19,9 +19,6 @@ from dynasindy.sensing import Sensing
 from dynasindy.sentences import gravest_first
 from dynasindy.systems import Diverged, System
 from dynasindy.systems.equilibria import states_that_matter
-
-OVERSHOT = 20.0
-"""Overshoot that a prediction tells of [% of the step]."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,6 @@ class Forecast:
         doubts: Why the models, though they agree, are not to be relied on.
         no_equilibrium: Which targets no input holds in the model of the plan; empty if all are held.
         seconds: Length of the flights [s]; None where it is not known.
-        overshoot: Of each output, the median of a model's flights, of the worst model [% of the step].
     """
 
     flights: tuple[TrackingCriteria | None, ...]
@@ -49,7 +45,6 @@ class Forecast:
     doubts: tuple[Finding, ...] = ()
     no_equilibrium: str = ""
     seconds: float | None = None
-    overshoot: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         kept = f"promised={self.promised}, controlled={self.controlled}, score={self.score:.3g}"
@@ -123,7 +118,6 @@ class Forecast:
                 "most": max(shares),
                 "worst": max(100 * _number(flight.worst[name]) for flight in flown),
                 "of_turn": name in flown[0].turned,
-                "overshoot": over if (over := self.overshoot.get(name, 0.0)) > OVERSHOT else None,
             }
         return {
             "outputs": outputs,
@@ -189,7 +183,6 @@ def predict(
     """
     flights: list[TrackingCriteria | None] = []
     errors: list[float] = []
-    overshoot: dict[str, float] = {}
     shown: Evaluation | None = None
     for k, model in enumerate(models):
         env = DelayedEnv.around(plan.with_system(model, torch.float64), float(getattr(model, "delay", 0.0)))
@@ -206,12 +199,8 @@ def predict(
         matter, rerun = states_that_matter(model, result.columns, start), partial(evaluate, env, policy, scenario, seen)
         flights.append(judge_tracking(result, matter, rerun))
         errors.append(_whole(result))
-        over = result.metrics["overshoot"].nanmedian(0).values.nan_to_num(0.0).tolist() if result.columns else []
-        overshoot = {
-            name: max(overshoot.get(name, 0.0), share) for name, share in zip(result.output_names, over, strict=True)
-        }
     seconds = scenario.length(plan)
-    return Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds, overshoot=overshoot)
+    return Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds)
 
 
 def _whole(result: Evaluation) -> float:

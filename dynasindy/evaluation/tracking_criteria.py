@@ -168,26 +168,17 @@ def representative_episode(evaluation: Evaluation) -> RepresentativeEpisode:
     begins farthest from its reference, in target ranges, as a pendulum that hangs and is to stand; of a task
     without references, the one that earns least in its first period.
     """
-    number = len(evaluation.inputs)
+    number, tracked = len(evaluation.inputs), bool(evaluation.columns)
     if number == 1:
         return RepresentativeEpisode(0, "")
     starts = evaluation.trajectory["state"][:, 0]
     row, why = 0, ""
-    if bool((starts != starts[0]).any()):
-        row, why = _farthest(evaluation)
-    return RepresentativeEpisode(row, f"episode {row + 1} of {number}{why}; {_better(evaluation, row)}")
-
-
-def _farthest(evaluation: Evaluation) -> tuple[int, str]:
-    if not evaluation.columns:
+    if bool((starts != starts[0]).any()) and tracked:
+        row, why = int(evaluation.errors[:, 0].amax(-1).argmax()), ", which starts farthest from its target"
+    elif bool((starts != starts[0]).any()):
         first = evaluation.trajectory["next", "reward"][:, 0].flatten()
-        return int(first.argmin()), ", which starts where least is earned"
-    return int(evaluation.errors[:, 0].amax(-1).argmax()), ", which starts farthest from its target"
-
-
-def _better(evaluation: Evaluation, row: int) -> str:
-    """Say how many episodes did better."""
-    if not evaluation.columns:
-        return f"{int((evaluation.returns > evaluation.returns[row]).sum())} others earn more"
-    errors = evaluation.errors.mean(1).amax(-1)
-    return f"{int((errors < errors[row]).sum())} others have a smaller error"
+        row, why = int(first.argmin()), ", which starts where least is earned"
+    costs = evaluation.errors.mean(1).amax(-1) if tracked else -evaluation.returns
+    better = int((costs < costs[row]).sum())
+    others = f"{better} others {'have a smaller error' if tracked else 'earn more'}"
+    return RepresentativeEpisode(row, f"episode {row + 1} of {number}{why}; {others}")

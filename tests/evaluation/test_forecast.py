@@ -177,19 +177,6 @@ def test_a_doubt_breaks_a_promise():
     assert "NOT promised" in doubted.summary() and str(doubt) in doubted.summary()
 
 
-def test_the_overshoot_is_that_of_flights():
-    """A car that is pushed with 0.5 goes to 0.5 as 0.5 (1 - exp(-t)), beyond targets of 0.2, 0.25 and 0.4."""
-    car = Car()
-    steps = Step([[0.2], [0.25], [0.4]])
-    task = Tracking(car.signature, steps, ("Omega",), (None,), TrackingReward((1.0,)), low=[0.0], high=[0.5])
-
-    def constant(tensordict):
-        return tensordict.set("action", torch.full((*tensordict.batch_size, 1), 0.5))
-
-    found = predict([car], ControlEnv(car, task, dtype=torch.float64), constant, Scenario("step", steps, 3, 12.0))
-    assert found.seconds == 12.0 and found.overshoot == {"Omega": pytest.approx(100.0, abs=0.1)}
-
-
 def test_another_task_is_drawn_from_the_same_seed_as_without_a_delay():
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([-0.5], [0.5]), ("theta",), ("Omega",), TrackingReward((1.0,)))
