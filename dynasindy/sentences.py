@@ -585,6 +585,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "<data.dt>",
     "log.zero_order_hold": "{column} stands in {rows} of {total} rows, and is held from each to the next",
     "log.missing": _missing,
+    "log.copies": "{count} rows are those before them once more, the first in line {line}; they were left out",
+    "log.code": "{column} is {value:g} in {count} rows, the first in line {line}, far off all others; they count as "
+    "missing",
     "log.spikes": "{state} leaves its course for single samples, {count} in all, first in line {line} to {value:g}; "
     "they count as missing",
     "log.unwrapped": "{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do; a unit "
@@ -660,6 +663,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"allowed is a time whose unit is known: give it, as in {_named_unit(column, 'us')}, or [s] for seconds, or "
         "[ms]"
     ),
+    "log.large_time": "the time column {column} begins at {value:.15g}, which is no number of seconds; allowed are "
+    "seconds, a unit such as [ms] in the heading, or dates such as 2024-05-31 12:00:00.05: write the time so",
     "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check "
     "the sampling time",
     "log.constant_input": "input {input} is constant at {value:g}; allowed is an input that moves: excite it, or "

@@ -32,6 +32,8 @@ SURE = 0.005
 """Part of itself to which stamps have to tell a sampling time."""
 COARSE = 1000
 """Step of whole numbers without a unit from which on they are hardly seconds."""
+MILLENNIUM = 3e10
+"""Seconds from which on a number is none of a time since any date."""
 LATE = 10
 """Usual steps within which a counter goes on after its overflow."""
 FEWEST = 10
@@ -235,14 +237,18 @@ def period_of(t: Array) -> float:
     return float(f"{np.median(np.diff(t)):.12g}")  # differences of decimals carry digits that nobody logged
 
 
-def _unix_unit(values: Array) -> str:
-    """Return the unit of times since 1970, which their size tells: years from 2010 to 2040; empty for other times."""
-    if not len(values):
+def _size_unit(values: Array) -> str:
+    """Return the unit of times since 1970, or days since 1900 or 1, which their size tells; empty for other times.
+
+    They are of the years from 2010 to 2040, and days are told from seconds by rows that would be less than 1 ms apart.
+    """
+    if len(values) < 2:
         return ""
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return next(
-        (u for u, size in (("ms", 1e12), ("us", 1e15), ("ns", 1e18)) if 1.26 * size <= low and high < 2.21 * size), ""
-    )
+    dates = {"ms": (1.26e12, 2.21e12), "us": (1.26e15, 2.21e15), "ns": (1.26e18, 2.21e18)}
+    if 0 < high - low < 1e-3 * len(values):
+        dates |= {"d": (40_179, 51_502), "days": (734_139, 745_462)}
+    return next((unit for unit, (first, last) in dates.items() if first <= low and high < last), "")
 
 
 def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) -> tuple[Array, list[Finding]]:
@@ -280,7 +286,7 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
         ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
     values, heading, name = table.values[:, 0], table.headings[0], split_unit(table.headings[0])[0]
-    unit = "" if table.dated else unit or _unix_unit(values)
+    unit = "" if table.dated else unit or _size_unit(values)
     if unit and unit.lower() not in SECONDS:
         raise LogError("log.time_unit", file=path, column=heading, unit=unit, units=[*SECONDS])
     seconds = SECONDS.get(unit.lower(), 1.0)
@@ -291,6 +297,8 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
         return t, [note("log.row_counter", column=name, dt=dt)]
     if counts and (step := float(np.median(np.diff(values)))) >= COARSE:
         raise LogError("log.whole_time", file=path, column=heading, step=step)
+    if not unit and not table.dated and len(values) and values[0] > MILLENNIUM:
+        raise LogError("log.large_time", file=path, column=heading, value=float(values[0]))
     t, coarse = _even_times(path, t, values, seconds, dt)
     tick, period = coarse or (0.0, period_of(t) if len(t) > 1 else 0.0)
     findings = [note("log.time", column=name, unit=unit, dates=bool(table.dated), dt=period)]

@@ -405,7 +405,8 @@ def _with_unit(name: str, unit: object) -> str:
 def _read_npz(path: Path) -> RawTable:
     file = np.load(path, allow_pickle=False)
     if isinstance(file, np.ndarray):
-        return _of_columns({name: file[name] for name in file.dtype.names or ()}, path)
+        fields = file.dtype.names
+        return _of_columns({name: file[name] for name in fields} if fields else {"data": file}, path)
     with file:
         return _of_columns(dict(file), path)
 

@@ -37,6 +37,7 @@ ANGLES = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees", "\u00ba"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
     **dict.fromkeys(("rev", "revs", "revolution", "revolutions"), "rev"),
+    "grad": "deg",  # in German; others call the hundredth of a right angle gon
     **{unit: unit for unit in ("\u00b0", "mrad", "cdeg", "mdeg", "gon", "turn", "turns")},
 }
 """Units of angles, in small letters, and what stands for them."""

@@ -296,10 +296,12 @@ class LogReader:
         table = select_columns(Path(path), names, self.dt)
         findings += table.findings
         states_end = len(names) - len(inputs)
-        table = self._complete(path, _hold_inputs(table, states_end, findings), states_end, findings)
+        table = _without_copies(_hold_inputs(table, states_end, findings), findings)
+        table, whole = self._complete(table, states_end, findings)
         states = with_units(states, table.headings, True, self.known_rates([*states]))
         inputs = with_units(inputs, table.headings, False)
         t, of_time = in_seconds(path, table, unit, self.dt)
+        t, table = t[whole], replace(table, values=table.values[whole], lines=table.lines[whole])
         if len(t) < 2:
             raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
         if (back := np.diff(t) <= 0).any():
@@ -314,12 +316,15 @@ class LogReader:
         u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
         return _Part(path, table.headings, states, inputs, t, x, u, [*of_time, *findings])
 
-    def _complete(self, path: str, table: Table, states_end: int, findings: list[Finding]) -> Table:
-        """Leave out rows without time or an input, and put NaN for states that are missing, all counted by column."""
+    def _complete(self, table: Table, states_end: int, findings: list[Finding]) -> tuple[Table, NDArray[np.bool_]]:
+        """Return the rows that have a time, NaN where a state is missing, and which have all inputs; count the others.
+
+        A clock is understood by the times of all rows: those that are skipped are none that it left out.
+        """
         bad = ~np.isfinite(table.values)
         lacking = np.asarray(bad.any(1))
         if not lacking.any():
-            return table
+            return table, ~lacking
         needed = np.ones(len(table.headings), dtype=bool)
         needed[1:states_end] = False
         skipped = np.asarray(bad[:, needed].any(1))
@@ -335,8 +340,8 @@ class LogReader:
                 "skipped": columns is needed,
             }
             findings.append(note("log.missing", **facts))
-        values = np.where(bad, np.nan, table.values)
-        return replace(table, values=values[~skipped], lines=table.lines[~skipped])
+        values, timed = np.where(bad, np.nan, table.values), ~bad[:, 0]
+        return replace(table, values=values[timed], lines=table.lines[timed]), ~skipped[timed]
 
     def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
@@ -347,6 +352,16 @@ class LogReader:
         for (name, column), samples in zip(states.items(), data.x_next.unbind(-1), strict=True):
             if column.name and (count := int(samples.isfinite().sum())) < LEAST:
                 raise LogError("log.too_few", count=count, **facts, state=name)
+
+
+def _without_copies(table: Table, findings: list[Finding]) -> Table:
+    """Return a table without rows that a logger wrote twice, where the time stands still in these alone."""
+    values = table.values
+    again = np.append(False, ((values[1:] == values[:-1]) | np.isnan(values[1:]) & np.isnan(values[:-1])).all(1))
+    if not again.any() or again.mean() > FAULTY or (np.diff(values[:, 0][~again]) <= 0).any():
+        return table
+    findings.append(note("log.copies", count=int(again.sum()), line=int(table.lines[again.argmax()])))
+    return replace(table, values=values[~again], lines=table.lines[~again])
 
 
 def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Table:
@@ -374,13 +389,17 @@ def _without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: lis
     known = x if measured.all() else x[measured]
     if len(known) < SHORT:
         return x
-    before, value, after = known[:-2], known[1:-1], known[2:]
+    value = known
+    around = np.concatenate([[2 * value[1] - value[2]], value, [2 * value[-2] - value[-3]]])  # straight on at the ends
+    before, after = around[:-2], around[2:]
     off = np.abs(value - 0.5 * (before + after))
     usual, (low, high) = float(np.quantile(off, USUAL)), np.quantile(value, [1 - USUAL, USUAL])
     far = (off > max(SPIKE * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
     if not usual or not 0 < far.sum() <= FAULTY * len(known):
         return x
-    spikes = np.flatnonzero(measured)[1:-1][far]
+    codes, counts = np.unique(value[far], return_counts=True)
+    codes = codes[(counts > 1) & ((codes < low) | (codes > high))]  # of a sensor that fails, also twice in a row
+    spikes = np.union1d(np.flatnonzero(measured)[far], np.flatnonzero(np.isin(x, codes)))
     found = {"count": len(spikes), "line": int(lines[spikes[0]]), "value": float(x[spikes[0]])}
     findings.append(note("log.spikes", state=name, **found))
     left = x.copy()
@@ -404,7 +423,7 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
     width, steps = float(np.ptp(values)), np.diff(values)
     turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,)}.get(unit, (2 * np.pi, 360.0) if unit == "-" else ())
     whole = bool((values == values.round()).all()) and unit in ("-", "counts", "count", "ticks")
-    counts = tuple(2.0**k for k in range(10, 33)) if whole else ()
+    counts = _counts_of_turn(steps, np.diff(np.flatnonzero(measured)), width) if whole else ()
     inside = np.abs(values - values.min() - 0.5 * width) < 0.25 * width
     for turn in (*turns, *counts) if inside.mean() > PASSING else ():
         jumps = np.abs(steps) > 0.5 * turn
@@ -419,6 +438,18 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
         findings.append(note("log.unwrapped", state=name, turn=turn, times=int(jumps.sum()), counts=turn in counts))
         return found
     return x
+
+
+def _counts_of_turn(steps: Array, rows: NDArray[np.int64], width: float) -> tuple[float, ...]:
+    """Return after how many counts an encoder begins anew: a power of two, or a number of two digits, such as 3600.
+
+    It is what a jump lacks to the mean of the steps beside it. A step goes over one row, or more where some are lost.
+    """
+    slopes = np.pad(steps / rows, 1, mode="edge")
+    lacking = np.abs(0.5 * (slopes[:-2] + slopes[2:]) * rows - steps)[np.abs(steps) > 0.5 * width]
+    turn = float(np.median(lacking)) if len(lacking) else 0.0
+    usual = (2.0 ** round(math.log2(turn)), float(f"{turn:.2g}")) if turn >= 2 else ()
+    return tuple(known for known in usual if abs(known - turn) < 0.01 * turn)[:1]
 
 
 def _one_period(parts: Sequence[_Part], dt: float | None) -> float:

@@ -34,6 +34,9 @@ def correct_map() -> str:
 THOUSANDS = r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?"
 """A number whose commas part thousands, where all commas of a column do."""
 DAY = 86400.0
+CODES = frozenset((999.0, 999.9, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 2.0**31, 2.0**31 - 1))
+HUGE = 1e30
+"""What programs write where a sample was lost, of either sign."""
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
 STRAIGHT = 1e-3
@@ -102,8 +105,13 @@ def _read(path: Path, changed: int, size: int) -> Table:
     raw = read_file(path)
     headings = plain_headings([" ".join(str(heading).split()) for heading in raw.headings])
     values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
+    codes = list[Finding]()
     for k, heading in enumerate(headings):
         values[:, k], wrong, is_date = _numbers(raw.frame[k], raw.lines)
+        if not is_date and (code := _lost_code(values[:, k])) is not None:
+            rows = np.flatnonzero(values[:, k] == code)
+            values[rows, k] = np.nan
+            codes.append(note("log.code", column=heading, value=code, count=len(rows), line=int(raw.lines[rows[0]])))
         first = not k and not heading and not any(map(is_clock, headings[1:]))
         if first and (is_date or (grows(values[:, k]) and not _counts(values[:, k]))):
             heading = headings[k] = "time"  # that rows are named by, as pandas writes it
@@ -120,8 +128,18 @@ def _read(path: Path, changed: int, size: int) -> Table:
     found = [headings[k] for k in kept if k not in same]
     findings = [note("log.same_columns", columns=sorted({headings[k] for k in same}))] if same else []
     values = values[:, [k for k in kept if k not in same]]
-    table = Table(tuple(found), values, raw.lines, words, frozenset(dated), (*raw.findings, *findings))
-    return _with_one_clock(_with_whole_dates(table))
+    table = Table(tuple(found), values, raw.lines, words, frozenset(dated), (*raw.findings, *codes, *findings))
+    return _with_one_clock(_with_fractions(_with_whole_dates(table)))
+
+
+def _lost_code(column: Array) -> float | None:
+    """Return the number that stands for samples that were lost: a usual one, farther off the others than these lie."""
+    finite = column[np.isfinite(column)]
+    for end in (finite.min(), finite.max()) if len(finite) else ():
+        rest = finite[finite != end]
+        if (abs(end) in CODES or abs(end) >= HUGE) and len(rest) and np.abs(rest - end).min() > np.ptp(rest):
+            return float(end)
+    return None
 
 
 def _stands_before(k: int, headings: Sequence[str], values: Array, words: Collection[str]) -> bool:
@@ -141,6 +159,27 @@ def _with_whole_dates(table: Table) -> Table:
     values[:, table.headings.index(clocks[0])] += dated[days[0]]
     time = days[0] if is_clock(days[0]) or not is_clock(clocks[0]) else clocks[0]
     return table.edit(values, days, {clocks[0]: time})
+
+
+FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
+"""A heading of parts of a second, such as `nanosec`."""
+
+
+def _with_fractions(table: Table) -> Table:
+    """Return a table in which whole seconds and the column of their parts behind them are one time, as of ROS."""
+    for k, heading in enumerate(table.headings):
+        match = FRACTION.fullmatch(split_unit(heading)[0])
+        whole, parts = table.values[:, k - 1], table.values[:, k]
+        if not (match and k) or (whole % 1).any() or (parts % 1).any() or not (np.diff(whole) >= 0).all():
+            continue
+        scale = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6}.get(match[1].lower(), 1e-3)
+        seconds = whole + scale * parts
+        if grows(whole) or not grows(seconds) or (parts < 0).any() or (scale * parts >= 1).any():
+            continue
+        values, first = table.values.copy(), table.headings[k - 1]
+        values[:, k - 1] = seconds
+        return table.edit(values, [heading], {} if is_clock(first) else {first: "time [s]"})
+    return table
 
 
 CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
@@ -218,7 +257,8 @@ def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words 
 
 def _seconds(text: pd.Series) -> Array:
     """Return the seconds of dates, NaN of what is none."""
-    text = text.str.replace(",", ".", regex=False)
+    text = text.str.replace(",", ".", regex=False).str.replace(r"^\[|\]$|(?<=\d) ?[A-Z]{3,4}$", "", regex=True)
+    text = text.str.replace(r"(:\d\d:\d\d):(\d{1,6})$", r"\1.\2", regex=True)  # a colon before the milliseconds
     dates = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
     since = _since(dates - pd.Timestamp(0, tz="UTC"))
     return since if np.isfinite(since).any() else _other_dates(text)
@@ -244,7 +284,10 @@ def _other_dates(text: pd.Series) -> Array:
         read = [pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce") for day in (False, True)]
     months, days = (_since(dates - pd.Timestamp(0, tz="UTC")) for dates in read)
     lost = np.isnan(months).sum() - np.isnan(days).sum()
-    told = lost or DAY_FIRST.match(first) or np.array_equal(np.diff(months), np.diff(days), equal_nan=True)
+    steps = [np.abs(np.diff(each)) for each in (months, days)]
+    if not lost and np.isfinite(steps[0]).any() and np.nanmedian(steps[0]) == np.nanmedian(steps[1]):
+        lost = np.nanmax(steps[0]) - np.nanmax(steps[1])  # at midnight a day goes by, and not a month
+    told = lost or DAY_FIRST.match(first) or np.array_equal(steps[0], steps[1], equal_nan=True)
     found = np.full(len(days), np.nan) if not told else months if lost < 0 else days
     return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
 

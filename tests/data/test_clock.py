@@ -171,8 +171,11 @@ def test_a_clock_that_is_truly_uneven_is_believed(tmp_path, places):
     assert fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
 
 
-def test_a_doubled_row_is_refused_and_equal_stamps_of_a_coarse_clock_are_not(tmp_path):
-    with pytest.raises(ValueError, match="line 203"):
-        logged(tmp_path / "log.csv", even(100), decimals(2), rows=sorted([*range(800), 200]))
+def test_a_doubled_row_is_left_out_and_equal_stamps_of_a_coarse_clock_are_not(tmp_path):
+    once = logged(tmp_path / "once.csv", even(100), decimals(2), rows=range(800))
+    twice = logged(tmp_path / "log.csv", even(100), decimals(2), rows=sorted([*range(800), 200]))
+    assert twice.training.x.equal(once.training.x)
+    (copies,) = [each for each in twice.findings if each.code == "log.copies"]
+    assert copies.values == {"count": 1, "line": 203}
     log = logged(tmp_path / "log.csv", even(250), decimals(2))
     assert log.training.dt == pytest.approx(0.004, rel=1e-3) and fitted(log)["u"] == pytest.approx(5.0, rel=0.01)

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dynasindy.findings import LogError
 from dynasindy.identification.identify import LoggedData
 
 ROWS = 300
@@ -90,6 +91,9 @@ def test_numbers_have_the_signs_of_many_countries_and_programs(tmp_path, text):
         "%d.%m.%y %H:%M:%S,%f",
         "%H:%M:%S.%f",
         "%H:%M:%S,%f",
+        "%H:%M:%S:%f",
+        "[%Y-%m-%d %H:%M:%S.%f]",
+        "%Y-%m-%d %H:%M:%S.%f CEST",
     ],
 )
 def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
@@ -99,6 +103,44 @@ def test_dates_and_times_of_day_tell_the_time_between_rows(tmp_path, form):
             tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND, separator=";")
         )
     )
+
+
+@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f"])
+def test_a_midnight_tells_the_day_from_the_month(tmp_path, form):
+    stamps = [(time.replace(month=3, day=4) + pd.Timedelta(hours=11.9996)).strftime(form) for time in TIMES]
+    require_truth(recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND)))
+
+
+@pytest.mark.parametrize("first", [45443.5, 739403.5])
+def test_days_of_a_spreadsheet_and_of_matlab_are_no_seconds(tmp_path, first):
+    stamps = [f"{first + t / 86400:.11f}" for t in T]
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
+    assert found.transitions.dt == pytest.approx(0.01, rel=1e-3) and len(found.transitions) == ROWS - 1
+
+
+def test_digits_of_a_date_are_no_seconds(tmp_path):
+    stamps = [time.strftime("%Y%m%d%H%M%S.%f") for time in TIMES]
+    with pytest.raises(LogError) as refused:
+        recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], stamps, ANGLE, RATE, COMMAND))
+    assert refused.value.finding.code == "log.large_time"
+
+
+@pytest.mark.parametrize(
+    ("headings", "parts"),
+    [(("secs", "nsecs"), 1e9), (("header.stamp.sec", "header.stamp.nanosec"), 1e9), (("Time", "Millisecond"), 1e3)],
+)
+def test_seconds_and_their_parts_are_one_time(tmp_path, headings, parts):
+    rows = np.arange(ROWS)
+    whole = [f"12:00:0{k // 100}" if headings[0] == "Time" else str(1717156800 + k // 100) for k in rows]
+    text = table([*headings, "angle", "rate", "u"], whole, [f"{k % 100 * parts / 100:.0f}" for k in rows],
+                 ANGLE, RATE, COMMAND)  # fmt: skip
+    require_truth(recording(tmp_path / "l.csv", text))
+
+
+def test_rows_that_are_skipped_are_none_that_the_clock_left_out(tmp_path):
+    command = ["" if k % 60 == 30 else f"{v:.6f}" for k, v in enumerate(COMMAND)]
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, command))
+    assert found.transitions.dt == pytest.approx(0.01) and len(found.transitions) == ROWS - 1 - 2 * ROWS // 60
 
 
 @pytest.mark.parametrize("form", ["{:g} sec", "0:00:{:g}", "00:{:05.2f}", "0 days 00:00:{:09.6f}"])
@@ -157,11 +199,31 @@ def test_what_a_sensor_writes_when_it_fails_counts_as_missing(tmp_path, value, l
     angle = ANGLE + level
     angle[failed] = value
     found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
-    (spikes,) = [each for each in found.findings if each.code == "log.spikes"]
-    assert spikes.values == {"state": "angle", "count": len(failed), "line": 42, "value": value}
+    (lost,) = [each for each in found.findings if each.code in ("log.spikes", "log.code")]
+    assert {**lost.values, "state": "angle", "column": "angle"} == {
+        "state": "angle", "column": "angle", "count": len(failed), "line": 42, "value": value,
+    }  # fmt: skip
     rows = found.transitions.x[:, 0].isfinite().numpy()
     assert np.flatnonzero(~rows).tolist() == failed.tolist()
     assert found.transitions.x[:, 0].numpy()[rows] == pytest.approx(level + ANGLE[:-1][rows], abs=1e-6)
+
+
+@pytest.mark.parametrize(("lost", "code"), [(-127.0, "log.spikes"), (9999.0, "log.code")])
+def test_a_sensor_that_fails_twice_in_a_row_is_missing_twice(tmp_path, lost, code):
+    failed = [40, 100, 101, 180]
+    angle = ANGLE.copy()
+    angle[failed] = lost
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND))
+    assert np.flatnonzero(found.transitions.x[:, 0].isnan().numpy()).tolist() == failed
+    assert code in {each.code for each in found.findings}
+
+
+def test_a_code_for_a_lost_input_is_no_input(tmp_path):
+    command = np.where(np.arange(ROWS) % 50 == 30, -999.0, COMMAND)
+    found = recording(tmp_path / "l.csv", table(["time", "angle", "rate", "u"], T, ANGLE, RATE, command))
+    assert found.transitions.u.numpy().min() == pytest.approx(COMMAND.min())
+    (told,) = [each for each in found.findings if each.code == "log.code"]
+    assert told.values == {"column": "u", "value": -999.0, "count": ROWS // 50, "line": 32}
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
