@@ -162,17 +162,11 @@ def purpose(name: str) -> str:
 
 def overview() -> str:
     """Return what there is to be called."""
-    width = max(map(len, COMMANDS))
-    lines = [f"  {name:<{width}}  {purpose(name).partition(': `')[0]}" for name in COMMANDS]
-    return "\n".join(
-        [
-            "Identify nonlinear systems and learn to control them, from little data.",
-            "",
-            "dynasindy COMMAND [--help] [words of the command]",
-            *lines,
-            "",
-            "What a command makes goes into the folder in which it is called.",
-        ]
+    lines = "\n".join(f"  {name:<8}  {purpose(name).partition(': `')[0]}" for name in COMMANDS)
+    return (
+        "Identify nonlinear systems and learn to control them, from little data.\n\n"
+        f"dynasindy COMMAND [--help] [words of the command]\n{lines}\n\n"
+        "What a command makes goes into the folder in which it is called."
     )
 
 
@@ -216,7 +210,7 @@ def help_page(name: str, words: Sequence[str]) -> str:
         chosen |= _defaults(file)
     used = {group: option for group, option in chosen.items() if group in groups}
     lines = [*textwrap.wrap(purpose(name), _width())]
-    lines += ["", f"What it is made of; `{program(name)} GROUP --help` says what the options are:"] if used else []
+    lines += ["", f"What it is made of; `{program(name)} GROUP[=OPTION] --help` says more:"] if used else []
     for group, option in used.items():
         others = ", ".join(other for other in groups[group] if other != option)
         text = f"{group}={option}".ljust(20) + f"  or {others}"
@@ -224,11 +218,8 @@ def help_page(name: str, words: Sequence[str]) -> str:
     bases = [base for base in (CONF / f"{each}.yaml" for each in chosen) if base.is_file()]
     for file in (*bases, CONF / f"{name}.yaml", *changing):
         lines += ["", f"Settings, from {file.relative_to(CONF.parent)}:", "", _settings(file)]
-    lines += [""] + [f"Settings of an option:       {program(name)} {g}={o} --help" for g, o in [*used.items()][:1]]
-    lines.append(f"The whole config:            {program(name)} --cfg job")
-    if name in ("train", "ablation"):
-        lines.append(f"A sweep:                     {program(name)} -m seed=0,1,2 [hydra/launcher=joblib]")
-    return "\n".join([*lines, f"What Hydra itself can do:    {program(name)} --hydra-help"])
+    lines += ["", f"The whole config: {program(name)} --cfg job; what Hydra can do: {program(name)} --hydra-help"]
+    return "\n".join(lines)
 
 
 def _defaults(file: Path) -> dict[str, str]:

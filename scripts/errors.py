@@ -8,7 +8,7 @@ from pathlib import Path
 
 import hydra
 import yaml
-from cli import CONF, SCRIPTS, config_dir, group_options, plant_settings
+from cli import CONF, SCRIPTS, config_dir, plant_settings
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -44,8 +44,8 @@ def mendable(error: BaseException) -> bool:
 def _changed_dtype() -> str:
     """Return the number type that a part of the user's made torch's default; '' if it is as it was."""
     torch = sys.modules.get("torch")
-    kind = torch.get_default_dtype() if torch and hasattr(torch, "get_default_dtype") else None
-    return "" if torch is None or kind in (None, torch.float32) else str(kind)
+    kind = torch.get_default_dtype() if hasattr(torch, "get_default_dtype") else ""
+    return "" if torch is None or kind == torch.float32 else str(kind)
 
 
 def of_user(error: BaseException) -> str:
@@ -71,9 +71,7 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
 
     A key that takes its value from another one in the `settings` of the command is named as that one.
     """
-    part = ""
     while isinstance(error, InstantiationException) and error.__cause__ is not None:
-        part = str(error).rpartition("full_key: ")[2].strip()
         error = error.__cause__
     words = str(error).strip("'\"") if isinstance(error, KeyError) else str(error)
     text = " ".join(words.split()).partition(" Config search path:")[0]
@@ -109,13 +107,6 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)
     if lacking := re.search(r"Missing mandatory value: ([\w.]+)", text):  # also where another key takes it from there
         return f"{lacking[1]} is not given; give {lacking[1]}=VALUE, of which --help says more"
-    if part and not isinstance(error, ValueError):
-        return f"{part} got a setting of the wrong type or name ({text}); compare it with conf/"
-    if text.startswith("Config group override must be"):
-        for group, _, option in (word.partition("=") for word in sys.argv[1:]):
-            choices = group_options(group) if option else ()
-            if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
-                return unknown_name(option, choices, group)
     if text.startswith("Ambiguous value for argument"):
         try:  # that there are several values is no mistake in a command that sweeps
             compose(config_name, _words())
@@ -128,13 +119,12 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
 
 def _missing_package(error: BaseException) -> str:
     """Return how to install what an error misses, nothing if it misses no optional package."""
-    engine = re.search(r"Could not find '(hydra/launcher)/((\w+?)(_\w+)?)'", str(error))
-    name = engine[3] if engine else str(getattr(error, "name", None)).partition(".")[0]
+    engine = re.search(r"Could not find 'hydra/launcher/([a-z]+)", str(error))
+    name = engine[1] if engine else str(getattr(error, "name", None)).partition(".")[0]
     if name not in EXTRAS:
         return ""
-    wanted = f"{engine[1]}={engine[2]}" if engine else f"what was asked for needs {name}, which"
-    instead = f", or choose {engine[1]}=basic" if engine else ""
-    return f"{wanted} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
+    instead = ", or choose hydra/launcher=basic" * bool(engine)
+    return f"{name} is not installed; install it by pip install 'dynasindy[{EXTRAS[name]}]'{instead}"
 
 
 def _misspelt(key: str, config_name: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +49,9 @@ def main(cfg: Any) -> None:
     write_identification(found, source, folder, findings)
     if cfg.formats:
         draw(found, source, folder, list(cfg.formats))
-    say(to_words(found, source, width()), f"written to {folder}", next_steps(*next_commands(cfg, found, rates)))
+    # Of a log that tells too little to plan on, the findings say how to log anew.
+    steps = [] if found.quiet and not found.predicts else [next_steps(next_command(cfg, found, rates))]
+    say(to_words(found, source, width()), f"written to {folder}", *steps)
 
 
 def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
@@ -72,8 +74,8 @@ def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
     return source, added
 
 
-def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iterator[str]:
-    """Yield the commands that come next, which hold all that was given, and what comes of them."""
+def next_command(cfg: Any, found: Identified, rates: Mapping[str, str]) -> str:
+    """Return the command that plans, with all that was given, and what comes of it."""
     from hydra.core.hydra_config import HydraConfig
     from next_steps import command_line, without
     from omegaconf import OmegaConf
@@ -83,34 +85,21 @@ def next_commands(cfg: Any, found: Identified, rates: Mapping[str, str]) -> Iter
     from dynasindy.sentences import command_word
 
     source, job = found.source, HydraConfig.get()
-    words, system = job.overrides.task, job.runtime.choices.system
-    again = without(words, "folder", "hydra")
-    if found.quiet and not found.predicts:
-        yield "a log in which the inputs move further, by the same command; this one tells too little to plan on"
-    elif set(rates) - set(cfg.plant.get("known") or {}):
-        lacking = [*without(again, "plant.known"), command_word("plant.known", rates)]
-        yield command_line("identify", lacking, "identifies again, with the rates that the log lacks")
-    else:
-        does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
-        keys = ("outputs", "low", "high")
-        given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-        if targets := targets_like(source, rates.values(), given, found.model, closest_period(source)):
-            units = dict(zip(source.signature.state_names, source.signature.state_units, strict=True))
-            named = [str(name) for name in given["outputs"] or targets["outputs"]]
-            asked = ", ".join(f"{name} in {units[name]}" for name in named if units.get(name, "-") != "-")
-            does += "; put in its targets what you want to hold, within which limits" + (asked and f", {asked}")
-        if found.forecasts is not None and not found.predicts:
-            does += "; this model does not predict, so mend first what is said above"
-        of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
-        plan = without(again, "formats", *of_data)
-        if not source.logged and system and not any(word.lstrip("+~").startswith("system=") for word in plan):
-            plan.insert(0, f"system={system}")
-        plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
-        yield command_line("train", plan, does)
-    if source.ends:
-        ends = [*without(again, "data.inputs"), command_word("data.inputs", source.ends)]
-        guess = "are these the ends of the actuators? They are guessed from the log; put in the true ones"
-        yield command_line("identify", ends, guess)
+    does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
+    keys = ("outputs", "low", "high")
+    given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
+    targets = targets_like(source, rates.values(), given, found.model, closest_period(source))
+    if targets:
+        does += "; put in its targets what you want to hold, within which limits, in the units of the states"
+    if found.forecasts is not None and not found.predicts:
+        does += "; this model does not predict, so mend first what is said above"
+    of_data = () if source.logged else ("data", "refinement", "source")  # what is said of simulated data
+    plan = without(job.overrides.task, "folder", "hydra", "formats", *of_data)
+    system = job.runtime.choices.system
+    if not source.logged and system and not any(word.lstrip("+~").startswith("system=") for word in plan):
+        plan.insert(0, f"system={system}")
+    plan += [command_word(f"plant.{key}", values) for key, values in targets.items()]
+    return command_line("train", plan, does)
 
 
 def draw(found: Identified, source: Source, folder: Path, formats: list[str]) -> None:
