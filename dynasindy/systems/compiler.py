@@ -24,6 +24,8 @@ FAITHFUL = ("-O2", "-fno-math-errno", "-ffp-contract=off", "-std=c99")
 FAST = ("-O2", "-ftree-vectorize", "-ffast-math", "-fno-finite-math-only", "-fno-associative-math", "-std=c99")
 """Several rows by one instruction. What is not finite stays so, and a difference of numbers that are almost equal is
 taken as it is written."""
+KEPT = 200
+"""Libraries that stay in the user's cache, those that were made or loaded last."""
 LONGEST = 300
 """Time after which a compiler is taken to hang [s]."""
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -93,6 +95,7 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached:
         with suppress(OSError):  # it may be damaged, and is then compiled anew
             code = ctypes.CDLL(str(file))
             if all(hasattr(code, name) for name in functions):
+                file.touch()
                 return code
     # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
     # its file no more; where it cannot be removed then, as on Windows, it is left to the system.
@@ -105,6 +108,9 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached:
         if file is not None:
             with suppress(OSError):  # the disk may be full
                 write_bytes(file, made.read_bytes())
+                kept = sorted(file.parent.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime, reverse=True)
+                for old in kept[KEPT:]:
+                    old.unlink(missing_ok=True)
     if not all(hasattr(code, name) for name in functions):
         raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code

@@ -19,12 +19,10 @@ from dynasindy.evaluation.ablation import SHARE, Level, read_ablation, worst_err
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
 from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import controller_name, line_styles
-from dynasindy.viz.style import BLACK, BLUE, GREY, RED, Array, array, legend_beside, panels, save_figures, styled
+from dynasindy.viz.style import BLACK, GREY, Array, array, legend_beside, panels, save_figures, styled
 
 Curves = Mapping[str, ArrayLike]
 """`(n_seeds, n_episodes)` values after each episode, per setting."""
-WINDOW = 10
-"""Episodes in the moving mean of a run's returns."""
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
 FEWEST_TICKS = 3
@@ -35,33 +33,6 @@ MOST_NAMED = 6
 """Settings of a figure, beyond which it shows the numbers of rollouts alone, where there are any."""
 OF_RANGE = "% of the target range"
 """Unit of errors where outputs in several units are compared."""
-
-
-@styled
-def learning_curve(
-    episode: ArrayLike, train_return: ArrayLike, eval_episode: ArrayLike, eval_return: ArrayLike
-) -> Figure:
-    """Draw the return of the exploring policy per real episode and that of the policy in evaluation.
-
-    Args:
-        episode: `(n,)` number of each real episode.
-        train_return: `(n,)` its return, with exploration noise.
-        eval_episode: `(m,)` episodes after which the policy was evaluated.
-        eval_return: `(m,)` mean evaluated return, without noise.
-    """
-    x, y = array(episode), array(train_return)
-    figure, (axis,) = panels(1, 1, (7.0, 3.6), "Learning curve")
-    axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
-    if len(y) > WINDOW:
-        mean = [y[max(0, k + 1 - WINDOW) : k + 1].mean() for k in range(len(y))]
-        axis.plot(x, mean, color=BLUE, label=f"mean of {WINDOW} episodes")
-    axis.plot(array(eval_episode), array(eval_return), color=RED, marker="o", markersize=3.5, label="evaluated policy")
-    axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
-    axis.set_xlabel("real episode")
-    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axis.set_ylabel("return [-]")
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-    return figure
 
 
 @styled

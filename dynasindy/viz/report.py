@@ -29,12 +29,11 @@ from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.viz.controllers import controller_name
-from dynasindy.viz.gate import gate
 from dynasindy.viz.identification import BEYOND, prediction, training_data
 from dynasindy.viz.learning import average_rewards
 from dynasindy.viz.response import tracking
 from dynasindy.viz.run import Table as Columns
-from dynasindy.viz.run import periods, read_table, stacked
+from dynasindy.viz.run import gate, periods, read_table, stacked
 from dynasindy.viz.style import STYLE, Array
 
 TITLE = "The paper's figures and tables, beside ours"

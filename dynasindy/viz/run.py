@@ -1,23 +1,45 @@
-"""The figures of a run folder, drawn from the files that the run wrote."""
+"""The figures of a run folder, drawn from the files that the run wrote, the trust in its model among them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from dynasindy.safe_io import read_cells, read_json, reading
 from dynasindy.systems import Signature
-from dynasindy.viz.gate import gate, growing_error
 from dynasindy.viz.identification import prediction, training_data
-from dynasindy.viz.learning import learning_curve
 from dynasindy.viz.response import tracking
-from dynasindy.viz.style import save_figures
+from dynasindy.viz.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    Array,
+    array,
+    label_decades,
+    legend_beside,
+    panels,
+    save_figures,
+    styled,
+    time_axis,
+)
 
-Table = dict[str, NDArray[np.float64]]
+Table = dict[str, Array]
+CLEAR = 1.1
+"""An end of an axis lies beyond every value by this factor at least: what lies on the frame is not seen."""
+TYPICAL = "typical ranges"
+"""Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
+DOTS: Mapping[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
+WINDOW = 10
+"""Episodes in the moving mean of a run's returns."""
 
 
 def read_table(path: Path) -> Table:
@@ -76,7 +98,7 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
             figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, signature, title)
             if when == "first":
                 errors = (predicted - stacked(table, names)) / np.array(signature.x_scale)
-                figures["model_error"] = growing_error(table["time"], np.sqrt(np.square(errors).mean(-1)))
+                figures["model_error"] = _growing_error(table["time"], np.sqrt(np.square(errors).mean(-1)))
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
         at = np.isfinite(progress["evaluated_return"])
@@ -85,7 +107,7 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
             untrained = found["untrained"]["return"]
             episodes, returns = np.append(0, episodes), np.append(np.nan if untrained is None else untrained, returns)
         if len(progress["episode"]) > 1:  # the returns of a single one stand in the table, and make no curve
-            figures["learning_curve"] = learning_curve(progress["episode"], progress["return"], episodes, returns)
+            figures["learning_curve"] = _learning_curve(progress["episode"], progress["return"], episodes, returns)
     decisions = read_table(folder / "gate.csv") if (folder / "gate.csv").is_file() else {}
     if len(decisions.get("episode", ())) > 1:
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
@@ -110,7 +132,7 @@ def _response(table: Table, signature: Signature, which: str, controller: str) -
     return tracking(time, reference, y, u, outputs, signature, title)
 
 
-def periods(table: Table, inputs: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def periods(table: Table, inputs: Sequence[str]) -> tuple[Array, Array]:
     """Return when each control period of a flight begins, `(T,)` [s], and the inputs held during it, `(T, n_u)`.
 
     A last row of the table without inputs is the state at the end, and no period; tables of earlier runs have none.
@@ -120,6 +142,117 @@ def periods(table: Table, inputs: Sequence[str]) -> tuple[NDArray[np.float64], N
     return (time[:-1], u[:-1]) if ended else (time, u)
 
 
-def stacked(table: Table, columns: Sequence[str]) -> NDArray[np.float64]:
+def stacked(table: Table, columns: Sequence[str]) -> Array:
     """Return columns of a table side by side, `(n_rows, n_columns)`."""
     return np.stack([table[column] for column in columns], -1)
+
+
+@styled
+def _learning_curve(
+    episode: ArrayLike, train_return: ArrayLike, eval_episode: ArrayLike, eval_return: ArrayLike
+) -> Figure:
+    """Draw the return of the exploring policy of each real episode, `(n,)`, and that of evaluations, `(m,)`."""
+    x, y = array(episode), array(train_return)
+    figure, (axis,) = panels(1, 1, (7.0, 3.6), "Learning curve")
+    axis.plot(x, y, color=BLUE, alpha=0.3, linewidth=0.9, marker=".", label="real episode, exploring")
+    if len(y) > WINDOW:
+        mean = [y[max(0, k + 1 - WINDOW) : k + 1].mean() for k in range(len(y))]
+        axis.plot(x, mean, color=BLUE, label=f"mean of {WINDOW} episodes")
+    axis.plot(array(eval_episode), array(eval_return), color=RED, marker="o", markersize=3.5, label="evaluated policy")
+    axis.set_xlim(min(0.0, x.min(initial=0.0)) - 0.5, x.max(initial=1.0) + 0.5)
+    axis.set_xlabel("real episode")
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axis.set_ylabel("return [-]")
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    return figure
+
+
+@styled
+def gate(
+    decisions: Mapping[str, ArrayLike],
+    title: str = "Trust in the model",
+    unit: str = "reward per period",
+) -> Figure:
+    """Draw the reward error with its thresholds, shaded while the gate is closed, and the test of each refit.
+
+    A replay that ran away is marked at the upper edge.
+
+    Args:
+        decisions: The columns of `gate.csv`, `(n_episodes,)` each: `episode`; `reward_error` per control period of the
+            whole episode, replayed through the model before its refit; `judged_reward_error` of the model that stays,
+            on held-out windows, NaN where no planning was due; the thresholds `open_below` and `close_above`; `open`,
+            1 or 0; and of the refit `held_out_error_before`, `held_out_error_after` and `refit_kept`, NaN without a
+            test.
+        title: of the figure.
+        unit: of the reward error.
+    """
+    columns = {name: array(values) for name, values in decisions.items()}
+    x, whole, judged = (columns[name] for name in ("episode", "reward_error", "judged_reward_error"))
+    before, after, back = columns["held_out_error_before"], columns["held_out_error_after"], columns["refit_kept"] == 0
+    figure, (upper, lower) = panels(2, 1, (8.5, 5.0), title)
+    upper.plot(x, whole, color=GREY, label="whole episode, before the refit", **DOTS)
+    upper.plot(x, judged, color=BLUE, label="held-out windows, judged", **DOTS)
+    # Half an episode to each side, as the shade of a closed one is as wide.
+    wide = np.concatenate([x[:1] - 0.5, x, x[-1:] + 0.5])
+    for name, line, words in (("open_below", ":", "trusted below"), ("close_above", "--", "no longer trusted above")):
+        bound = np.pad(columns[name], 1, mode="edge")
+        upper.plot(wide, bound, color=BLACK, linestyle=line, linewidth=0.9, label=f"{words} {columns[name][0]:g}")
+    for closed in x[columns["open"] == 0]:
+        upper.axvspan(closed - 0.5, closed + 0.5, color=GREY, alpha=0.25, linewidth=0, label="model not trusted")
+    lower.plot(x, before, color=ORANGE, label="before the refit", **DOTS)
+    lower.plot(x, after, color=BLUE, label="after the refit", **DOTS)
+    ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
+    if back.any():
+        lower.plot(x[back], after[back], color=RED, label="rolled back", clip_on=False, **ring)
+    _limit(upper, np.concatenate([whole, judged, columns["open_below"], columns["close_above"]]))
+    _limit(lower, np.concatenate([before, after]))
+    _mark_divergence(upper, x[~np.isfinite(whole)], GREY)
+    _mark_divergence(upper, x[np.isinf(judged)], BLUE)
+    lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    lower.set_xlim(wide[0], wide[-1])
+    lower.set_xlabel("real episode")
+    upper.set_ylabel(f"reward error\n[{unit}]")
+    lower.set_ylabel(f"held-out state error\n[{TYPICAL}]")
+    for axis in (upper, lower):
+        legend_beside(axis)
+    return figure
+
+
+@styled
+def _growing_error(time: Array, error: Array) -> Figure:
+    """Draw the error of a prediction that sees nothing after its start, `(n,)`, on a log axis; a zero is a mark."""
+    figure, (axis,) = panels(1, 1, (7.0, 3.2), "Open-loop error along the first episode")
+    zero, seen = error == 0, error[(error > 0) & np.isfinite(error)]
+    axis.plot(time, np.where(zero, np.nan, error), color=RED, linewidth=1.0)
+    if zero.any():
+        below = np.full(zero.sum(), 0.5 * float(seen.min()) if len(seen) else 1.0)
+        look: dict[str, Any] = {"color": RED, "marker": "v", "markersize": 4, "linestyle": "none"}
+        axis.plot(time[zero], below, label="exactly 0, below the axis", **look)
+    axis.set_yscale("log")
+    legend_beside(axis)
+    axis.set_xlim(0.0, time.max(initial=0.0) or 1.0)
+    time_axis(axis, time)
+    axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
+    return figure
+
+
+def _mark_divergence(axis: Axes, x: Array, color: str) -> None:
+    """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
+    low, top = axis.get_ylim()
+    axis.set_ylim(low, top)
+    if len(x):
+        look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
+        axis.plot(x, np.full(len(x), top), color=color, label="ran away, above the axis", **look)
+
+
+def _limit(axis: Axes, values: Array) -> None:
+    """End a logarithmic axis at the next of 1, 2, 5, 10, 20, ... clearly below and above positive values."""
+    seen = values[np.isfinite(values) & (values > 0)]
+    if len(seen):
+        powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())) - 1, np.ceil(np.log10(seen.max())) + 2)
+        steps = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
+        # The factors of the powers of ten are not exact in the last digits.
+        low = float(steps[steps <= seen.min() / CLEAR * (1 + 1e-9)][-1])
+        axis.set_yscale("log")
+        axis.set_ylim(low, float(max(steps[steps >= seen.max() * CLEAR * (1 - 1e-9)][0], 5 * low)))
+        label_decades(axis.yaxis)

@@ -54,12 +54,27 @@ def test_a_cached_library_is_compiled_once_and_anew_where_it_is_damaged(tmp_path
         return file
 
     first = _file(places[0])
-    written = first.stat().st_mtime_ns
-    assert _file(places[0]) == first and first.stat().st_mtime_ns == written
+    written = first.stat().st_ino
+    assert _file(places[0]) == first and first.stat().st_ino == written
     (places[1] / "dynasindy").mkdir(mode=0o700, parents=True)
     (places[1] / "dynasindy" / first.name).write_bytes(b"no library")
     assert _file(places[1]).stat().st_size == first.stat().st_size
     first.parent.chmod(0o777)  # anybody may write there
     monkeypatch.setenv("XDG_CACHE_HOME", str(places[0]))
     assert module._cache_file(source, True) is None or not hasattr(os, "getuid")
+    load_library.cache_clear()
+
+
+@needs_compiler
+def test_the_libraries_that_were_used_last_stay_in_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(module, "KEPT", 2)
+    names = {}
+    for name, age in (("one", 300), ("two", 200), ("one", 100), ("three", 0)):
+        source = f"double {name}(void) {{ return 1; }}\n"
+        load_library.cache_clear()
+        load_library(source, (name,), fast=True, cached=True)
+        names[name] = file = module._cache_file(source, True)
+        os.utime(file, (file.stat().st_mtime - age,) * 2)
+    assert {*(tmp_path / "dynasindy").iterdir()} == {names["one"], names["three"]}
     load_library.cache_clear()

@@ -5,12 +5,13 @@ import pandas as pd
 import pytest
 
 from dynasindy.evaluation.ablation import write_ablation
-from dynasindy.viz.learning import average_rewards, draw_ablation, learning_curve
+from dynasindy.viz.learning import average_rewards, draw_ablation
+from dynasindy.viz.run import _learning_curve
 
 
 def test_learning_curve_draws_episodes_their_moving_mean_and_evaluations() -> None:
     returns = np.arange(30.0)
-    figure = learning_curve(np.arange(1, 31), returns, [10, 20], [12.0, 22.0])
+    figure = _learning_curve(np.arange(1, 31), returns, [10, 20], [12.0, 22.0])
     raw, mean, evaluated = figure.axes[0].lines
     np.testing.assert_array_equal(raw.get_ydata(), returns)
     assert [mean.get_ydata()[k] for k in (0, 2, 29)] == [0.0, 1.0, 24.5]
