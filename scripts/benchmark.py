@@ -11,7 +11,7 @@ os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
 
 from cli import HELP, pipe_guard, program, purpose, refuse, require_writable
 
-BENCHMARKS = ("bench_surrogate", "gradient", "identify", "logs", "peers", "plants", "rigs")
+BENCHMARKS = ("gradient", "identify", "logs", "peers", "plants", "rigs")
 """Modules of `benchmarks`, each with a `main` and with `add_options` for its command line."""
 
 

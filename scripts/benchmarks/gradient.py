@@ -1,6 +1,6 @@
 """Seconds of plant data to a controller: planning through the model's gradient, measured on the real plant.
 
-Every row is one figure of one policy in one scenario; figures of inputs stand where those of angles do.
+Every row is one figure of one policy in one scenario.
 A file that exists is carried on: rows it holds are not measured again.
 Wall and CPU seconds are those from nothing to the policy (excitation, fits, planning, episodes), evaluation left out.
 """
@@ -18,7 +18,6 @@ from typing import Any
 import torch
 
 from benchmarks.common import add_choices, add_output, add_seeds, carry_on, cpu_seconds
-from benchmarks.unseen_situations import judge_following, judge_holding
 from dynasindy.agents import TD3, DynaReplay
 from dynasindy.control.integral import IntegralAction
 from dynasindy.dyna.callback import Callback, Place
@@ -27,11 +26,10 @@ from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
 from dynasindy.evaluation.disturbances import Pushed
-from dynasindy.evaluation.metrics import STEADY_SECONDS
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning
-from dynasindy.safe_io import Row, read_rows
+from dynasindy.safe_io import Row
 from dynasindy.sensing import Channel, Sensors
 from dynasindy.sindy import Oracle, Refinement, Regression, SindyModel
 from dynasindy.systems import System, Tras, Trms33, Xi
@@ -100,7 +98,6 @@ class Case:
             the commands.
         detuned: Evaluate on a plant with other parameters, in a gust.
         integral: Evaluate with integral action, too.
-        unseen: Evaluate in situations that nothing was tuned on.
         input_delay: By how much inputs are late in one imagined episode of two [control periods].
         gain_range: By what share inputs of imagined episodes are weaker or stronger, at most; None for the default.
         updates: Gradient updates of the first planning phase; None for as many as suit the plant.
@@ -115,7 +112,6 @@ class Case:
     longest_delay: float | None = 0.0
     detuned: bool = False
     integral: bool = False
-    unseen: bool = False
     input_delay: float = 1.0
     gain_range: float | None = None
     updates: int | None = None
@@ -136,8 +132,6 @@ CASES = {
     "detuned": Case(detuned=True, integral=True, plants=("tras",)),
     "friction": Case(episodes=5, integral=True, plants=("trms33",)),
     "friction_alone": Case(integral=True, plants=("trms33",)),  # the excitation and nothing else
-    "unseen": Case(unseen=True),  # the policies of `step` after 10 s and of `moving`, elsewhere
-    "unseen_moving": Case(unseen=True, moving=True, updates=400),
 }
 
 
@@ -160,7 +154,6 @@ def main(arguments: argparse.Namespace) -> None:
         if plant in arguments.plants
     ]
     carry_on(arguments.out, COLUMNS, ("case", "plant", "seed"), keys, measure)
-    print("\n".join(table(read_rows(arguments.out))))
 
 
 def measure(name: str, plant: str, seed: int, **planning: Any) -> list[Row]:
@@ -263,15 +256,6 @@ def sparse_model(library: str, case: Case, signature: Any) -> SindyModel:
 def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tuple[str, str, Row]]:
     """Yield scenario, metric and numbers of the policy on the real plant."""
     facts = PLANTS[plant]
-    if case.unseen:
-        env, policy = parts.plant, parts.agent.deployed
-        if case.moving:
-            flights = judge_following(env, policy, parts.sensing)
-        else:
-            flights = judge_holding(env, policy, facts.low, facts.high, NOISE, seed, parts.sensing)
-        for name, metric, result, errors in flights:
-            yield name, metric, _numbers(result, errors)
-        return
     steps = step_references(facts.low, facts.high, 64)
     if case.moving:
         for wave, seconds in zip(_waves(), (100.0, 200.0)):
@@ -291,34 +275,11 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
         else:
             result = evaluate(env, policy, Scenario("step", steps, 64), parts.sensing)
             yield f"step{suffix}", "mean_abs_error_last_5s", _numbers(result, result.metrics["steady_state_error"])
-            if case.sensors is not None:
-                yield f"step{suffix}_inputs", "mean_abs_change_per_period_last_5s", _numbers(result, _changes(result))
-                yield f"step{suffix}_nis", "mean_nis", _numbers(result, _surprise(result))
 
 
 def detuned(seed: int) -> Tras:
     """Return `tras` with every constant of its own off by up to 10 %."""
     return Tras(constants=TrasConstants().detuned(0.1, 1000 + seed))
-
-
-def table(rows: list[Row]) -> list[str]:
-    """Return one line per case, plant, plant time and scenario: median and worst seed."""
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        key = ("case", "plant", "plant_seconds", "scenario")
-        groups.setdefault(tuple(str(row[name]) for name in key), []).append(row)
-    head = f"{'case':<15}{'plant':<6}{'data [s]':>9}  {'scenario':<22}{'seeds':>6}"
-    lines = [f"{head}  azimuth, pitch [rad]: median (worst)"]
-    for (case, plant, seconds, scenario), members in groups.items():
-        names = ("azimuth", "pitch", "wall_seconds", "return")
-        columns = [sorted(float(row[name]) for row in members) for name in names]
-        middle = [column[len(column) // 2] for column in columns]
-        lines.append(
-            f"{case:<15}{plant:<6}{float(seconds):>9.0f}  {scenario:<22}{len(members):>6}  "
-            f"{middle[0]:.4f} ({columns[0][-1]:.4f}), {middle[1]:.4f} ({columns[1][-1]:.4f}), "
-            f"return {middle[3]:.1f}, wall {middle[2]:.0f} ({columns[2][-1]:.0f}) s"
-        )
-    return lines
 
 
 def _waves(random: bool = False) -> list[Wave]:
@@ -327,17 +288,6 @@ def _waves(random: bool = False) -> list[Wave]:
         wide = (0.55, 0.55)
         return [Wave(wide, (0.05, 0.05), shape, random=True) for shape in ("sine", "square")]
     return [Wave((0.35, 0.25), (0.015, 0.015)), Wave((0.4, -0.5), (0.01, 0.01), "square")]
-
-
-def _changes(result: Evaluation) -> torch.Tensor:
-    """Return how much the inputs change per control period in the last 5 s, `(episodes, n_u)`."""
-    last = result.inputs[:, result.time >= result.seconds - STEADY_SECONDS - 1e-6]
-    return last.diff(dim=1).abs().mean(1)
-
-
-def _surprise(result: Evaluation) -> torch.Tensor:
-    """Return the mean normalised innovation squared of each flight, in both columns, `(episodes, 2)`."""
-    return result.trajectory["next", "observer", "nis"].nanmean(1).expand(-1, 2)
 
 
 def _after(result: Evaluation, second: float) -> torch.Tensor:

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
-from typing import Any
 
-import numpy as np
 import torch
 import yaml
 from torch import Tensor
@@ -271,39 +269,6 @@ def refit(_: int) -> list[Row]:
     return rows
 
 
-def speed(_: int) -> list[Row]:
-    """Imagine transitions of 0.05 s by five Runge-Kutta steps, batch 4096, float32."""
-    from dynasindy.sindy.pysindy_interchange import to_pysindy
-
-    rows = []
-    models = {"xi": _fitted(Xi(), "paper_table", (0.5, 0.35)), "tras": _fitted(Tras(), "rotor", (0.3, 0.2))}
-    for name, model in models.items():
-        generator = torch.Generator().manual_seed(0)
-        x = (torch.rand(4096, 6, generator=generator) - 0.5) * torch.tensor(model.signature.x_scale)
-        u = 2 * torch.rand(4096, 2, generator=generator) - 1
-        times = [time_call(partial(_imagine, model, x, u)) for _ in range(41)][1:]
-        terms = int((model.coefficients != 0).sum())
-        rates = f"{4096 / median(times):.3g}, best {4096 / min(times):.3g}"
-        rows.append(row("ours", f"{name} model, {terms} terms: transitions per CPU-second", rates, ">= 1e6"))
-    theirs, t = to_pysindy(models["xi"]), np.arange(0, 1.05, 0.05)
-    inputs = np.full((len(t), 2), 0.1)
-    seconds = time_call(lambda: theirs.simulate(np.zeros(6), t, u=inputs))
-    what = "xi model: transitions per CPU-second"
-    return [*rows, row("PySINDy simulate", what, f"{(len(t) - 1) / seconds:.3g}")]
-
-
-def _imagine(model: SindyModel, x: Tensor, u: Tensor) -> None:
-    with torch.no_grad():
-        model.predict(x, u, 0.05, 5)
-
-
-def _fitted(plant: System, library: str, amplitude: tuple[float, float]) -> SindyModel:
-    method: Any = "one_step" if library == "paper_table" else "integral"
-    model = SindyModel(plant.signature, library, Regression("bic", tolerance=1e-4), Refinement(method), KNOWN)
-    model.fit(record_plant(plant, Chirp(2, 10.0, amplitude=amplitude, offset=(-0.11, 0.25)).samples(0.01), 0.01, 2))
-    return model
-
-
 def time_call(call: Callable[[], object]) -> float:
     """Return the CPU time of a call [s]."""
     start = time.process_time()
@@ -461,6 +426,5 @@ CASES: dict[str, Callable[[int], list[Row]]] = {
     "trms33": trms33,
     "pysindy": pysindy_rows,
     "refit": refit,
-    "speed": speed,
 }
 """The cases of the table, by name."""

@@ -25,7 +25,6 @@ import torch
 import yaml
 from torch import Tensor
 
-from benchmarks.bench_surrogate import DRY, DT, Rig, record_closed_loop
 from benchmarks.common import add_choices, add_output, append, commit
 from benchmarks.opponents import (
     FIRST,
@@ -43,6 +42,7 @@ from benchmarks.opponents import (
     choose,
 )
 from benchmarks.pysindy_regression import pysindy_of
+from benchmarks.surrogate_rig import DRY, DT, Rig, record_closed_loop
 from dynasindy.data.headings import CLOCKS, SECONDS, in_radians, plain_heading, split_unit
 from dynasindy.identification.forecast_errors import predict_ahead
 from dynasindy.identification.identify import identify, read

@@ -7,10 +7,10 @@ import pytest
 import torch
 from benchmark import parse
 from benchmarks import rigs
-from benchmarks.bench_surrogate import DRY, STEP, Rig
 from benchmarks.opponents import FIRST, Arx, HeatedBodies, Held, InverseDynamics, Log, StateSpace, choose
 from benchmarks.pysindy_regression import pysindy_of
 from benchmarks.rigs import Case, HarderRig, course, errors_ahead, errors_simulated, read_log, rms, write_surrogate
+from benchmarks.surrogate_rig import DRY, STEP, Rig
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, dlsim, lfilter
 

@@ -1,23 +1,12 @@
-"""What `identify.py` makes of the log of a rig, as its documents say, without a hand's turn: a stand-in of `tras`.
-
-Each log is 120 s long, sampled every 0.01 s in closed loop; the model is fitted to its first half and judged on the
-second.
-"""
+"""A stand-in of a rig that identification knows nothing of: `tras` with a cable, dry friction and stronger motors."""
 
 from __future__ import annotations
 
-import argparse
-import json
-import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from benchmarks.common import add_count, commit, output_path, run_command
-from dynasindy.safe_io import Row, write_csv, write_rows
 from dynasindy.systems import System, Tras, integrate
 from dynasindy.systems.tras import TrasConstants
 
@@ -112,62 +101,3 @@ def record_closed_loop(
     measured = torch.stack(seen)
     measured[..., 2:4] = torch.nan
     return measured, torch.stack(past[DELAY:])
-
-
-def write_log(path: Path, measured: Tensor, commands: Tensor) -> None:
-    """Write a log with the columns time, alpha_a, alpha_p, omega_a, omega_p, u_a, u_p."""
-    time = DT * torch.arange(len(measured), dtype=torch.float64).unsqueeze(-1)
-    header = ["time", "alpha_a", "alpha_p", "omega_a", "omega_p", "u_a", "u_p"]
-    write_csv(path, header, torch.cat([time, measured[:, [0, 1, 4, 5]], commands], -1).tolist())
-
-
-LOGS = 3
-"""Logs at least before the published figures are replaced."""
-SECONDS = 120.0
-CASES = {"still": 0.0, "gusts": 0.01}
-"""Standard deviation of accelerations that nothing explains [rad/s^2]."""
-TARGETS = {"alpha_a": 0.017, "alpha_p": 0.011, "omega_a": 45.0, "omega_p": 25.0}
-"""Errors over 2 s that were reached by hand on the log of a real rig, with some room [rad, rpm]."""
-METHODS = {"ours": "rmse_2_s", "linear model on past samples": "linear_rmse_2_s", "last value held": "held_rmse_2_s"}
-COLUMNS = ["case", "log", "method", *TARGETS, "delay_ms", "friction", "spring", "commit"]
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this benchmark."""
-    add_count(parser, "logs", LOGS)
-
-
-def main(arguments: argparse.Namespace) -> None:
-    """Fly, identify, print a table and write it as CSV."""
-    out = output_path(arguments.out, "standin", arguments.logs >= LOGS)
-    torch.set_num_threads(1)
-    rows: list[Row] = []
-    for case, gust in CASES.items():
-        measured, commands = record_closed_loop(SECONDS, arguments.logs, gust)
-        for log in range(arguments.logs):
-            with tempfile.TemporaryDirectory() as folder:
-                write_log(Path(folder) / "log.csv", measured[:, log], commands[:, log])
-                for row in run_identify(Path(folder)):
-                    rows.append({"case": case, "log": str(log), **row, "commit": commit()})
-                    print("  ".join(f"{rows[-1][name]:<10}" for name in COLUMNS[:-1]), flush=True)
-            if out is not None:
-                write_rows(out, COLUMNS, rows)
-
-
-def run_identify(folder: Path) -> Iterator[Row]:
-    """Run the command as its documents say, and yield what it wrote."""
-    words = ["data=csv", f"data.path={folder / 'log.csv'}", "system=tras", "data.validation_share=0.5"]
-    words += [f"folder={folder}", f"hydra.run.dir={folder}"]
-    run_command("identify", words, folder, folder / "metrics.json")
-    metrics = json.loads((folder / "metrics.json").read_text())
-    model = json.loads((folder / "model.json").read_text())
-    rates, angle = ("Omega_a", "Omega_p"), "alpha_a"
-    terms = {rate: list(model["coefficients"][rate]) for rate in rates}
-    found = {
-        "delay_ms": f"{1e3 * model.get('delay', 0.0):.2f}",
-        "friction": " ".join(rate for rate in rates if any("tanh" in name for name in terms[rate])),
-        "spring": " ".join(r for r in rates if any(name.split(" ")[0] == angle for name in terms[r])),
-    }
-    for method, key in METHODS.items():
-        errors = {name: f"{metrics[key][name]:.3g}" for name in TARGETS}
-        yield {"method": method, **errors, **(found if method == "ours" else dict.fromkeys(found, ""))}
