@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,22 +36,6 @@ from dynasindy.safe_io import replace_file, write_csv, write_json, write_text
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.systems.equilibria import states_that_matter
 from dynasindy.tasks import Tracking
-
-GATE_COLUMNS = (
-    "episode",
-    "reward_error",
-    "state_error",
-    "judged_reward_error",
-    "judged_state_error",
-    "open_below",
-    "close_above",
-    "open",
-    "held_out_error_before",
-    "held_out_error_after",
-    "refit_kept",
-    "stored_imagined_transitions",
-)
-
 
 HEADLINE = ("return", "steady_state_error/", "rmse/")
 """How the figures of an evaluation begin that belong in the progress table."""
@@ -106,7 +91,7 @@ class Recorder(Callback):
         self.evaluating, self.episodes = evaluating, episodes
         self.saver: Saver | None = None
         self.rows: list[dict[str, float | None]] = []
-        self.decisions: list[list[float | None]] = []
+        self.decisions: list[dict[str, float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
         self.written = -WRITTEN_EVERY
         self.cost, self.evaluation_steps = Cost(), 0
@@ -154,7 +139,8 @@ class Recorder(Callback):
     def episode(self, episode: Episode, cost: Cost) -> None:
         """Write a row, and the model's prediction of the first and of the last episode."""
         self.cost = cost
-        due = episode.number % self.evaluating.every == 0 or episode.number == self.episodes
+        last = episode.number == self.episodes
+        due = last or episode.number % self.evaluating.every == 0
         if due:
             self.latest = summarise(self.evaluate())
         following, error = episode.rollout["next"], episode.error
@@ -176,11 +162,12 @@ class Recorder(Callback):
         self._log_decision(episode)
         if due or time.perf_counter() - self.written > WRITTEN_EVERY:
             self.write_tables()
-        if episode.number in (1, self.episodes):
+        if last or episode.number == 1:
             when, names = "first" if episode.number == 1 else "last", self.plant.system.signature.state_names
-            states, columns = torch.cat([following["state"], error.states], -1), [f"predicted_{name}" for name in names]
+            states = torch.cat([following["state"], error.states], -1)
             # These are the states at the end of each control period, so the first is one period old.
-            self._write_series(f"prediction_{when}_episode", [*names, *columns], states, first=1)
+            columns = [*names, *(f"predicted_{name}" for name in names)]
+            self._write_series(f"prediction_{when}_episode", columns, states, first=1)
 
     def reached(self, place: Place) -> None:
         """Save the state, if it is due."""
@@ -199,14 +186,14 @@ class Recorder(Callback):
         final = self.evaluate()
         shown = representative_episode(final)
         self._write_rollout("step_response", final.trajectory[shown.row], last=True)
-        self.parts.world_model.save(self.folder / "model.json")
+        plant, model, sensing = self.plant, self.parts.world_model, self.parts.sensing
+        observer = None if sensing is None else sensing.observer
+        model.save(self.folder / "model.json")
         with replace_file(self.folder / "policy.pt") as file:
             torch.save(copy.deepcopy(self.parts.agent.deployed).cpu().state_dict(), file)
-        plant, model, sensing = self.plant, self.parts.world_model, self.parts.sensing
         if isinstance(plant.task, Tracking) and isinstance(model, SindyModel):
             # The policy with all that it needs outside of Python, unless task or model is of a kind apart.
             setup = ControlSetup(plant.task, plant.dt, plant.substeps, plant.stops)
-            observer = None if sensing is None else sensing.observer
             save(Controller(self.parts.agent.deployed, setup, observer), self.folder / NAME)
         known = plant.system.known  # another simulator, or a rig, does not run for longer than was asked for
         system = plant.system if known else self.parts.model_env.system
@@ -224,17 +211,16 @@ class Recorder(Callback):
             "steady_seconds": final.steady_seconds,
             "planning": self.parts.planner.summary(),
             "imagined_error": self.parts.planner.imagined_error,
-            "reward": self.plant.task.summary(),
+            "reward": plant.task.summary(),
             "untrained": self.untrained,
             "drawn": asdict(shown),
-            "equations": self.parts.world_model.equations(),
-            "delay": getattr(self.parts.world_model, "delay", 0.0),
+            "equations": model.equations(),
+            "delay": getattr(model, "delay", 0.0),
         }
-        if self.parts.sensing is not None:
-            metrics["observer"] = self.parts.sensing.observer.state_dict()
+        if observer is not None:
+            metrics["observer"] = observer.state_dict()
             write_json(self.folder / "observer.json", metrics["observer"])
-        decisions = [dict(zip(GATE_COLUMNS, row, strict=True)) for row in self.decisions]
-        gate, verdict = distrusted(decisions), judge_run(metrics, self.evaluating.within)
+        gate, verdict = distrusted(self.decisions), judge_run(metrics, self.evaluating.within)
         findings = [*beyond_targets(final), *([] if gate is None else [gate]), *verdict.findings]
         metrics["verdict"] = {"usable": verdict.usable, "controlled": verdict.controlled}
         metrics["findings"] = [*self.excitation, *records(findings)]
@@ -286,32 +272,38 @@ class Recorder(Callback):
             self.loggers.append(TensorboardLogger(exp_name="tensorboard", log_dir=str(self.folder)))
 
     def _log_scalars(self, row: dict[str, float | None]) -> None:
-        for key, value in row.items():
+        for logger, (key, value) in product(self.loggers, row.items()):
             if value is not None and key != "episode":
-                for logger in self.loggers:
-                    logger.log_scalar(key, value, step=int(row["episode"] or 0))
+                logger.log_scalar(key, value, step=int(row["episode"] or 0))
         if self.evaluating.tensorboard:
             self.loggers[-1].experiment.flush()  # shown at once, and kept if the run is killed
 
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
-        gate, error = self.parts.gate, episode.error
-        judged: list[float | None] = [None] * 2
-        tested: list[float | None] = [None] * 3
-        if (refit := episode.refit) is not None:
-            judged = [refit.error.reward_error, refit.error.state_error]
-            tested = [refit.error_before, refit.error_after, float(refit.kept)]
-        before = [float(episode.number), error.reward_error, error.state_error]
-        decided = [gate.open_below, gate.close_above, float(episode.trusted)]
-        stored = float(len(self.parts.replay.model))
-        self.decisions.append([*before, *judged, *decided, *tested, stored])
+        gate, error, refit = self.parts.gate, episode.error, episode.refit
+        self.decisions.append(
+            {
+                "episode": float(episode.number),
+                "reward_error": error.reward_error,
+                "state_error": error.state_error,
+                "judged_reward_error": refit and refit.error.reward_error,
+                "judged_state_error": refit and refit.error.state_error,
+                "open_below": gate.open_below,
+                "close_above": gate.close_above,
+                "open": float(episode.trusted),
+                "held_out_error_before": refit and refit.error_before,
+                "held_out_error_after": refit and refit.error_after,
+                "refit_kept": refit and float(refit.kept),
+                "stored_imagined_transitions": float(len(self.parts.replay.model)),
+            }
+        )
 
     def write_tables(self) -> None:
         """Write `progress.csv` and `gate.csv` as they are now."""
         self.written = time.perf_counter()
-        if self.rows:
-            write_csv(self.folder / "progress.csv", list(self.rows[0]), [list(row.values()) for row in self.rows])
-            write_csv(self.folder / "gate.csv", GATE_COLUMNS, self.decisions)
+        for name, rows in (("progress", self.rows), ("gate", self.decisions)):
+            if rows:
+                write_csv(self.folder / f"{name}.csv", list(rows[0]), [list(row.values()) for row in rows])
 
     def _write_rollout(self, name: str, rollout: TensorDict, last: bool = False) -> None:
         """Write a row per control period, and the `last` state, after the last period, in a row without inputs."""

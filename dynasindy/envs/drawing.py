@@ -27,14 +27,8 @@ _ZOOM = 2
 _INK, _GHOST = (30, 30, 30, 255), (0, 0, 0, 255)
 _PLANT, _MAIN, _TAIL, _FAINT = (0, 114, 178, 255), (230, 159, 0), (0, 158, 115), (215, 215, 215, 255)
 _FLOOR, _SHADOW = (244, 244, 244, 255), (190, 190, 190, 255)
-_AZIMUTH, _ELEVATION = math.radians(-90.0), math.radians(28.0)
-_CAMERA = np.array(
-    [
-        [-math.sin(_AZIMUTH), math.cos(_AZIMUTH), 0.0],
-        [-math.sin(_ELEVATION) * math.cos(_AZIMUTH), -math.sin(_ELEVATION) * math.sin(_AZIMUTH), math.cos(_ELEVATION)],
-        [math.cos(_ELEVATION) * math.cos(_AZIMUTH), math.cos(_ELEVATION) * math.sin(_AZIMUTH), math.sin(_ELEVATION)],
-    ]
-)
+_RISE, _DEPTH = math.cos(math.radians(28.0)), math.sin(math.radians(28.0))
+_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, _DEPTH, _RISE], [0.0, -_RISE, _DEPTH]])
 """Unit vectors to the right, upwards and towards the camera, which stands where a level beam looks level."""
 _HANGING = ("theta", "Omega")
 """States of the pendulum, which hangs down at rest."""
@@ -46,7 +40,6 @@ def draw(
     reference: Sequence[float],
     outputs: Sequence[int],
     words: str = "",
-    turned: Sequence[float] = (0.0, 0.0),
 ) -> Frame:
     """Draw one state of a plant: the beam of the twin rotor with a key to its colours, the outputs of others.
 
@@ -56,16 +49,15 @@ def draw(
         reference: `(n_r,)` reference of each tracked output; drawn dashed and black.
         outputs: Indices of the tracked outputs in `x`.
         words: Written into the corner.
-        turned: Angles of the blades of tail and main rotor [rad].
 
     Returns:
         Colours, uint8 `(height, width, 3)`.
     """
-    beam = is_beam(signature)
+    beam = signature.state_names[:2] == ("alpha_a", "alpha_p")
     size = (_ZOOM * (HEIGHT if beam else HEIGHT // 2 * max(1, len(outputs))), _ZOOM * HEIGHT)
     image = Image.new("RGB", size, "white")
     if beam:
-        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64), turned)
+        _draw_twin_rotor(image, np.asarray(x, dtype=np.float64), np.asarray(reference, dtype=np.float64))
         keys = {"- - reference": _GHOST, "plant": _PLANT, "main rotor": (*_MAIN, 255), "tail rotor": (*_TAIL, 255)}
         for (name, colour), left in zip(keys.items(), (10, 110, 160, 240), strict=True):
             _write(image, (left, 338), name, colour)
@@ -74,11 +66,6 @@ def draw(
             _draw_output(image, k * HEIGHT // 2, signature, index, float(x[index]), float(reference[k]))
     _write(image, (10, 8), words)
     return np.asarray(image.resize((image.width // _ZOOM, HEIGHT), Image.Resampling.LANCZOS))
-
-
-def is_beam(signature: Signature) -> bool:
-    """Return whether a plant is a twin rotor, whose beam can be drawn."""
-    return signature.state_names[:2] == ("alpha_a", "alpha_p")
 
 
 def _draw_output(
@@ -101,35 +88,41 @@ def _draw_output(
     _write(image, (left + 94, HEIGHT // 4 + 152), f"{reference:+z.3f}", _GHOST)
 
 
-def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector, turned: Sequence[float]) -> None:
+def _draw_twin_rotor(image: Image.Image, x: Vector, reference: Vector) -> None:
     pen = ImageDraw.Draw(image, "RGBA")
-    _draw_floor(pen, x[0], reference[0])
-    pen.line(_points([(0, 0, -1.0), (0, 0, 0)]), fill=_FAINT, width=10 * _ZOOM)
-    ghost, _, _ = _frame(reference[0], reference[1])
+    floor = np.array([0.0, 0.0, -1.0])
+    edge = _points(_circle(floor, 1.05, (1, 0, 0), (0, 1, 0)))
+    pen.polygon(edge, fill=_FLOOR, outline=_FAINT)
+    # The beam's shadow and, at the edge of the floor, where the reference wants it.
+    for angle, inner, outer, shade, thick in ((x[0], -1.0, 1.0, _SHADOW, 5), (reference[0], 1.0, 1.15, _GHOST, 3)):
+        way = np.array([math.cos(angle), math.sin(angle), 0.0])
+        pen.line(_points([floor + inner * way, floor + outer * way]), fill=shade, width=thick * _ZOOM)
+    pen.line(_points([floor, (0, 0, 0)]), fill=_FAINT, width=10 * _ZOOM)
     along, side, up = _frame(x[0], x[1])
-    main, tail = (*_MAIN, _opacity(x[5], 3800.0)), (*_TAIL, _opacity(x[4], 7500.0))
+
+    def _draw_beam() -> None:
+        pen.line(_points([-along, along]), fill=_PLANT, width=6 * _ZOOM)
+        pen.line(_points([np.zeros(3), -0.45 * up]), fill=_PLANT, width=4 * _ZOOM)  # counterweight arm
+        (u, v), r = _points([-0.45 * up])[0], 8 * _ZOOM
+        pen.ellipse([u - r, v - r, u + r, v + r], fill=_PLANT)
+
+    def _draw_rotor(disc: Vector, colour: tuple[int, int, int], speed: float, full: float) -> None:
+        """Draw a disc that is the more solid the faster its rotor turns [rpm]."""
+        solid = int(40 + 160 * min(1.0, abs(float(speed)) / full)) if math.isfinite(speed) else 0
+        pen.polygon(_points(disc), fill=(*colour, solid))
+        pen.line(_points([*disc, disc[0]]), fill=(*colour, 255), width=2 * _ZOOM)
+
     parts = [
-        (along, lambda: _draw_rotor(pen, along, 0.42, _turned(along, side, turned[1]), main)),
-        (-along, lambda: _draw_rotor(pen, -along, 0.3, _turned(along, up, turned[0]), tail)),
-        (np.zeros(3), lambda: _draw_beam(pen, along, up)),
+        (along, lambda: _draw_rotor(_circle(along, 0.42, along, side), _MAIN, x[5], 3800.0)),
+        (-along, lambda: _draw_rotor(_circle(-along, 0.3, along, up), _TAIL, x[4], 7500.0)),
+        (np.zeros(3), _draw_beam),
     ]
     # The farthest part first, so that nearer ones cover it.
     for _, part in sorted(parts, key=lambda item: float(item[0] @ _CAMERA[2])):
         part()
     # The reference lies over the beam and reaches beyond it, so that it is seen when they coincide.
+    ghost, _, _ = _frame(reference[0], reference[1])
     _dashed(pen, _points([-1.25 * ghost, 1.25 * ghost]))
-
-
-def _draw_floor(pen: ImageDraw.ImageDraw, azimuth: float, reference: float) -> None:
-    """Draw the floor with the beam's shadow and, at its edge, where the reference wants it."""
-    floor = np.array([0.0, 0.0, -1.0])
-    edge = _points(_circle(floor, 1.05, (1, 0, 0), (0, 1, 0)))
-    pen.polygon(edge, fill=_FLOOR)
-    pen.line([*edge, edge[0]], fill=_FAINT, width=_ZOOM)
-    for angle, inner, outer, colour, thick in ((azimuth, -1.0, 1.0, _SHADOW, 5), (reference, 1.0, 1.15, _GHOST, 3)):
-        way = np.array([math.cos(angle), math.sin(angle), 0.0])
-        pen.line(_points([floor + inner * way, floor + outer * way]), fill=colour, width=thick * _ZOOM)
-    pen.polygon(_points(_circle(floor, 0.3, (1, 0, 0), (0, 1, 0))), fill=_FAINT)
 
 
 def _dashed(pen: ImageDraw.ImageDraw, ends: Sequence[tuple[float, float]]) -> None:
@@ -139,27 +132,6 @@ def _dashed(pen: ImageDraw.ImageDraw, ends: Sequence[tuple[float, float]]) -> No
     for k in range(dashes):
         part = [(u + at * (u_end - u), v + at * (v_end - v)) for at in (k / dashes, (k + 0.6) / dashes)]
         pen.line(part, fill=_GHOST, width=2 * _ZOOM)
-
-
-def _turned(e1: Vector, e2: Vector, angle: float) -> tuple[Vector, Vector]:
-    return math.cos(angle) * e1 + math.sin(angle) * e2, math.cos(angle) * e2 - math.sin(angle) * e1
-
-
-def _draw_beam(pen: ImageDraw.ImageDraw, along: Vector, up: Vector) -> None:
-    pen.line(_points([-along, along]), fill=_PLANT, width=6 * _ZOOM)
-    pen.line(_points([np.zeros(3), -0.45 * up]), fill=_PLANT, width=4 * _ZOOM)  # counterweight arm
-    (u, v), r = _points([-0.45 * up])[0], 8 * _ZOOM
-    pen.ellipse([u - r, v - r, u + r, v + r], fill=_PLANT)
-
-
-def _draw_rotor(
-    pen: ImageDraw.ImageDraw, centre: Vector, radius: float, plane: tuple[Vector, Vector], colour: Colour
-) -> None:
-    outline = _points(_circle(centre, radius, *plane))
-    pen.polygon(outline, fill=colour)
-    pen.line([*outline, outline[0]], fill=(*colour[:3], 255), width=2 * _ZOOM)
-    blades = radius * plane[0]
-    pen.line(_points([centre - blades, centre + blades]), fill=(*colour[:3], 255), width=3 * _ZOOM)
 
 
 def _frame(azimuth: float, pitch: float) -> tuple[Vector, Vector, Vector]:
@@ -178,11 +150,6 @@ def _points(positions: Sequence[Sequence[float] | Vector] | Vector) -> list[tupl
     scale, middle = 0.32 * HEIGHT * _ZOOM, 0.5 * HEIGHT * _ZOOM
     seen = np.asarray(positions, dtype=np.float64) @ _CAMERA[:2].T
     return [(float(middle + scale * u), float(0.9 * middle - scale * v)) for u, v in seen]
-
-
-def _opacity(speed: float, full: float) -> int:
-    """Return how solid a rotor looks: the faster it turns, the more."""
-    return int(40 + 160 * min(1.0, abs(float(speed)) / full)) if math.isfinite(speed) else 0
 
 
 def _write(image: Image.Image, at: tuple[float, float], text: str, colour: Colour = _INK) -> None:

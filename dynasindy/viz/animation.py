@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from PIL import Image
 
-from dynasindy.envs.drawing import HEIGHT, Frame, draw, is_beam
+from dynasindy.envs.drawing import HEIGHT, Frame, draw
 from dynasindy.evaluation.scenarios import Evaluation
 from dynasindy.evaluation.tracking_criteria import representative_episode
 from dynasindy.progress import track
@@ -22,8 +22,6 @@ from dynasindy.viz.style import BLACK, BLUE, STYLE, WORDS, Array, label, time_ax
 
 RATE = 10
 """Pictures per second."""
-FULL = (7500.0, 3800.0)
-"""Speeds of tail and main rotor at which the drawn blades turn a radian per picture [rpm]; real ones would blur."""
 
 
 def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Frame]:
@@ -42,7 +40,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
     )
     speed = every * RATE * float(time[1] - time[0])
     fast = f"\n{speed:.3g} times as fast" if speed > 1.01 else ""
-    turned, unit = [0.0, 0.0], duration_unit(evaluation.seconds)
+    unit = duration_unit(evaluation.seconds)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(HEIGHT / 100, HEIGHT / 100), dpi=100)
         canvas, axes = FigureCanvasAgg(figure), figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
@@ -54,9 +52,7 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
         figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
     for k in range(0, len(x), every):
         words = f"t = {time[k] / unit.seconds:.1f} {unit.name}{fast}"
-        if is_beam(evaluation.signature):
-            turned = [angle + w / full for angle, w, full in zip(turned, x[k][4:], FULL, strict=True)]
-        scene = draw(evaluation.signature, x[k], r[k].tolist(), evaluation.columns, words, turned)
+        scene = draw(evaluation.signature, x[k], r[k].tolist(), evaluation.columns, words)
         for n, (axis, (past, now)) in enumerate(zip(axes, curves, strict=True)):
             past.set_data(time[: k + 1], y[: k + 1, n])
             now.set_data(time[[k]], y[[k], n])
