@@ -49,7 +49,7 @@ THREADS = range(1, 8 * (os.cpu_count() or 1) + 1)
 PLANT: dict[str, Any] = {
     **{"plant.outputs": list[str], "plant.rates": list[str | None], "plant.low": list[float]},
     **{"plant.high": list[float], "plant.start": dict[str, float | list[float]] | None},
-    **{"plant.bounds": dict[str, float | list[float]], "plant.gain": list[list[float]] | None},
+    "plant.bounds": dict[str, float | list[float]],
     **dict.fromkeys(("plant.known", "plant.functions"), dict[str, str] | None),
     **{"plant.initial": dict[str, dict[str, float]] | None, "plant.noise": dict[str, float] | None},
     **{"plant.libraries": dict[Literal["simulated", "logged"], str], "plant.sensors": dict[str, dict[str, float]]},

@@ -6,11 +6,11 @@ where episodes do, with the rest of the signal. From then on the signal lies on 
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-of a linear model, fitted to the tries so far near the start x_0 (`LocalModel`). A gain K that the user
-gives (`excitation.gain`) is there from the first period on and stays. Each try that leaves the limits all the same
-halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and the place
-that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends. Any value
-of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far away.
+of a linear model, fitted to the tries so far near the start x_0 (`LocalModel`). Each try that leaves the limits all
+the same halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and
+the place that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends.
+Any value of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far
+away.
 """
 
 from __future__ import annotations
@@ -263,7 +263,7 @@ class RegulatedExcitation:
         begun: Control periods of the signal that earlier tries have used.
         strength: Factor on the signal once it has grown.
         gain: K, `(n_u, n_x)`; None as long as the signal acts alone.
-        home: x_0, `(n_x,)`; where the first try begins, under a gain that the user gives.
+        home: x_0, `(n_x,)`, once there is a gain.
         ends: Between which it is led to and fro, `(2, n_x)`; both are x_0 where it stays.
         mean: u_e, `(n_u,)`.
 
@@ -273,8 +273,8 @@ class RegulatedExcitation:
 
     def __init__(self, signal: Excitation) -> None:
         self.signal, self.begun, self.strength = signal, 0, 1.0
-        self.gain, self.mean = signal.gain, signal.offset
-        self.home = self.ends = torch.zeros(0)
+        self.gain: Tensor | None = None
+        self.mean, self.home, self.ends = signal.offset, torch.zeros(0), torch.zeros(0)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write `action`."""
@@ -289,10 +289,8 @@ class RegulatedExcitation:
         """Return the inputs under the signal, `(*batch, n_u)`: those of the regulator, or the mean where none is."""
         if self.gain is None:
             return self.mean
-        x = tensordict["state"].double()
-        if not len(self.home):
-            self.home, self.ends = x, x.expand(2, -1)
-        return (self.mean - (x - self.led(tensordict["step_count"])) @ self.gain.mT).clamp(-1.0, 1.0)
+        away = tensordict["state"].double() - self.led(tensordict["step_count"])
+        return (self.mean - away @ self.gain.mT).clamp(-1.0, 1.0)
 
     def led(self, steps: Tensor) -> Tensor:
         """Return where the regulator holds the plant so many periods after the start of a try, `(*batch, n_x)`."""
@@ -311,14 +309,13 @@ class RegulatedExcitation:
         found = fit_local_model(rows, parts)
         if found is None:
             return
-        if self.signal.gain is None:
-            scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
-            solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
-            if solved is None:
-                return
-            self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
-            against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
-            self.mean = against.clamp(-MARGIN, MARGIN)
+        scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
+        solved = regulated(found.a, found.b, parts.plant.dt, 1.0 / scale.square(), 1.0)
+        if solved is None:
+            return
+        self.home, self.gain, self.ends = found.home, solved.gain, found.home.expand(2, -1)
+        against = torch.linalg.lstsq(found.b / scale.unsqueeze(-1), -found.c / scale, driver="gelsd").solution
+        self.mean = against.clamp(-MARGIN, MARGIN)
         if parts.sensing is not None and found.model is not None:
             begins = [*(rows["step_count"].flatten() == 0).nonzero().flatten().tolist(), len(rows)]
             tries = [rows[first:end] for first, end in pairwise(begins)]

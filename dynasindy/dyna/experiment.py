@@ -89,7 +89,6 @@ class Recipe:
             f"env.substeps={plant.substeps} samples a row",
         )
         excitation = self.excitation(n_u=signature.n_u, dt=plant.dt)
-        excitation.check_gain(signature.state_names)
         if excitation.n_steps > plant.task.max_steps:
             raise ValueError(
                 f"an excitation of {excitation.n_steps * plant.dt:g} s does not fit into an episode of "

@@ -281,22 +281,21 @@ class Recorder(Callback):
     def _log_decision(self, episode: Episode) -> None:
         """Append to `gate.csv`: what the gate saw and decided, and what became of the refit."""
         gate, error, refit = self.parts.gate, episode.error, episode.refit
-        self.decisions.append(
-            {
-                "episode": float(episode.number),
-                "reward_error": error.reward_error,
-                "state_error": error.state_error,
-                "judged_reward_error": refit and refit.error.reward_error,
-                "judged_state_error": refit and refit.error.state_error,
-                "open_below": gate.open_below,
-                "close_above": gate.close_above,
-                "open": float(episode.trusted),
-                "held_out_error_before": refit and refit.error_before,
-                "held_out_error_after": refit and refit.error_after,
-                "refit_kept": refit and float(refit.kept),
-                "stored_imagined_transitions": float(len(self.parts.replay.model)),
-            }
-        )
+        row = {
+            "episode": float(episode.number),
+            "reward_error": error.reward_error,
+            "state_error": error.state_error,
+            "judged_reward_error": None if refit is None else refit.error.reward_error,
+            "judged_state_error": None if refit is None else refit.error.state_error,
+            "open_below": gate.open_below,
+            "close_above": gate.close_above,
+            "open": float(episode.trusted),
+            "held_out_error_before": None if refit is None else refit.error_before,
+            "held_out_error_after": None if refit is None else refit.error_after,
+            "refit_kept": None if refit is None else float(refit.kept),
+            "stored_imagined_transitions": float(len(self.parts.replay.model)),
+        }
+        self.decisions.append(row)
 
     def write_tables(self) -> None:
         """Write `progress.csv` and `gate.csv` as they are now."""

@@ -103,7 +103,6 @@ class Simulated(DataSource):
         require_plant(system, lambda batch: self._start(system, self.seed, batch), ends)
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
-        signal.check_gain(system.signature.state_names)
         seconds = VALIDATION * period if self.validation_seconds is None else self.validation_seconds
         dt = self._step(period)
         steps = max(signal.duration, seconds) / dt * self.substeps
@@ -114,8 +113,7 @@ class Simulated(DataSource):
                 f"{LONGEST:g}, an arbitrary limit: shorten it"
             )
         unseen = self._unseen(signal, seconds)
-        stays = signal.first == 1 and signal.gain is None
-        training, validation, findings = (self._open_loop if stays else self._held)(system, signal, unseen)
+        training, validation, findings = (self._open_loop if signal.first == 1 else self._held)(system, signal, unseen)
         training = disturb(training, self.noise, self.seed, system.signature)
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
@@ -137,7 +135,6 @@ class Simulated(DataSource):
             offset=signal.offset.tolist(),
             seed=self.seed + 1,
             first=signal.first,
-            gain=None if signal.gain is None else signal.gain.tolist(),
         )
 
     def _open_loop(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TypedDict
@@ -28,7 +27,6 @@ class Common(TypedDict, total=False):
     offset: Levels
     seed: int
     first: float
-    gain: Sequence[Sequence[float]] | None
 
 
 class Excitation(TensorDictModuleBase, ABC):
@@ -45,14 +43,11 @@ class Excitation(TensorDictModuleBase, ABC):
         seed: seed of what is random in the signal, if anything is.
         first: share of the amplitude with which the plant is moved at first, in (0, 1]; it doubles every ten control
             periods until it is whole. Less than 1 also says that nobody knows whether the plant stays by itself.
-        gain: K of a feedback `-K (x - x_0)` that holds the plant about its start x_0, under the signal: a row per input
-            and a column per state [input in [-1, 1] per unit of the state]; None if there is none, or it is to be
-            found.
 
     Raises:
         ValueError: a time or the number of inputs is not positive.
         ValueError: amplitudes or offsets are not one per input, or an input would always be clipped.
-        ValueError: `first` is not in (0, 1], or `gain` has not one row of finite numbers per input.
+        ValueError: `first` is not in (0, 1].
     """
 
     in_keys = ["step_count"]  # noqa: RUF012 - the base class of TensorDict sets these per class
@@ -67,7 +62,6 @@ class Excitation(TensorDictModuleBase, ABC):
         offset: Levels = 0.0,
         seed: int = 0,
         first: float = 1.0,
-        gain: Sequence[Sequence[float]] | None = None,
     ) -> None:
         super().__init__()
         self.seed, duration = seed, PERIODS * dt if duration is None else duration
@@ -100,11 +94,9 @@ class Excitation(TensorDictModuleBase, ABC):
                 f"excitation.first is {self.first:g}; allowed is a share of the amplitude above 0 and up to 1: give 1 "
                 "for the whole of it from the start"
             )
-        self.register_buffer("gain", _matrix(gain, n_u))
 
     amplitude: Tensor
     offset: Tensor
-    gain: Tensor | None
 
     @property
     def n_steps(self) -> int:
@@ -132,21 +124,6 @@ class Excitation(TensorDictModuleBase, ABC):
         """
         return (self.first * 2.0 ** (steps.double() / DOUBLES)).clamp_max(1.0)
 
-    def check_gain(self, names: Sequence[str]) -> None:
-        """Refuse a gain whose columns are not the states of a plant.
-
-        Args:
-            names: Names of the states.
-
-        Raises:
-            ValueError: There are more columns, or fewer.
-        """
-        if self.gain is not None and self.gain.shape[1] != len(names):
-            raise ValueError(
-                f"excitation.gain has {self.gain.shape[1]} columns; allowed is one for each of the states "
-                f"{', '.join(names)}: complete its rows"
-            )
-
     def _check_size(self, step: float, parts: int) -> None:
         """Refuse an experiment of more steps [s], each of so many parts, than fit into memory."""
         size = 64.0 * self.n_u * parts * self.duration / step
@@ -170,17 +147,3 @@ def _per_input(value: Levels, n_u: int, what: str) -> Tensor:
     if not bool(values.isfinite().all()):
         raise ValueError(f"excitation got {what} {values.tolist()}; allowed are finite numbers: correct them")
     return values.expand(n_u).clone()
-
-
-def _matrix(gain: Sequence[Sequence[float]] | None, n_u: int) -> Tensor | None:
-    """Give a gain as a matrix, `(n_u, n_x)` float64; None where there is none."""
-    if gain is None:
-        return None
-    rows = [list(row) for row in gain]
-    widths = {len(row) for row in rows}
-    if len(rows) != n_u or len(widths) != 1 or not all(math.isfinite(value) for row in rows for value in row):
-        raise ValueError(
-            f"excitation.gain is {rows}; allowed is a row of finite numbers for each of {n_u} inputs, with a number "
-            "for each state: mend it, or give null where no feedback is known"
-        )
-    return torch.tensor(rows, dtype=torch.float64)

@@ -30,6 +30,9 @@ from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, System
 from dynasindy.tasks import Task, Tracking
 
+REAL_STARTS, JUMPS = 0.25, 0.25
+"""Shares of imagined episodes that begin at real states, and where the last one ended, so that the reference jumps; the
+rest begin as the task does."""
 DIVERGED = 100.0
 """Multiple of the largest value of each state on the plant beyond which an imagined episode has diverged."""
 
@@ -94,8 +97,8 @@ class _Episodes:
         chance = torch.rand(len(x), 1, generator=planner.rng)
         pick = torch.randint(len(self.real_states), (len(x),), generator=planner.rng)
         starts = planner.env.task.initial_state(lost.shape, planner.rng).to(x)
-        starts = torch.where(chance < planner.real_starts, self.real_states[pick], starts)
-        return torch.where((chance > 1 - planner.jumps) & ~lost.unsqueeze(-1), x, starts)
+        starts = torch.where(chance < REAL_STARTS, self.real_states[pick], starts)
+        return torch.where((chance > 1 - JUMPS) & ~lost.unsqueeze(-1), x, starts)
 
 
 def references(env: ControlEnv, rows: int, rng: torch.Generator) -> Rows:
@@ -141,9 +144,6 @@ class GradientPlanning(Planner):
         warm_start: Whether the policy begins as a linear-quadratic regulator of the model, where that earns more.
         gain_range: By what share inputs are weaker or stronger than in the model, at most, in imagined episodes, see
             `dynasindy.planning.randomization`; None for 0.3. Where ways from afar are imitated, as in the model.
-        real_starts: Share of imagined episodes that begin at real states.
-        jumps: Share that begin where the last episode ended, so that the reference jumps; the rest begin as the
-            task does.
         substeps: Runge-Kutta steps per imagined control period.
         check_every: Updates between two tests on held-out imagined references; the best policy is kept.
         patience: Tests in a row without improvement after which a phase ends early.
@@ -175,8 +175,6 @@ class GradientPlanning(Planner):
         window: int | None = None,
         lr: float | None = None,
         width: float | None = 0.02,
-        real_starts: float = 0.25,
-        jumps: float = 0.25,
         substeps: Count | None = None,
         check_every: int = 50,
         patience: int | None = None,
@@ -200,12 +198,10 @@ class GradientPlanning(Planner):
             raise ValueError(f"gradient planning got gain_range={gain_range}; give a share of at least 0 and below 1")
         if not 0 <= input_delay <= 1:
             raise ValueError(f"gradient planning got input_delay={input_delay}; give 0 to 1 control periods")
-        least = min(rollouts, updates or 0, more_updates, real_starts, jumps)
-        if least < 0 or real_starts + jumps > 1:
+        if min(rollouts, updates or 0, more_updates) < 0:
             raise ValueError(
-                f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}, "
-                f"real_starts={real_starts}, jumps={jumps}; rollouts and updates "
-                "must be >= 0 and the shares at most 1 together: mend planning"
+                f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}; these "
+                "must be >= 0: mend planning"
             )
         signature, window = env.system.signature, window or UNTOLD
         check_memory(
@@ -219,7 +215,7 @@ class GradientPlanning(Planner):
         self.rollouts = rollouts
         # TD3's critics know nothing of the imagined windows and would pull the actor away.
         self.learns_by_td3 = rollouts == 0
-        self.real_starts, self.jumps, self.check_every = real_starts, jumps, check_every
+        self.check_every = check_every
         self.input_delay, self.others = input_delay, list(others)
         self.rng = torch.Generator().manual_seed(seed)
         self.env = ControlEnv(env.system, _imagined_task(env.task, width, warm_start), env.dt, substeps or 1)

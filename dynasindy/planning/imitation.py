@@ -7,7 +7,7 @@ The laws are linear-quadratic regulators, and, where none of them brings every e
 It imitates what the gradient cannot find, too: signals on top of the policy that earn more in the model.
 Where two ways lead to the same end, one swing more or less, a policy changes from one to the other at a border in the
 space of states. No gradient moves that border, as it follows each way alone. So signals are searched that lead over it,
-by cross-entropy as in `dynasindy.planning.trajectory_search`; once a signal is over, the policy acts alone.
+by cross-entropy as there; once a signal is over, the policy acts alone.
 
 | name      | symbol | equation                                                                                  |
 | --------- | ------ | ----------------------------------------------------------------------------------------- |
@@ -31,8 +31,7 @@ from torch import Tensor, nn
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
 from dynasindy.planning.rollout import Network, Rows, Window, imagine
-from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, TrajectoryLibrary
-from dynasindy.planning.trajectory_search import cross_entropy, signal
+from dynasindy.planning.trajectory_library import NEAR, STILL, WEIGHTS, TrajectoryLibrary, cross_entropy, signal
 from dynasindy.progress import track
 from dynasindy.systems.equilibria import Equilibria
 from dynasindy.tasks import Tracking

@@ -120,19 +120,6 @@ def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_boun
     assert [end.tolist() for end in _excitation_limits(experiment)] == [[300.0], [402.0]]
 
 
-def test_under_a_gain_that_is_given_a_plant_that_falls_stays_from_the_first_period_on():
-    """With a = 5 theta + 8 u + 1 and u = -K x the poles are those of s^2 + 8 K_2 s + 8 K_1 - 5: here -3 and -4."""
-    gain = [[(12.0 + 5.0) / 8.0, 7.0 / 8.0]]
-    experiment = parts(Inverted(), bounds={"theta": 0.5}, careful={"gain": gain})
-    experiment.excitation.offset[:] = -1.0 / 8.0  # against the pull
-    rows = excite(experiment)
-    assert restarts(experiment, rows) is None and len(rows) == 200
-    signal = experiment.excitation(rows.select("step_count"))["action"]
-    expected = signal.double() - rows["state"] @ torch.tensor(gain, dtype=torch.float64).mT
-    torch.testing.assert_close(rows["action"].double(), expected.clamp(-1.0, 1.0), atol=1e-6, rtol=0.0)
-    assert rows["action"].std() > 0.05
-
-
 class Carried(System):
     """A pole on a cart whose acceleration is given, 8 u, with a spring that pulls the cart home."""
 

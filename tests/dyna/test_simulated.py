@@ -109,17 +109,6 @@ def test_bounds_that_exclude_the_start_are_refused_and_a_far_start_is_no_running
     assert source.findings == () and float(source.training.x.min()) > 8990.0
 
 
-def test_a_gain_that_is_given_holds_the_recording_and_its_validation():
-    """The poles of s^2 + 8 K_2 s + 8 K_1 - 5 are -3 and -4."""
-    gain = [[(12.0 + 5.0) / 8.0, 7.0 / 8.0]]
-    held = Simulated(bounds={"theta": 0.5}, validation_seconds=5.0)
-    source = held.load(Inverted(), partial(CHIRP, first=0.1, gain=gain))
-    assert source.findings == ()
-    assert source.training.segment.unique().numel() == source.validation.segment.unique().numel() == 1
-    with pytest.raises(ValueError, match="has 1 columns"):
-        Simulated().load(Inverted(), partial(CHIRP, gain=[[1.0]]))
-
-
 class Oscillator(System):
     """A mass on a spring, of 2 rad/s, pushed by u."""
 

@@ -74,17 +74,6 @@ def test_it_begins_at_a_share_of_its_strength_that_doubles_every_ten_periods():
             Chirp(1, first=share)
 
 
-def test_a_gain_has_a_row_per_input_and_a_column_per_state():
-    signal = Chirp(2, gain=[[1.0, 0.5, 2.0], [0.0, -1.0, 3.0]])
-    assert signal.gain.tolist() == [[1.0, 0.5, 2.0], [0.0, -1.0, 3.0]]
-    signal.check_gain(["a", "b", "c"])
-    with pytest.raises(ValueError, match="columns"):
-        signal.check_gain(["a", "b"])
-    for gain in ([[1.0, 2.0]], [[1.0, 2.0], [1.0]], [[1.0], [math.inf]], []):
-        with pytest.raises(ValueError, match="finite"):
-            Chirp(2, gain=gain)
-
-
 def test_a_sweep_is_its_formula_in_plain_numbers():
     chirp = Chirp(3, duration=8.0, band=(0.2, 1.5), amplitude=1.0)
     for t in (0.0, 1.3, 7.7):

@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning import trajectory_library, trajectory_search
+from dynasindy.planning import trajectory_library
 from dynasindy.planning.plan_settings import find_task_equilibria
 from dynasindy.planning.regulator import Regulator
 from dynasindy.planning.trajectory_library import (
@@ -48,7 +48,6 @@ def few():
     """Fewer starts and signals than planning takes are enough for one pole."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trajectory_library, "STARTS", 6)
-        patch.setattr(trajectory_search, "POPULATION", 256)
         patch.setattr(trajectory_library, "POPULATION", 256)
         yield
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.planning.trajectory_search import FAR, OUTSIDE, _objective, cross_entropy, roll, search, signal
+from dynasindy.planning.trajectory_library import FAR, OUTSIDE, _objective, _roll, _search, cross_entropy, signal
 from dynasindy.systems import Signature, System
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
 
@@ -59,7 +59,7 @@ def test_cross_entropy_finds_the_top_of_a_hill_for_each_start_and_no_less_than_i
 def test_a_way_is_what_the_environment_does():
     env = setting()
     x, inputs = torch.tensor([[0.3, -0.2]]), torch.tensor([[[0.5]], [[-1.0]]])
-    states = roll(env, x, inputs)
+    states = _roll(env, x, inputs)
     # Under a constant push p moves by v dt + u dt^2 / 2 and v by u dt.
     first = torch.tensor([0.3 - 0.02 + 0.0025, -0.15])
     second = torch.tensor([first[0] - 0.015 - 0.005, -0.25])
@@ -90,9 +90,9 @@ def test_the_search_finds_the_quick_way_home():
     """From 1 m at rest: full push one way, then the other, takes 2 sqrt(1 / 1) = 2 s, which is 20 periods."""
     env = setting()
     x, params = rows(env, [[1.0, 0.0], [-1.0, 0.0]])
-    ways = search(env, x, params, 32, torch.Generator().manual_seed(0))
+    ways = _search(env, x, params, 32, torch.Generator().manual_seed(0))
     for way, sign in zip(ways, (1.0, -1.0), strict=True):
         assert way.states.shape == (33, 2) and way.inputs.shape == (32, 1)
-        torch.testing.assert_close(way.states, roll(env, way.states[:1], way.inputs.unsqueeze(1))[:, 0])
+        torch.testing.assert_close(way.states, _roll(env, way.states[:1], way.inputs.unsqueeze(1))[:, 0])
         assert way.states[22:].abs().max() < 0.1
         assert sign * way.inputs[2] < -0.5 and sign * way.inputs[15] > 0.3
