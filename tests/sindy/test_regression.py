@@ -137,3 +137,54 @@ def test_no_function_goes_where_most_samples_lie_at_the_edge():
     theta, free = torch.cat([torch.ones_like(x), x, 0 * x + 2], -1), torch.ones(3, 1, dtype=torch.bool)
     rows = (theta, 3 * x)
     assert bool(needed_at_edge(rows, x, free, torch.zeros(3, 1).double(), [0, 1, 2]).all())
+
+
+def missed(theta, target, chosen):
+    """Return the sum of squares that a least-squares fit by numpy leaves, and its coefficients."""
+    xi = np.linalg.lstsq(theta[:, chosen], target, rcond=None)[0]
+    return float(((target - theta[:, chosen] @ xi) ** 2).sum()), xi
+
+
+def best_at_edge(theta, target, outer, ranks):
+    """Drop functions one by one, least missed first, and return the set of least log(error) + prices at the edge."""
+    inside, beyond, best, found = ~outer, outer, math.inf, None
+    for rank in sorted(set(ranks)):
+        chosen = [k for k, own in enumerate(ranks) if own <= rank]
+        while chosen:
+            _, xi = missed(theta[inside], target[inside], chosen)
+            error = np.linalg.norm(target[beyond] - theta[beyond][:, chosen] @ xi) / np.linalg.norm(target[beyond])
+            score = math.log(max(error, 1e-8)) + sum(0.1 if ranks[k] <= 1 else 0.2 for k in chosen)
+            if score < best:
+                best, found = score, list(chosen)
+            rest = [[k for k in chosen if k != gone] for gone in chosen]
+            chosen = min(rest, key=lambda some: missed(theta[inside], target[inside], some)[0]) if len(rest) > 1 else []
+    return found
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_needed_at_the_edge_is_what_a_plain_loop_finds(seed):
+    """A cubic plant of two states, whose squares and products are offered, too; 60 samples, as noisy as that."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(60, 2)) * [1.0, 3.0] + [0.5, 0.0]
+    a, b = x.T
+    theta, ranks = np.stack([np.ones(60), a, b, a * a, a * b, a**3], 1), [0, 1, 1, 2, 2, 3]
+    noise = 10.0 ** -rng.integers(0, 3)
+    dx = np.stack([b - 0.4 * a**3, 1 + 0.3 * a - 0.2 * a * b], 1) + noise * rng.normal(size=(60, 2))
+    away = np.abs(x - np.sort(x, 0)[29])
+    away = (away / away.max(0)).max(1)
+    outer = away > np.quantile(away, 0.75)
+    given = np.zeros((6, 2))
+    given[1, 0] = 0.5  # known, and no matter of what is sought
+    free = np.ones((6, 2), dtype=bool)
+    free[1, 0] = False
+    found = needed_at_edge(
+        (torch.from_numpy(theta), torch.from_numpy(dx + theta @ given)),
+        torch.from_numpy(x),
+        torch.from_numpy(free),
+        torch.from_numpy(given),
+        ranks,
+    )
+    for i in range(2):
+        places = np.flatnonzero(free[:, i])
+        some = best_at_edge(theta[:, places], dx[:, i], outer, [ranks[k] for k in places])
+        assert found[:, i].nonzero().flatten().tolist() == [int(places[k]) for k in some]
