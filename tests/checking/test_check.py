@@ -9,10 +9,15 @@ import torch
 from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
-from dynasindy.checking.closed_loop import ClosedLoop
+from dynasindy.checking.closed_loop import ClosedLoop, Plant
 from dynasindy.checking.verdict import _plain_number, check_record
+from dynasindy.control import Controller
+from dynasindy.control.controller import ControlSetup
 from dynasindy.progress import listening
+from dynasindy.sensing import Observer, Sensors
 from dynasindy.sindy import SindyModel
+from dynasindy.systems import Signature
+from dynasindy.tasks import Step, Tracking, TrackingReward
 
 SMALL = Settings((-0.4,), (0.4,), points=3, seconds=5.0, grid=3, draws=2)
 
@@ -107,3 +112,72 @@ def test_steps_begin_where_the_run_begins_or_within_its_bounds(loops, start, bou
         torch.testing.assert_close(flights.x[:, 0], expected.expand(len(flights.x), -1))
     assert found.beginning() == told
     assert abs(float(found.targets[found.farthest, 0]) - begin[0]) == pytest.approx(max(0.4 - begin[0], begin[0] - 0.2))
+
+
+CARTS = {"a": (0.3, 0.9, 2.0, 2.5), "b": (0.1, 0.4, 3.5, 3.0)}
+"""Dry friction and spring of each cart, and the gains of its law."""
+
+
+def side_by_side(*names):
+    """Return carts on rails of their own, each with its law and its sensor: p' = v, v' = f - c tanh(20 v) - s p."""
+    states = {f"{kind}_{name}": unit for name in names for kind, unit in (("p", "m"), ("v", "m/s"))}
+    forces, n = [f"f_{name}" for name in names], len(names)
+    signature = Signature(tuple(states), tuple(states.values()), tuple(forces), (2.0, 3.0) * n)
+    terms = [[f"f_{name}", f"tanh(20 v_{name})", f"p_{name}"] for name in names]
+    offered = [f"v_{name}" for name in names] + [term for own in terms for term in own]
+    model = SindyModel(signature, offered, known={f"p_{name}": f"v_{name}" for name in names})
+    xi = torch.zeros(len(model.library), 2 * n, dtype=torch.float64)
+    for i, name in enumerate(names):
+        friction, spring, *_ = CARTS[name]
+        xi[model.library.index(f"v_{name}"), 2 * i] = 1.0
+        numbers = (1.0, -friction, -spring)
+        for term, number in zip(terms[i], numbers):
+            xi[model.library.index(term), 2 * i + 1] = number
+    model.set_coefficients(xi)
+    outputs = [f"p_{name}" for name in names]
+    reward = TrackingReward((1.0,) * n)
+    task = Tracking(signature, Step([[0.0] * n]), outputs, [f"v_{name}" for name in names], reward, error_scale=0.7)
+
+    def law(tensordict):
+        seen = tensordict["observation"]
+        k_p, k_v = torch.tensor([CARTS[name][2:] for name in names], dtype=seen.dtype).mT
+        return tensordict.set("action", k_p * 0.7 * seen[..., 2 * n :] - k_v * 3.0 * seen[..., 1 : 2 * n : 2])
+
+    setup = ControlSetup(task, 0.1, 2, None)
+    sensors = Sensors({output: {"noise": 0.01} for output in outputs}, rates={f"p_{k}": f"v_{k}" for k in names})
+    observer = Observer(model, sensors, setup)
+    observer.load_state_dict({"process_noise": [0.01, 0.05] * n, "nis": 1.0})
+    return ClosedLoop(Controller(law, setup, observer, None), Plant(model, 0.1, 0.05, None))
+
+
+def test_carts_on_rails_of_their_own_are_judged_together_as_each_alone():
+    given = {"a": (-0.4, 0.6), "b": (0.2, 0.5)}
+
+    def checked(*names):
+        ends = tuple(zip(*(given[name] for name in names)))
+        bounds = {f"p_{name}": [0.1, 0.9] for name in names}
+        return check(side_by_side(*names), Settings(*ends, points=2, seconds=2.5, grid=2, draws=0, bounds=bounds))
+
+    both, alone = checked("a", "b"), {name: checked(name) for name in "ab"}
+    assert both.targets.tolist() == [[-0.4, 0.2], [-0.4, 0.5], [0.6, 0.2], [0.6, 0.5]]
+    assert both.stable.all() and all(found.stable.all() for found in alone.values())
+    close = {"rtol": 1e-5, "atol": 1e-6}
+    for i, (name, found) in enumerate(alone.items()):
+        mine = [2 * i, 2 * i + 1]
+        torch.testing.assert_close(both.begin[mine], found.begin, **close)
+        assert both.sensors[mine].tolist() == found.sensors.tolist()
+        for k, target in enumerate(both.targets[:, i].tolist()):
+            own = found.targets.flatten().tolist().index(target)
+            torch.testing.assert_close(both.rest.error[k, i], found.rest.error[own, 0], **close)
+            torch.testing.assert_close(both.rest.u[k, i], found.rest.u[own, 0], **close)
+            for kind in ("margins", "smooth"):
+                margins, single = getattr(both, kind)[k], getattr(found, kind)[own]
+                assert len(margins) == 2 and len(single) == 1
+                assert asdict(margins[i]) == pytest.approx(asdict(single[0]), rel=1e-3)
+            assert both.noise[k][i, mine].tolist() == pytest.approx(found.noise[own][0].tolist(), rel=1e-5)
+            assert both.noise[k][i, [2 - 2 * i, 3 - 2 * i]].max() < 1e-12  # of the other cart
+            torch.testing.assert_close(both.steps.x[k][:, mine], found.steps.x[own], **close)
+            torch.testing.assert_close(both.steps.u[k][:, i], found.steps.u[own][:, 0], **close)
+        (plane,) = found.planes
+        torch.testing.assert_close(both.planes[i].steady_error[i], plane.steady_error[0], **close)
+    assert len(both.planes) == 3  # the last one of both positions
