@@ -91,8 +91,8 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached:
     if compiler() is None:
         raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
     file = _cache_file(source, fast) if cached else None
-    if file is not None and file.is_file():
-        with suppress(OSError):  # it may be damaged, and is then compiled anew
+    if file is not None:
+        with suppress(OSError):  # it may be missing or damaged, and is then compiled anew
             code = ctypes.CDLL(str(file))
             if all(hasattr(code, name) for name in functions):
                 file.touch()

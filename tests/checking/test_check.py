@@ -162,7 +162,7 @@ def test_carts_on_rails_of_their_own_are_judged_together_as_each_alone():
     assert both.targets.tolist() == [[-0.4, 0.2], [-0.4, 0.5], [0.6, 0.2], [0.6, 0.5]]
     assert both.stable.all() and all(found.stable.all() for found in alone.values())
     close = {"rtol": 1e-5, "atol": 1e-6}
-    for i, (name, found) in enumerate(alone.items()):
+    for i, found in enumerate(alone.values()):
         mine = [2 * i, 2 * i + 1]
         torch.testing.assert_close(both.begin[mine], found.begin, **close)
         assert both.sensors[mine].tolist() == found.sensors.tolist()

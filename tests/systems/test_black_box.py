@@ -11,6 +11,7 @@ def test_names_units_and_ends_are_those_that_were_given_in_their_order():
     plant = BlackBox({"h1": "cm", "h2": "cm"}, {"pump": [0, 12], "valve": [-1, 1]})
     signature = plant.signature
     assert signature.state_names == ("h1", "h2") and signature.state_units == ("cm", "cm")
+    assert signature.x_scale == (1.0, 1.0)  # as nobody knows how far they go
     assert signature.input_names == ("pump", "valve") and signature.input_units == ()
     assert signature.in_own_units([[0, 0], [1, 1]]).tolist() == [[0, 0], [12, 1]]  # zero is 0 V, as in a log
     assert signature.input_limits == ((0.0, 1.0), (-1.0, 1.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from dynasindy.systems.interpreter import simulate_program, simulate_sensitivities
+from dynasindy.systems.interpreter import MeasurementUpdate, simulate_program, simulate_sensitivities
 from dynasindy.systems.machine import Program
 
 ROWS = 70  # more than are handled at once, and no multiple of that
@@ -59,3 +59,56 @@ def test_rates_of_a_sparse_model_have_the_slopes_on_paper():
     none = torch.zeros(0, dtype=torch.int64)
     found = simulate_sensitivities(functions, (), xi, (none, none), x, u.unsqueeze(1), 1.0, 1)[1][:, 0]
     np.testing.assert_allclose(found.permute(1, 2, 0), wanted, rtol=1e-11, atol=1e-12)
+
+
+def theta(x, u, k):
+    """Three functions of three states and two inputs, in NumPy: two numbers lie inside of them."""
+    return np.stack([np.tanh(k[0] * x[:, 0]) * x[:, 2], np.sin(x[:, 1] - k[1] * u[:, 1]), x[:, 0] * u[:, 0]], -1)
+
+
+def plain(x, u, u_end, k, xi, gain, measured, substeps, dt=0.1):
+    """Runge-Kutta steps of x' = theta xi under inputs that move in a line, corrected by what was measured."""
+    ends = []
+    for t in range(u.shape[1]):
+        h, slope = dt / substeps, (u_end[:, t] - u[:, t]) / substeps
+        for s in range(substeps):
+            held = u[:, t] + s * slope
+            k1 = theta(x, held, k) @ xi
+            k2 = theta(x + 0.5 * h * k1, held + 0.5 * slope, k) @ xi
+            k3 = theta(x + 0.5 * h * k2, held + 0.5 * slope, k) @ xi
+            k4 = theta(x + h * k3, held + slope, k) @ xi
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        ends.append(x)
+        x = x + np.nan_to_num(measured[:, t] - x) @ gain.T
+    return np.stack(ends, 1)
+
+
+@pytest.mark.parametrize("rows", [1, ROWS])
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_slopes_by_all_there_is_are_differences_of_a_plain_loop(rows, substeps):
+    """By states, free elements of the gain, numbers inside functions and coefficients, in this order."""
+    functions = Program(3, 2, (), ("tanh(k[0]*x[0])*x[2]", "sin(x[1] - k[1]*u[1])", "x[0]*u[0]"), (0.8, 1.7))
+    rng = np.random.default_rng(3)
+    x, u, u_end, measured = (rng.normal(size=shape) for shape in ((rows, 3), *[(rows, 4, 2)] * 2, (rows, 4, 3)))
+    measured[:, 1:3, 1] = np.nan
+    xi = np.array([[0.7, 0.0, -1.1], [0.0, 1.3, 0.4], [-0.6, 0.9, 0.0]])
+    gain, k = 0.2 * rng.normal(size=(3, 3)), np.array([0.8, 1.7])
+    free, fitted = ([0, 2, 1], [1, 2, 0]), ([0, 2, 1, 2], [2, 1, 1, 0])
+    update = MeasurementUpdate(torch.from_numpy(measured), torch.from_numpy(gain), torch.tensor(free))
+    given = [torch.from_numpy(part) for part in (xi, x, u, u_end)]
+    found, slopes = simulate_sensitivities(
+        functions, (0, 1), given[0], tuple(map(torch.tensor, fitted)), *given[1:3], 0.1, substeps, given[3], update
+    )
+    numbers = {"x": x, "gain": gain, "k": k, "xi": xi}
+    rest = {"u": u, "u_end": u_end, "measured": measured, "substeps": substeps}
+    np.testing.assert_allclose(found, plain(**numbers, **rest), rtol=1e-11, atol=1e-12)
+    places = [("x", (slice(None), i)) for i in range(3)] + [("gain", place) for place in zip(*free)]
+    places += [("k", (0,)), ("k", (1,))] + [("xi", place) for place in zip(*fitted)]
+    assert slopes.shape == (rows, 4, 3, len(places))
+    for column, (name, place) in enumerate(places):
+        ends = []
+        for step in (1e-5, -1e-5):
+            moved = numbers[name].copy()
+            moved[place] += step
+            ends.append(plain(**{**numbers, name: moved}, **rest))
+        np.testing.assert_allclose(slopes[..., column], (ends[0] - ends[1]) / 2e-5, rtol=1e-6, atol=1e-8)
