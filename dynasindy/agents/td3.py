@@ -17,7 +17,7 @@ Source: Fujimoto, van Hoof, Meger, "Addressing Function Approximation Error in A
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -112,7 +112,6 @@ class TD3:
         loss: the TorchRL loss module with all parameters and targets.
         settings: the hyperparameters.
         updates: number of updates so far.
-        widths: numbers of an observation and of an action.
 
     Args:
         n_obs: width of `observation`.
@@ -162,7 +161,7 @@ class TD3:
         self._targets, self._sources = ([p.detach() for p in side.values(True, True)] for side in following)
         self.actor_optimizer = self._optimizer(self.loss.actor_network_params, s.actor_lr)
         self.critic_optimizer = self._optimizer(self.loss.qvalue_network_params, s.critic_lr)
-        self.widths, self._device = (n_obs, n_u), device
+        self._device = device
         self.updates = 0
         self.actor_loss = torch.zeros((), device=device)
         self._made: GradientSteps | None = None
@@ -235,12 +234,6 @@ class TD3:
             optimizers = self.critic_optimizer, self.actor_optimizer
             self._made = best_steps(self.loss, *optimizers, self.settings.machine_code)
         return self._made
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "TD3":
-        """Return an agent that learns apart: what TorchRL's parameters are copied to is not what they are read from."""
-        copied = TD3(*self.widths, device=self._device, **asdict(self.settings))
-        copied.load_state_dict(copy.deepcopy(self.state_dict()))
-        return copied
 
     def _require_finite(self, loss: Tensor, what: str) -> None:
         # A loss that is not finite stays so: weights that it has moved are NaN, and so is what they give.

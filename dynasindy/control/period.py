@@ -20,11 +20,10 @@ from dynasindy.systems.equilibria import LocalModes
 from dynasindy.systems.transitions import Transitions
 from dynasindy.tasks import Tracking
 
-PART = 5
-"""Control periods in the fastest oscillation of the model at least, if nobody asks for another one."""
-QUARTER = 4
-"""The same in the time in which a deviation of an unstable model doubles: inputs that act a period late have to hold
-it. With a hold of a period, which delays by half of one, a deviation grows by exp(0.26) until then."""
+PERIODS = {"oscillation": 5, "doubling": 4}
+"""Control periods in the fastest oscillation of the model at least, if nobody asks for another one, and in the time in
+which a deviation of an unstable model doubles: inputs that act a period late have to hold it. With a hold of a period,
+which delays by half of one, a deviation grows by exp(0.26) until then."""
 PLACES = 64
 """Places of a log at which its model is looked at."""
 SHARED = 0.25
@@ -62,14 +61,14 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         return _chosen(model.step, "step")
     usual, step = closest_period(log), log.training.dt if log else 0.0
     task, (x, u) = as_planned(task, model, log), _places(model, task, log)
-    pace = _Pace.of(model, x, u, task.outputs)
-    longest = pace.longest
+    fastest, kind = _fastest_motion(model, x, u, task.outputs)
+    longest = fastest / PERIODS[kind]
     if step < usual and longest < usual * (1 - 1e-6):
         step = step or _two_digits(longest)
         samples = math.floor(longest / step + 1e-6)
         if samples:
-            return _chosen(samples * step, pace.kind, pace.seconds)
-        return _chosen(step, f"sample_{pace.kind}", pace.seconds)
+            return _chosen(samples * step, kind, fastest)
+        return _chosen(step, f"sample_{kind}", fastest)
     seconds = settles(ControlEnv(model, task, usual), x, u)
     if (slow := _lengthened(usual, seconds / LONGEST, longest, step)) > usual:
         return _chosen(slow, "settles", seconds)
@@ -116,33 +115,21 @@ def _places(model: SindyModel, task: Tracking, log: Source | None) -> tuple[Tens
     return torch.cat([middle.unsqueeze(0), x]), torch.cat([usual.unsqueeze(0), data.u[rows].double()])
 
 
-@dataclass(frozen=True)
-class _Pace:
-    """How fast a model moves that is to be controlled."""
+def _fastest_motion(model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> tuple[float, str]:
+    """Return which motion of a model asks for the shorter control period, and its time, see `PERIODS` [s].
 
-    seconds: float  # period of its fastest oscillation, or the time in which a deviation doubles [s]
-    grows: bool  # whether it is the latter, which asks for the shorter control period
+    It is that at the first place, or that of enough of the others, if it is faster.
+    """
+    modes = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)]
+    found = {"oscillation": [at.oscillation for at in modes], "doubling": [at.doubling for at in modes]}
+    times = {kind: min([first, *_shared(others)]) for kind, (first, *others) in found.items()}
+    kind = min(times, key=lambda kind: times[kind] / PERIODS[kind])
+    return times[kind], kind
 
-    @classmethod
-    def of(cls, model: SindyModel, x: Tensor, u: Tensor, outputs: list[int]) -> _Pace:
-        """Return that of a model at the first place, or that of enough of the others, if it is faster."""
-        modes = [LocalModes(model, *place, outputs) for place in zip(x, u, strict=True)]
 
-        def _fastest(first: float, *others: float) -> float:
-            return min(first, sorted(others)[math.ceil(SHARED * len(others)) - 1]) if others else first
-
-        swing, doubling = _fastest(*(at.oscillation for at in modes)), _fastest(*(at.doubling for at in modes))
-        return cls(doubling, True) if doubling / QUARTER < swing / PART else cls(swing, False)
-
-    @property
-    def longest(self) -> float:
-        """The longest control period that suits it [s]."""
-        return self.seconds / (QUARTER if self.grows else PART)
-
-    @property
-    def kind(self) -> str:
-        """Which of the two it is."""
-        return "doubling" if self.grows else "oscillation"
+def _shared(times: list[float]) -> list[float]:
+    """Return the time that is as short in enough places; nothing of no places."""
+    return sorted(times)[max(0, math.ceil(SHARED * len(times)) - 1) :][:1]
 
 
 def _lengthened(usual: float, wanted: float, longest: float, step: float) -> float:
