@@ -5,12 +5,9 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cli import command
-
-if TYPE_CHECKING:
-    from dynasindy.rig.session import Session
 
 
 @command("rig", progress=False)  # a clock of its own keeps the time
@@ -25,8 +22,9 @@ def main(cfg: Any) -> None:
     from dynasindy.dyna import Stopped
     from dynasindy.progress import Progress, say
     from dynasindy.rig import Wiring
-    from dynasindy.rig.session import Knowledge, Session, targets_within
+    from dynasindy.rig.session import Knowledge, Session
     from dynasindy.safe_io import output_folder, write_text
+    from dynasindy.viz.response import draw_session
 
     output_folder(Path(cfg.folder), "figures")  # refuses links in it before anything moves
     system, guard = (instantiate(cfg[name], _convert_="all") for name in ("system", "guard"))
@@ -47,7 +45,7 @@ def main(cfg: Any) -> None:
     if known is None and system.known:  # of an unknown plant the logs tell which rates are missing
         known = {}
     knowledge = Knowledge(plant["library"], known, targets, cfg.longest_delay, planning, ranged=system.known)
-    wanted = targets_within(knowledge, cfg.targets)
+    wanted = knowledge.within(cfg.targets)
     given = load(cfg.controller) if cfg.controller else None
     if given is None:
         knowledge.require_of(system.signature)
@@ -68,7 +66,7 @@ def main(cfg: Any) -> None:
         except KeyboardInterrupt as stop:
             told = f"stopped; the rig was asked for its safe input, its logs are in {cfg.folder}; {again}"
             raise Stopped(told, getattr(stop, "signal", 2)) from stop
-    draw(session)
+    draw_session(session)
     print(f"Logs and what came of them: {cfg.folder}")
     if session.failed:
         print(f"Mend what ended the flight; {again}")
@@ -84,25 +82,6 @@ def main(cfg: Any) -> None:
                 command_line("rig", more, "learns from all logs in the folder and flies again"),
             )
         )
-
-
-def draw(session: Session) -> None:
-    """Draw the excitations of the folder, and each flight with its references and what ended it early."""
-    from dynasindy.rig.log import samples
-    from dynasindy.viz.response import draw_flight, draw_rig_excitation
-    from dynasindy.viz.style import save_figures
-
-    for path, rows in session.logs("excitation").items():
-        if rows:
-            flown = session.flights.get(path.stem)  # what ended one of an earlier session is not known
-            ended = f", ended by {flown.ended}" if flown is not None and flown.ended else ""
-            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig{ended}"
-            figure = draw_rig_excitation(samples(path, session.wiring.signature), session.wiring, session.guard, title)
-            save_figures({path.stem: figure}, session.folder / "figures")
-    for name, shown in session.shown.items():
-        if len(shown.time):  # it did not end before its first sample
-            figure = draw_flight(shown, session.wiring, session.guard, name)
-            save_figures({name: figure}, session.folder / "figures")
 
 
 if __name__ == "__main__":

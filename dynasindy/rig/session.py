@@ -25,7 +25,7 @@ from dynasindy.identification.source import Source, same_input_ranges
 from dynasindy.planning import GradientPlanning
 from dynasindy.rig.base import Array, Rig, RigClock, Wiring
 from dynasindy.rig.flight import ROUNDING, FlightResult, Guard, run_flight
-from dynasindy.rig.log import LAST, FlightRecord, log_headings
+from dynasindy.rig.log import LAST, FlightRecord, log_headings, samples
 from dynasindy.sentences import line
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.named_libraries import LibraryBuilder
@@ -81,27 +81,25 @@ class Knowledge:
         signature = with_rates(signature, self.known or {})
         workbench.tracking_task(SindyModel(signature, self.library, known=self.known), self.targets)
 
+    def within(self, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:
+        """Return targets within the target range of the plant, `(n_targets, n_r)`, before anything moves.
 
-def targets_within(knowledge: Knowledge, wanted: Sequence[Sequence[float]] | None) -> list[list[float]]:
-    """Return targets within the target range of the plant, `(n_targets, n_r)`, before anything moves.
+        Args:
+            wanted: One number per output each; None takes two, half of the way to the upper and to the lower ends.
 
-    Args:
-        knowledge: Tells outputs and target range.
-        wanted: One number per output each; None takes two, half of the way to the upper and to the lower ends.
-
-    Raises:
-        ValueError: One is not of this plant, or outside of the target range.
-    """
-    ends = list(knowledge.targets.values())
-    if wanted is None:
-        return [[0.5 * (a + b) + 0.25 * sign * (b - a) for a, b in ends] for sign in (1, -1)]
-    for target in wanted:
-        if len(target) != len(ends) or not all(a <= v <= b for v, (a, b) in zip(target, ends, strict=True)):
-            raise ValueError(
-                f"targets has {list(target)}; give one number for each of {', '.join(knowledge.targets)}, within "
-                f"plant.low={[a for a, _ in ends]} and plant.high={[b for _, b in ends]}"
-            )
-    return [[float(value) for value in target] for target in wanted]
+        Raises:
+            ValueError: One is not of this plant, or outside of the target range.
+        """
+        ends = list(self.targets.values())
+        if wanted is None:
+            return [[0.5 * (a + b) + 0.25 * sign * (b - a) for a, b in ends] for sign in (1, -1)]
+        for target in wanted:
+            if len(target) != len(ends) or not all(a <= v <= b for v, (a, b) in zip(target, ends, strict=True)):
+                raise ValueError(
+                    f"targets has {list(target)}; give one number for each of {', '.join(self.targets)}, within "
+                    f"plant.low={[a for a, _ in ends]} and plant.high={[b for _, b in ends]}"
+                )
+        return [[float(value) for value in target] for target in wanted]
 
 
 @dataclass
@@ -192,6 +190,10 @@ class Session:
             found[path] = len(rows)
         return found
 
+    def samples(self, path: Path) -> tuple[Array, Array, Array]:
+        """Return the times `(T,)` [s], states `(T, n_x)` and inputs `(T, n_u)` of a log, NaN for what is missing."""
+        return samples(path, self.wiring.signature)
+
     def learn(self, knowledge: Knowledge, seed: int = 0) -> Controller:
         """Identify the rig from all logs so far and plan a controller, while it rests.
 
@@ -203,25 +205,14 @@ class Session:
             Diverged: The model explodes.
         """
         log = self._source(knowledge.ranged)
-        delay = knowledge.longest_delay
-
         with warnings.catch_warnings(action="ignore"):  # they are among the findings
-            model = identify(log, knowledge.library, knowledge.known, longest_delay=delay)
+            model = identify(log, knowledge.library, knowledge.known, longest_delay=knowledge.longest_delay)
         for each in model.findings:
-            if each.code != "model.delay":  # which is said below, in control periods too
-                self.tell(f"  {line(each)}")
+            self.tell(f"  {line(each)}")
         model.save(self.folder / "model.json")
         self.model = model
         for equation in model.equations():
             self.tell(f"  {equation}")
-        if model.delay:
-            periods = model.delay / self.wiring.dt
-            self.tell(f"  inputs act {1e3 * model.delay:.3g} ms late, {periods:.2g} control periods")
-        elif delay == 0:
-            self.tell("  no delay of the inputs was looked for, as longest_delay=0 says")
-        else:
-            far = f" up to {1e3 * delay:.3g} ms" if delay else ""
-            self.tell(f"  no delay of the inputs was found{far}")
         self.tell("planning while the rig rests")
         controller = workbench.plan(
             model, knowledge.targets, log, dt=self.wiring.dt, seed=seed, **dict(knowledge.planning)

@@ -233,25 +233,20 @@ def _markdown(part: Part, sources: dict[str, int]) -> str:
     return "\n".join(f"| {line} |" for line in lines) + f"\n\n{source}" * bool(source)
 
 
-class MissingResult(FileNotFoundError):
-    """A result that a section needs is not there; the message says which command makes it."""
-
-
 @dataclass(frozen=True)
 class Run:
-    """A saved run: its folder, its resolved configuration, and the command that makes what it lacks."""
+    """A saved run: its folder and its resolved configuration."""
 
     folder: Path
     settings: Mapping[str, Any]
-    make: str
 
     def table(self, name: str) -> Columns:
-        """Read one of its CSV files, or raise `MissingResult`."""
-        return read_table(self._file(name))
+        """Read one of its CSV files."""
+        return read_table(self.folder / name)
 
     def record(self, name: str) -> dict[str, Any]:
-        """Read one of its JSON files, or raise `MissingResult`."""
-        return read_json(self._file(name))
+        """Read one of its JSON files."""
+        return read_json(self.folder / name)
 
     def setting(self, key: str) -> Any:
         """Return a setting by its dotted key, None where the run has none."""
@@ -265,12 +260,6 @@ class Run:
         """Folder, command and commit in words."""
         origin = self.record("origin.json")
         return f"Run `{_path(self.folder)}`, made by `{origin['command']}` at commit {origin['commit']}."
-
-    def _file(self, name: str) -> Path:
-        file = self.folder / name
-        if not file.is_file():
-            raise MissingResult(f"Not measured: `{_path(self.folder)}` has no `{name}`; {self.make} makes it.")
-        return file
 
 
 @dataclass(frozen=True)
@@ -289,31 +278,24 @@ class Results:
         """Return the saved run of an ablation's setting; where the experiment is `gradient`, that of the main job.
 
         Raises:
-            MissingResult: It is not saved.
+            FileNotFoundError: It is not saved.
         """
-        if experiment == "gradient":
-            name = f"{system}_gradient"
-            make, made = f"python scripts/train.py system={system} folder=runs/{name}", f"runs/{name}"
-        else:
-            name = f"{system}_{experiment}_{setting}"
-            make = f"{ABLATION.format(system, experiment)} setting={setting} seed=0"
-            made = f"runs/ablation/{system}/{experiment}/{setting}/seed_0"
-        words = f"`{make}`, then `cp -r {made} {_path(self.folder)}/runs/{name}`,"
-        if name not in self.settings or not (self.folder / "runs" / name).is_dir():
-            raise MissingResult(f"Not measured: no saved run `{name}`; {words} makes it.")
-        return Run(self.folder / "runs" / name, self.settings[name], words)
+        name = f"{system}_gradient" if experiment == "gradient" else f"{system}_{experiment}_{setting}"
+        folder = self.folder / "runs" / name
+        if name not in self.settings or not folder.is_dir():
+            raise FileNotFoundError(f"there is no saved run {_path(folder)}")
+        return Run(folder, self.settings[name])
 
     def rows(self, name: str, system: str, experiment: str) -> list[dict[str, str]]:
         """Read the rows of a case from a table of the ablation, cell by cell as it stands.
 
         Raises:
-            MissingResult: There is none.
+            FileNotFoundError: There is none.
         """
         file = self.folder / name
         found = [row for row in read_rows(file) if (row["system"], row["experiment"]) == (system, experiment)]
         if not found:
-            make = ABLATION.format(system, experiment)
-            raise MissingResult(f"Not measured: `{_path(file)}` has no row of it; `{make}` makes them.")
+            raise FileNotFoundError(f"{_path(file)} has no row of {system}, {experiment}")
         return found
 
 
@@ -354,7 +336,7 @@ def pages(results: Results) -> list[Section]:
 def build_section(
     results: Results, title: str, words: str, builder: Builder | None = None, cases: Sequence[tuple[str, ...]] = ()
 ) -> Section:
-    """Build a section from what is saved of each case; where something is missing, a line says what makes it.
+    """Build a section from what is saved of each case; where something is missing, a line says so.
 
     Raises:
         DamagedFileError: What is saved is not what the section expects.
@@ -365,11 +347,8 @@ def build_section(
         with reading(f"what is saved of {name}"):
             try:
                 made = list(builder(results, *case)) if builder is not None else []
-            except MissingResult as missing:
-                made = [str(missing)]
-            except KeyError as column:
-                again = f"run their commands again, and put their folders into `{_path(results.folder)}/runs`"
-                made = [f"Not measured: saved results of {name} are older and have no {column}; {again}."]
+            except FileNotFoundError as missing:
+                made = [f"Not measured: {missing}."]
         for part in made:
             if isinstance(part, Judgement):
                 section.judged.append((_case(*case), part))
@@ -455,7 +434,6 @@ def _last_states(results: Results, plant: str, experiment: str) -> Made:
     # The excitation applied to the final model, as the paper does.
     run = results.run(plant, experiment)
     table = run.table("data/excitation.csv")
-    run.record("model.json")  # the model reads its file itself; this says what makes it where it is missing
     x, u = (torch.as_tensor(stacked(table, names)) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))

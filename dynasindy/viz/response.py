@@ -43,6 +43,7 @@ from dynasindy.viz.style import (
 if TYPE_CHECKING:  # figures know a flight by its attributes alone
     from dynasindy.rig import Guard, Wiring
     from dynasindy.rig.log import FlightRecord
+    from dynasindy.rig.session import Session
 
 AXES = SIGNATURE.state_names[:2]
 LATE = 0.02
@@ -196,16 +197,32 @@ def draw_evaluation(
     return save_figures(figures, folder, formats)
 
 
-@styled
-def draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
-    """Draw a flight on the time that was planned for it.
+def draw_session(session: Session) -> list[Path]:
+    """Draw the excitations of a rig, and each flight with its references and what ended it early.
 
     Args:
-        shown: The flight, with one sample or more.
-        wiring: What of the plant is measured, and how often.
-        guard: Tells the ranges of the outputs within which a flight goes on; drawn where they are near.
-        name: Of the flight, such as `flight_1`.
+        session: Whose folder gets the figures, into `figures/`.
+
+    Returns:
+        The files.
     """
+    figures = {}
+    for path, rows in session.logs("excitation").items():
+        if rows:
+            flown = session.flights.get(path.stem)  # what ended one of an earlier session is not known
+            ended = f", ended by {flown.ended}" if flown is not None and flown.ended else ""
+            title = f"{path.stem.replace('_', ' ').capitalize()} of the rig{ended}"
+            found = session.samples(path)
+            figures[path.stem] = _draw_excitation(found, session.wiring, session.guard, title)
+    for name, shown in session.shown.items():
+        if len(shown.time):  # it did not end before its first sample
+            figures[name] = _draw_flight(shown, session.wiring, session.guard, name)
+    return save_figures(figures, session.folder / "figures")
+
+
+@styled
+def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -> Figure:
+    """Draw a flight on the time that was planned for it, and ranges of the guard that are near."""
     measured = {"measured": shown.outputs}
     planned = max(shown.planned, len(shown.time)) * wiring.dt
     title = f"{name.replace('_', ' ').capitalize()} on the rig"
@@ -233,16 +250,9 @@ def draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) ->
 
 
 @styled
-def draw_rig_excitation(samples: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
-    """Draw what an excitation moved, and the ranges of the guard where they are near.
-
-    Args:
-        samples: Times `(T,)` [s], states `(T, n_x)`, NaN where they were not measured, and inputs `(T, n_u)`.
-        wiring: Tells names and units, and what is measured.
-        guard: Tells the ranges of the states within which a flight goes on.
-        title: Of the figure.
-    """
-    time, states, inputs = samples
+def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: Guard, title: str) -> Figure:
+    """Draw what an excitation moved, and ranges of the guard that are near."""
+    time, states, inputs = found
     figure = training_data(time, states, inputs, wiring.signature, title)
     seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
     for axis, place in zip(figure.axes, seen, strict=False):

@@ -19,9 +19,9 @@ from dynasindy.systems.twin_rotor import SIGNATURE
 from dynasindy.tasks import Reference, Step, Tracking, TrackingReward, Wave
 from dynasindy.viz import response
 from dynasindy.viz.response import (
+    _draw_excitation,
+    _draw_flight,
     draw_evaluation,
-    draw_flight,
-    draw_rig_excitation,
     error_fan,
     tracking,
 )
@@ -149,7 +149,7 @@ ENDED = FlightRecord(
 
 
 def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planned() -> None:
-    figure = draw_flight(ENDED, WIRING, Guard(), "flight_1")
+    figure = _draw_flight(ENDED, WIRING, Guard(), "flight_1")
     title = figure.get_suptitle().replace("\N{MINUS SIGN}", "-")
     assert ENDED.fault in " ".join(title.split())
     for axis in figure.axes:
@@ -160,7 +160,7 @@ def test_a_flight_that_ended_early_says_when_and_why_on_the_time_that_was_planne
 
 def test_an_excitation_shows_what_was_measured_and_the_range_that_ended_it() -> None:
     guard = Guard(low={"theta": -5.0, "level": 0.1}, high={"theta": 0.45})
-    figure = draw_rig_excitation(
+    figure = _draw_excitation(
         (AT, MEASURED, np.full((5, 1), 0.2)), WIRING, guard, "Excitation of the rig, ended by range"
     )
     theta, u = figure.axes
@@ -170,7 +170,7 @@ def test_an_excitation_shows_what_was_measured_and_the_range_that_ended_it() -> 
     ]
     assert [[line.get_ydata()[0] for line in found] for found in lines] == [[0.45], []]
     assert (
-        draw_rig_excitation((AT, MEASURED, np.full((5, 1), 0.2)), WIRING, Guard(), "Excitation").axes[0].get_legend()
+        _draw_excitation((AT, MEASURED, np.full((5, 1), 0.2)), WIRING, Guard(), "Excitation").axes[0].get_legend()
         is None
     )
 
@@ -179,6 +179,6 @@ def test_samples_between_lost_ones_are_drawn_as_points() -> None:
     """The second and the fourth of five samples were lost, so that no two of them make a line."""
     outputs = MEASURED.copy()
     outputs[[1, 3]] = np.nan
-    axis = draw_flight(replace(ENDED, outputs=outputs), WIRING, Guard(), "flight_1").axes[0]
+    axis = _draw_flight(replace(ENDED, outputs=outputs), WIRING, Guard(), "flight_1").axes[0]
     (drawn,) = [line for line in axis.lines if line.get_marker() == "."]
     assert np.isfinite(drawn.get_ydata()).tolist() == [True, False, True, False, True]

@@ -91,7 +91,7 @@ def test_average_rewards_are_the_numbers_of_the_table(results):
     found = measured(section)
     assert numbers(found[1].ours) == [400, 6, 800, 4] and found[1].verdict is Verdict.HOLDS
     assert "abc1234, def5678" in picture(section).sources[0]
-    assert len(missing(section)) == OF_FOUR and "python scripts/ablation.py system=xi" in missing(section)[0]
+    assert len(missing(section)) == OF_FOUR and "xi, paper" in missing(section)[0]
 
 
 def test_agents_without_a_model_and_runs_of_other_lengths(results, tmp_path):
