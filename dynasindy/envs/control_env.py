@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import _make_compatible_policy
 
 from dynasindy.limits import Count, check_memory
 from dynasindy.systems import System, integrate, repeat_steps, simulate
 from dynasindy.systems.checks import rates, require_plant, shapes
+from dynasindy.systems.integrators import plain
 from dynasindy.systems.ranges import require_start_within
 from dynasindy.systems.steps import steps_of, time_step_of
 from dynasindy.tasks import Task, Tracking
 from dynasindy.tasks.base import constants
+from dynasindy.tasks.machine import TrackingMachine, tracking_machine
 
 FARTHEST = 1e4
 """Ranges of a state beyond which nothing is told of a plant: squares and exponents of such numbers soon overflow."""
@@ -74,6 +79,7 @@ class ControlEnv(EnvBase):
         )
         super().__init__(batch_size=torch.Size(batch_size))
         self.system, self.task = system, task
+        self._compiled_task: tuple[Task, torch.dtype, TrackingMachine | None] | None = None
         self.stops = system.stops
         self.dt, self.substeps, self.float_type = dt, substeps, dtype
         self._make_specs()
@@ -186,6 +192,64 @@ class ControlEnv(EnvBase):
         bounds = self.task.bounds if isinstance(self.task, Tracking) else None
         require_plant(self.system, self._begins, bounds)
 
+    def rollout(
+        self,
+        max_steps: int,
+        policy: Callable[[TensorDictBase], TensorDictBase] | None = None,
+        callback: Callable[[EnvBase, TensorDictBase], object] | None = None,
+        *,
+        auto_reset: bool = True,
+        tensordict: TensorDictBase | None = None,
+        break_when_any_done: bool = True,
+        **options: Any,
+    ) -> TensorDictBase:
+        """Roll a policy out as `EnvBase.rollout` does, with its arguments, several times as fast.
+
+        What a period ends with and the next one begins with lies in memory once, and the periods of a batch lie apart:
+        to change numbers in place, or to `view` them, pass `return_contiguous=True`, which copies everything, as any
+        other option of TorchRL does.
+
+        Returns:
+            Control periods `(*batch, T)`.
+        """
+        given = {"auto_reset": auto_reset, "tensordict": tensordict, "break_when_any_done": break_when_any_done}
+        begins = None if tensordict is None or auto_reset else tensordict.get("samples", None)
+        other = not auto_reset and (begins is None or begins.shape[-2] != self.substeps)  # of another environment
+        if options or max_steps < 1 or other:
+            return super().rollout(max_steps, policy, callback, **given, **options)
+        now = self.reset(tensordict) if auto_reset else self.maybe_reset(tensordict)
+        if policy is None:
+            policy = self.rand_action
+        else:
+            policy = _make_compatible_policy(policy, self.observation_spec, env=self, fast_wrap=True)
+        begun: list[dict[str, Any]] = []
+        ended: dict[str, list[Any]] = {}
+        most = min(max_steps, self.task.max_steps) if break_when_any_done else max_steps
+        memory: dict[str, Tensor] = {}
+        while True:
+            acted = policy(now)
+            if acted is not now:
+                now.update(acted)
+            begun.append(dict(now.items()))
+            after = dict(self._step(now).items())
+            shown = {**begun[-1].pop("next", {}), **after}
+            if len(begun) == 1:
+                memory = {key: _reserve(most + 1, value) for key, value in shown.items() if _is_plain(value)}
+                ended = {key: [] for key in shown}
+                for key in memory.keys() & begun[0].keys():
+                    memory[key][0] = begun[0][key]
+            for key, rows in ended.items():
+                rows.append(memory[key][len(begun)].copy_(shown[key]) if key in memory else shown[key])
+            over = bool(shown["done"].any())
+            if len(begun) == max_steps or (over and break_when_any_done):
+                return _stack_periods(begun, ended, memory, now.batch_size)
+            going_on = {key: ended[key][-1] for key in after if key != "reward"}
+            now = TensorDict({**begun[-1], **going_on}, now.batch_size, device=self.device)
+            if over:
+                now = self.maybe_reset(now)
+            if callback is not None:
+                callback(self, now)
+
     def start_from(self, states: Tensor) -> TensorDict:
         """Begin episodes at given states, with fresh references.
 
@@ -205,15 +269,37 @@ class ControlEnv(EnvBase):
             out[key] = torch.zeros(*batch, 1, dtype=torch.bool, device=device)
         return TensorDict(out, batch_size=batch, device=self.device)
 
-    def _observed(self, x: Tensor, params: Tensor, steps: Tensor) -> dict[str, Tensor]:
+    def _observed(
+        self, x: Tensor, params: Tensor, steps: Tensor, period: tuple[Tensor, Tensor, Tensor] | None = None
+    ) -> dict[str, Tensor]:
+        """Return what is shown of states `(*batch, n_x)`, and what the period before earned.
+
+        Args:
+            x: States.
+            params: What is tracked.
+            steps: Control periods since the episodes began, `(*batch, 1)`.
+            period: States at its start, its inputs and whether it touched a stop, `(*batch,)`; None at a start.
+        """
+        shown = {"state": x, "task_params": params, "step_count": steps}
+        code = self._task_code(x, params, steps, *(period or ()))
+        if code is not None:
+            before, _, touched = period or (None, None, None)
+            return shown | code.judge(before, x, params, steps, touched)
         t = steps.to(x.dtype) * self.dt
-        return {
-            "observation": self.task.observation(x, params, t).float(),
-            "state": x,
-            "reference": self.task.reference(params, t),
-            "task_params": params,
-            "step_count": steps,
-        }
+        shown["observation"] = self.task.observation(x, params, t).float()
+        shown["reference"] = self.task.reference(params, t)
+        if period is not None:
+            before, u, touched = period
+            shown["reward"] = self.task.earned(before, u, x, params, t, touched).float().unsqueeze(-1)
+        return shown
+
+    def _task_code(self, x: Tensor, *others: Tensor) -> TrackingMachine | None:
+        """Return machine code of the task for such states; None where there is none, or derivatives are asked of it."""
+        if not x.is_cpu or not plain(x, *others):
+            return None
+        if self._compiled_task is None or self._compiled_task[:2] != (self.task, x.dtype):
+            self._compiled_task = self.task, x.dtype, tracking_machine(self.task, self.dt, x.dtype)
+        return self._compiled_task[2]
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         batch = self.batch_size if tensordict is None else tensordict.batch_size
@@ -248,10 +334,8 @@ class ControlEnv(EnvBase):
     def _moved(self, tensordict: TensorDictBase, samples: Tensor, touched: Tensor) -> TensorDict:
         """Return what a step shows, of samples `(*batch, substeps, n_x)` and touched stops, `(*batch,)`."""
         x, u, params = (tensordict[key] for key in ("state", "action", "task_params"))
-        steps, x_next = tensordict["step_count"] + 1, samples[..., -1, :]
-        out = self._observed(x_next, params, steps)
-        t_next = steps.to(x.dtype) * self.dt
-        out["reward"] = self.task.earned(x, u, x_next, params, t_next, touched).float().unsqueeze(-1)
+        steps = tensordict["step_count"] + 1
+        out = self._observed(samples[..., -1, :], params, steps, (x, u, touched))
         out["samples"], out["at_stop"] = samples, touched.unsqueeze(-1)
         out["truncated"] = steps >= self.task.max_steps
         out["done"] = out["truncated"].clone()
@@ -303,3 +387,43 @@ class ControlEnv(EnvBase):
         self.reward_spec = _unbounded(1, dtype=torch.float32)
         done = {key: Binary(n=1, shape=(*batch, 1), dtype=torch.bool) for key in ("done", "terminated", "truncated")}
         self.done_spec = Composite(done, shape=batch)
+
+
+def _is_plain(value: object) -> bool:
+    return isinstance(value, Tensor) and value.is_cpu and not value.requires_grad
+
+
+def _reserve(count: int, like: Tensor) -> Tensor:
+    """Return room for tensors alike, by NumPy, which asks for large pages: small ones cost as much as physics."""
+    return torch.from_numpy(np.empty((count, *like.shape), like.numpy().dtype))
+
+
+def _stack_periods(
+    begun: list[dict[str, Any]], ended: dict[str, list[Any]], memory: dict[str, Tensor], batch: torch.Size
+) -> TensorDict:
+    """Return control periods, `(*batch, T)`.
+
+    Args:
+        begun: What each begins with.
+        ended: What each ends with.
+        memory: Where some of that lies in a row, `(T or more + 1, *batch, n)`, behind what the first one begins with.
+        batch: Shape of what a period has.
+    """
+    count = len(begun)
+
+    def _along(rows: list[Any]) -> Any:  # period by period in memory, as a copy is fastest so
+        return (
+            torch.stack(rows).movedim(0, len(batch)) if isinstance(rows[0], Tensor) else torch.stack(rows, len(batch))
+        )
+
+    root = {}
+    following = {
+        key: memory[key][1 : count + 1].movedim(0, len(batch)) if key in memory else _along(rows)
+        for key, rows in ended.items()
+    }
+    for key in begun[0]:
+        rows = [each[key] for each in begun]
+        same = key in memory and all(one is other for one, other in zip(rows[1:], ended[key]))
+        root[key] = memory[key][:count].movedim(0, len(batch)) if same else _along(rows)
+    shape, names = (*batch, count), [*[None] * len(batch), "time"]
+    return TensorDict({**root, "next": TensorDict(following, shape)}, shape, names=names)

@@ -3,6 +3,7 @@
 `import dynasindy` registers `dynasindy/TwinRotor-v0` and `dynasindy/Pendulum-v0` with `gymnasium.make`.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,12 +12,14 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from torch import Tensor
+from tensordict import TensorDictBase
 
 from dynasindy.envs.control_env import ControlEnv
 from dynasindy.envs.drawing import Frame, draw
 from dynasindy.systems import Pendulum, System, Tras, Trms33, Xi
+from dynasindy.systems.steps import steps_of
 from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.tasks.machine import tracking_machine
 from dynasindy.text import duration_unit
 
 PLANTS: dict[str, Callable[[], System]] = {"tras": Tras, "xi": Xi, "trms33": Trms33}
@@ -58,50 +61,74 @@ class _GymControl(gymnasium.Env[Array, Array]):
         super().reset(seed=seed)
         # EnvBase.set_seed would also seed torch's global generator, which is not ours to touch.
         self.env.rng.manual_seed(int(self.np_random.integers(2**31)))
-        begun = self.env.reset()
-        self._now, self._x, self._params, self._steps = begun, begun["state"], begun["task_params"], 0
-        self._t = torch.zeros(1, dtype=self._x.dtype)
-        return self._observed()
+        self._now, self._steps = self.env.reset(), 0
+        self._compiled = _compiled_step(self.env, self._now)
+        return self._observed(self._now)
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance by one control period."""
         if self._steps is None:
             raise RuntimeError("step was called before reset; call reset first")
-        u = torch.from_numpy(np.asarray(action, dtype=np.float32)).clamp(-1.0, 1.0)
         self._steps += 1
-        self._t = torch.tensor([self._steps], dtype=self._x.dtype).mul_(self.env.dt)
-        reward, truncated = (self._advance if type(self.env)._step is ControlEnv._step else self._step)(u)
-        observation, info = self._observed()
-        return observation, reward, False, truncated or self._steps >= self._task.max_steps, info
-
-    @torch.no_grad()
-    def _advance(self, u: Tensor) -> tuple[float, bool]:
-        """Do what `ControlEnv.step` does, on one row, without a tensordict, which would cost several times as much."""
-        x = self._x
-        samples, touched = self.env.advance(x, u.to(x.dtype))
-        self._x = samples[-1]
-        return float(self._task.earned(x, u, self._x, self._params, self._t, touched).float()), False
-
-    @torch.no_grad()
-    def _step(self, u: Tensor) -> tuple[float, bool]:
-        """Let an environment that steps in its own way do so."""
-        stepped = self.env.step(self._now.set("action", u))
-        self._now, self._x = self.env.step_mdp(stepped), stepped["next", "state"]
-        return float(stepped["next", "reward"]), bool(stepped["next", "truncated"])
+        u = np.minimum(np.maximum(np.asarray(action, dtype=np.float32), -1.0), 1.0)
+        over = self._steps >= self._task.max_steps
+        if self._compiled is not None:
+            observation, reward, self._info = self._compiled(u)
+            return observation, reward, False, over, self._info
+        with torch.no_grad():
+            stepped = self.env.step(self._now.set("action", torch.from_numpy(u)))
+        self._now, after = self.env.step_mdp(stepped), stepped["next"]
+        observation, info = self._observed(after)
+        return observation, float(after["reward"]), False, over or bool(after["truncated"]), info
 
     def render(self) -> Frame | None:
         """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""
         if self.render_mode is None or self._steps is None:
             return None
-        reference = self._task.reference(self._params, self._t).tolist()
         unit = duration_unit(self._task.max_steps * self.env.dt)
-        words = f"t = {float(self._t) / unit.seconds:.2f} {unit.name}"
-        return draw(self.env.system.signature, self._x.tolist(), reference, self._task.outputs, words)
+        words = f"t = {self._steps * self.env.dt / unit.seconds:.2f} {unit.name}"
+        state, reference = (self._info[key].tolist() for key in ("state", "reference"))
+        return draw(self.env.system.signature, state, reference, self._task.outputs, words)
 
-    def _observed(self) -> tuple[Array, dict[str, Any]]:
-        observation = self._task.observation(self._x, self._params, self._t).float().numpy()
-        reference = self._task.reference(self._params, self._t).numpy().copy()
-        return observation, {"state": self._x.numpy().copy(), "reference": reference}
+    def _observed(self, shown: TensorDictBase) -> tuple[Array, dict[str, Any]]:
+        self._info = {key: shown[key].numpy().copy() for key in ("state", "reference")}
+        return shown["observation"].numpy(), self._info
+
+
+def _compiled_step(
+    env: ControlEnv, begun: TensorDictBase
+) -> Callable[[Array], tuple[Array, float, dict[str, Any]]] | None:
+    """Return a function that advances one row by a control period in two calls of machine code; None without that.
+
+    Args:
+        env: The environment.
+        begun: What it shows at the start of the episode.
+
+    Returns:
+        A function of the action, `(n_u,)`, that returns observation, reward, and state and reference.
+    """
+    x, params, steps = begun["state"].clone(), begun["task_params"].contiguous(), begun["step_count"].clone()
+    u = x.new_zeros(1, env.system.signature.n_u)
+    judge, code = tracking_machine(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])
+    if type(env) is not ControlEnv or math.isfinite(env.left_beyond) or judge is None or code is None:
+        return None
+    count = steps_of(code.step, env.dt, env.substeps).number
+    samples, touched = x.new_empty(1, count, len(x)), torch.zeros(1, dtype=torch.bool)
+    results = torch.empty(judge.n_o, dtype=torch.float32), x.new_empty(judge.n_r), torch.empty(1, dtype=torch.float32)
+    advance = code.bind(x, u, samples, touched, env.dt, env.substeps, env.stops)
+    judged = judge.bind(x, samples[0, -1], params, steps, touched, results)
+    before, after, acting, clock = x.numpy(), samples[0, -1].numpy(), u[0].numpy(), steps.numpy()
+    observation, reference, reward = (result.numpy() for result in results)
+
+    def _step(action: Array) -> tuple[Array, float, dict[str, Any]]:
+        acting[:] = action
+        clock[0] += 1
+        advance()
+        judged()
+        before[:] = after
+        return observation.copy(), float(reward[0]), {"state": after.copy(), "reference": reference.copy()}
+
+    return _step
 
 
 def twin_rotor(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -131,15 +131,39 @@ class Machine:
             IndexError: a stop is of a state that does not exist.
             ValueError: the period is not made of whole steps of a difference equation.
         """
-        x, u, stops = x.contiguous(), u.contiguous(), stops or FREE
+        x, u = x.contiguous(), u.contiguous()
+        samples = x.new_empty(*u.shape[:-1], steps_of(self.step, dt, substeps).number, self.n_x)
+        touched = torch.empty(u.shape[:-1], dtype=torch.bool)
+        self.bind(x, u, samples, touched, dt, substeps, stops)()
+        return samples, touched
+
+    def bind(
+        self, x: Tensor, u: Tensor, samples: Tensor, touched: Tensor, dt: float, substeps: int, stops: Stops | None
+    ) -> Callable[[], None]:
+        """Return the call that advances what lies in these tensors when it is made, see `flight`.
+
+        Args:
+            x: states at the start of the first period, `(*batch, n_x)`.
+            u: inputs held in each period, `(T, *batch, n_u)`.
+            samples: where the states go, `(T, *batch, steps, n_x)`.
+            touched: where it goes whether a stop was touched, bool `(T, *batch)`.
+            dt: control period [s].
+            substeps: Runge-Kutta steps per period.
+            stops: mechanical stops, if any.
+        """
         length, count, _ = steps_of(self.step, dt, substeps)
-        samples = x.new_empty(*u.shape[:-1], count, self.n_x)
-        touched, ends = torch.empty(u.shape[:-1], dtype=torch.bool), self._in_memory(stops)
+        ends, n_stops = self._in_memory(stops or FREE), len((stops or FREE).positions)
         periods, rows = ctypes.c_long(len(u)), ctypes.c_long(x.shape[:-1].numel())
         room = x.new_empty(self._size)
-        h, n_stops, into = self._real(length), len(stops.positions), _data(samples, touched, room)
-        self._code.advance(periods, rows, *_data(x, u), self._constants, h, int(count), n_stops, *ends, *into)
-        return samples, touched
+        read = *_data(x, u), self._constants, self._real(length), int(count), n_stops, *ends
+        arguments = periods, rows, *read, *_data(samples, touched, room)
+
+        held = x, u, samples, touched, room  # the code knows only where they lie
+
+        def _advance(code: ctypes.CDLL = self._code, kept: object = held) -> None:
+            code.advance(*arguments)
+
+        return _advance
 
     def advance_arguments(self, dt: float, substeps: int, stops: Stops | None = None) -> tuple[object, ...]:
         """Return what other machine code advances states with: steps, stops, step length, and where the rest lies.

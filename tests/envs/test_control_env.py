@@ -232,3 +232,55 @@ def test_periods_that_follow_each_other_are_advanced_one_by_one(delay):
         assert torch.equal(samples[k], wanted) and torch.equal(touched[k], hit)
         x = wanted[:, -1]
     assert not torch.equal(samples[-1], samples[-2])
+
+
+class Busy:
+    """A policy that writes more than its action: what goes on, what follows and what every period has anew."""
+
+    def __call__(self, tensordict):
+        h = tensordict.get("h", torch.zeros(*tensordict.batch_size, 1)) + 0.1
+        tensordict["h"], tensordict["next", "k"] = h, h**2
+        tensordict["odds"] = tensordict["observation"].sum(-1, keepdim=True)
+        return tensordict.set("action", torch.cat([torch.sin(h), -h], -1))
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 2)])
+@pytest.mark.parametrize(
+    ("periods", "settings"),
+    [(4, {}), (30, {}), (30, {"break_when_any_done": False}), (1, {"break_when_any_done": False})],
+)
+def test_a_rollout_is_the_one_of_torchrl(batch, periods, settings):
+    """Also past the end of episodes; with its options, here that of one piece of memory, it is TorchRL that does it."""
+    envs = [make(max_steps=12, batch_size=batch, seed=3) for _ in range(2)]
+    ours, theirs = (
+        env.rollout(periods, Busy(), **settings, **more) for env, more in zip(envs, ({}, {"return_contiguous": True}))
+    )
+    assert ours.batch_size == theirs.batch_size and ours.names == theirs.names
+    assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
+    for key in theirs.keys(True, True):
+        assert ours[key].dtype == theirs[key].dtype and torch.equal(ours[key], theirs[key]), key
+    assert (
+        theirs["next", "state"].is_contiguous()
+        and ours.reshape(-1).contiguous().batch_size == theirs.reshape(-1).batch_size
+    )
+
+
+def test_a_rollout_tells_of_each_period_but_the_last_and_goes_on_from_another():
+    env, heard = make(max_steps=20), []
+    first = env.rollout(5, Constant(0.3, 0.3), lambda _, now: heard.append(int(now["step_count"])))
+    assert heard == [1, 2, 3, 4]
+    whole = env.rollout(8, Constant(0.3, 0.3))
+    begun = env.step_mdp(first[-1])
+    rest = env.rollout(3, Constant(0.3, 0.3), auto_reset=False, tensordict=begun)
+    assert torch.equal(torch.cat([first, rest])["next", "state"], whole["next", "state"])
+    assert rest["step_count"].flatten().tolist() == [5, 6, 7]
+
+
+def test_derivatives_go_through_a_rollout():
+    env, push = make(), torch.tensor([0.2, 0.3], requires_grad=True)
+    rows = env.rollout(6, lambda td: td.set("action", push.expand(2)))
+    slope = torch.autograd.grad(rows["next", "reward"].sum(), push)[0]
+    for j in range(2):
+        ends = [make(seed=0).rollout(6, Constant(*(push + sign * 1e-2 * torch.eye(2)[j]).tolist())) for sign in (1, -1)]
+        rise, fall = (end["next", "reward"].sum().item() for end in ends)
+        assert slope[j].item() == pytest.approx((rise - fall) / 2e-2, rel=0.05, abs=1e-4)
