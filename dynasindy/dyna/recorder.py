@@ -133,8 +133,6 @@ class Recorder(Callback):
         self.excitation = records(each for each in found if each is not None)
         self.progress(0, f"real steps {cost.real_steps}")
         self._write_rollout("excitation", excited)
-        stops = self._left_out(excited)
-        write_json(self.folder / "data" / "left_out.json", {"unit": "s", "at_a_stop": stops})
 
     def episode(self, episode: Episode, cost: Cost) -> None:
         """Write a row, and the model's prediction of the first and of the last episode."""
@@ -316,15 +314,6 @@ class Recorder(Callback):
             end = [rollout["next", "state"][-1:], empty, rollout["reference"][-1:]]
             values = torch.cat([values, torch.cat(end, -1)])
         self._write_series(name, columns, values)
-
-    def _left_out(self, excited: TensorDict) -> list[list[float]]:
-        """Return from when to when the fit leaves the excitation out, on the clock of its table [s]."""
-        touched = excited["next", "at_stop"].reshape(-1, 1).float()
-        marks = _with_gaps(touched, excited["step_count"][:, 0]).flatten().nan_to_num(0.0)
-        edges = torch.nn.functional.pad(marks, (1, 1)).diff()
-        starts, ends = ((edges == sign).nonzero().flatten().tolist() for sign in (1, -1))
-        # A period more, and no more digits than there are.
-        return [[round(a * self.plant.dt, 9), round(b * self.plant.dt, 9)] for a, b in zip(starts, ends, strict=True)]
 
     def _write_series(self, name: str, columns: Sequence[str], values: Tensor, first: int = 0) -> None:
         # Double precision, so that the fifth period of 0.05 s is at 0.25 s and not at 0.25000000372.

@@ -13,12 +13,13 @@ from torch import Tensor
 from dynasindy.dyna.components import PlantComponents
 from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restarts
 from dynasindy.envs import ControlEnv
-from dynasindy.envs.rollout_data import before_leaving, disturb, observed, record_plant, transitions
+from dynasindy.envs.rollout_data import disturb, observed, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.sensing import Sensors
-from dynasindy.systems.base import System
+from dynasindy.systems import Diverged
+from dynasindy.systems.base import Signature, System
 from dynasindy.systems.checks import require_plant
 from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 from dynasindy.systems.transitions import Transitions
@@ -28,6 +29,8 @@ HOLD = 0.5
 """Time for which an input of the validation is held, unless it is shorter [s]."""
 VALIDATION = 400
 """Control periods of the validation, where its length is not given."""
+FAR = 1000.0
+"""Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
 LONGEST = 1e8
 """Steps of a simulated plant, beyond which a recording would take days."""
 
@@ -148,7 +151,7 @@ class Simulated(DataSource):
             data = record_plant(system, inputs, dt, self.substeps, self._start(system, self.seed + k))
             if k == 0 and len(data) < len(inputs):
                 findings.append(note("log.touched_stop", count=len(inputs) - len(data)))
-            data, gone = before_leaving(data, system.signature, self.bounds or {}, what)
+            data, gone = _before_leaving(data, system.signature, self.bounds or {}, what)
             parts.append(data)
             findings.append(gone)
         return parts[0], parts[1], findings
@@ -195,3 +198,27 @@ class Simulated(DataSource):
         """Return the states in which recordings begin, `(*batch, n_x)`."""
         ends = start_ranges(system.signature, self.start or {})
         return sample_states(ends, torch.Size(batch), torch.Generator().manual_seed(seed))
+
+
+def _before_leaving(
+    data: Transitions, signature: Signature, bounds: Mapping[str, Ends], what: str
+) -> tuple[Transitions, Finding | None]:
+    """Cut a recording where the plant leaves its bounds or runs away, and return where it left, if it did."""
+    far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
+    given = state_limits(signature, bounds)
+    low, high = torch.where(given.isfinite(), given, data.x[0] + torch.stack([-far, far]))
+    out = ~((data.x_next >= low) & (data.x_next <= high))
+    if not bool(out.any()):
+        return data, None
+    row = int(out.any(-1).int().argmax())
+    i = int(out[row].int().argmax())
+    name, unit = signature.state_names[i], signature.state_units[i]
+    ends = {"low": float(low[i]), "high": float(high[i]), "unit": unit, "bounded": name in bounds}
+    left = note("excitation.left", during=what, state=name, seconds=(row + 1) * data.dt, **ends)
+    if 2 * row < len(data):
+        raise Diverged(
+            f"{left}, and there is too little before that to identify from; give a smaller excitation.amplitude, "
+            f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or excitation.first=0.1, "
+            "which begins anew where the plant leaves its bounds and then holds it while it is excited"
+        )
+    return data.select(torch.arange(len(data)) < row), left

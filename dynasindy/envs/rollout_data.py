@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from dynasindy.findings import Finding, note
-from dynasindy.systems import Diverged
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.integrators import integrate
-from dynasindy.systems.ranges import Ends, state_limits
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import did_you_mean
 
@@ -46,10 +43,6 @@ def measurements_and_inputs(rows: TensorDictBase) -> tuple[Tensor, Tensor]:
         rows: Control periods `(T,)` of one episode behind sensors.
     """
     return torch.cat([rows["measurement"][:1], rows["next", "samples"][:, -1]]), rows["action"]
-
-
-FAR = 1000.0
-"""Ranges of a state beyond which a plant has run away, where nobody says what its bounds are."""
 
 
 def record_plant(plant: System, u: Tensor, dt: float, substeps: int = 10, x0: Tensor | None = None) -> Transitions:
@@ -85,44 +78,6 @@ def record_plants(
     return [Transitions.from_trajectory(x, held, dt).select(mask) for x, held, mask in whole]
 
 
-def before_leaving(
-    data: Transitions, signature: Signature, bounds: Mapping[str, Ends], what: str
-) -> tuple[Transitions, Finding | None]:
-    """Cut a recording where the plant leaves its bounds or runs away.
-
-    Args:
-        data: the recording.
-        signature: names, units and ranges of the states.
-        bounds: limits of states by name, one for both sides of zero or both ends.
-        what: what moved the plant: `excitation` or `validation`.
-
-    Returns:
-        The rows before it left, and where it left; None if it did not.
-
-    Raises:
-        Diverged: it left in the first half.
-        ValueError: a bound is of no state, or is no range.
-    """
-    far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
-    given = state_limits(signature, bounds)
-    low, high = torch.where(given.isfinite(), given, data.x[0] + torch.stack([-far, far]))
-    out = ~((data.x_next >= low) & (data.x_next <= high))
-    if not bool(out.any()):
-        return data, None
-    row = int(out.any(-1).int().argmax())
-    i = int(out[row].int().argmax())
-    name, unit = signature.state_names[i], signature.state_units[i]
-    ends = {"low": float(low[i]), "high": float(high[i]), "unit": unit, "bounded": name in bounds}
-    left = note("excitation.left", during=what, state=name, seconds=(row + 1) * data.dt, **ends)
-    if 2 * row < len(data):
-        raise Diverged(
-            f"{left}, and there is too little before that to identify from; give a smaller excitation.amplitude, "
-            f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or excitation.first=0.1, "
-            "which begins anew where the plant leaves its bounds and then holds it while it is excited"
-        )
-    return data.select(torch.arange(len(data)) < row), left
-
-
 def disturb(
     data: Transitions, level: float | Mapping[str, float], seed: int, signature: Signature | None = None
 ) -> Transitions:
@@ -141,10 +96,16 @@ def disturb(
     Raises:
         ValueError: noise is given of what is no state.
     """
+    scale = data.x_next.std(0)
     if isinstance(level, Mapping):
-        scale = _noises(level, signature.state_names if signature else ()).to(data.x)
-    else:
-        scale = level * data.x_next.std(0)
+        names = signature.state_names if signature else ()
+        if absent := [name for name in level if name not in names]:
+            raise ValueError(
+                f"data.noise names '{absent[0]}', which is no state; the states are {', '.join(names)}: correct it"
+                f"{did_you_mean(absent[0], names)}"
+            )
+        scale, level = torch.tensor([level.get(name, 0.0) for name in names], dtype=torch.float64).to(scale), 1.0
+    scale = level * scale
     if level == 0 or not bool(scale.any()):
         return data
     generator = torch.Generator().manual_seed(seed)
@@ -161,13 +122,3 @@ def observed(data: Transitions, read: Callable[[Tensor], Tensor]) -> Transitions
     """
     after, first = read(data.x_next), read(data.x)
     return replace(data, x=torch.where(data.begins().unsqueeze(-1), first, after.roll(1, 0)), x_next=after)
-
-
-def _noises(given: Mapping[str, float], names: Sequence[str]) -> Tensor:
-    """Return the noise of each state, `(n_x,)` [unit of the state]; zero where none is given."""
-    if absent := [name for name in given if name not in names]:
-        raise ValueError(
-            f"data.noise names '{absent[0]}', which is no state; the states are {', '.join(names)}: correct it"
-            f"{did_you_mean(absent[0], names)}"
-        )
-    return torch.tensor([given.get(name, 0.0) for name in names], dtype=torch.float64)

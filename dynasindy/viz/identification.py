@@ -13,7 +13,6 @@ from dynasindy.viz.style import (
     BLACK,
     BLUE,
     GREY,
-    ORANGE,
     RED,
     Array,
     array,
@@ -47,12 +46,11 @@ def training_data(
     signature: Signature = SIGNATURE,
     title: str = "Training data",
     segment: ArrayLike | None = None,
-    left_out: Sequence[Sequence[float]] = (),
 ) -> Figure:
     """Draw the states that the model was fitted to and the inputs that moved them, over time.
 
-    Marked are where the excitation ended early and began anew, a row without inputs, where a log has a gap, and what
-    the fit leaves out. States that are NaN where the inputs are known are samples that were lost, and are not marked.
+    Marked are where the excitation ended early and began anew, a row without inputs, and where a log has a gap. States
+    that are NaN where the inputs are known are samples that were lost, and are not marked.
 
     Args:
         time: `(T,)` [s].
@@ -62,7 +60,6 @@ def training_data(
         signature: Names and units.
         title: of the figure.
         segment: `(T,)` number of the unbroken stretch of each sample; lines break between them.
-        left_out: From when to when the fit leaves the samples out, as a mechanical stop was touched [s].
     """
     seconds = array(time)
     values = np.zeros((len(seconds), 0)) if x is None else array(x)
@@ -81,9 +78,6 @@ def training_data(
     shown = axes[: len(names)]
     _mark_restarts(shown, seconds, moving)
     _mark_gaps(shown, seconds, segment)
-    for start, end in left_out:
-        for axis in shown:
-            axis.axvspan(start, end, color=ORANGE, alpha=0.25, lw=0, label="at a stop, left out of the fit")
     legend_below(figure, axes[0])
     _finish(axes, columns, seconds, segment)
     return figure

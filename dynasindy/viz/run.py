@@ -79,7 +79,6 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
     found = read_json(folder / "metrics.json") if (folder / "metrics.json").is_file() else {}
     excited = read_table(folder / "data" / "excitation.csv")
     time, u = excited["time"], stacked(excited, signature.input_names)
-    left_out = folder / "data" / "left_out.json"
     figures["excitation"] = training_data(time, None, u, signature, "Excitation")
     figures["training_data"] = training_data(
         time,
@@ -87,7 +86,6 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
         u,
         signature,
         "\n".join(filter(None, ["Training data of the first model", found.get("excitation", "")])),
-        left_out=read_json(left_out)["at_a_stop"] if left_out.is_file() else (),
     )
     for when, data in (("first", "the excitation alone"), ("last", "the data before it")):
         path = folder / "data" / f"prediction_{when}_episode.csv"

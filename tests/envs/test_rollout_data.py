@@ -7,9 +7,9 @@ from scipy.linalg import expm
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
+from dynasindy.dyna.simulated import _before_leaving
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import (
-    before_leaving,
     disturb,
     measurements_and_inputs,
     record_plant,
@@ -117,11 +117,11 @@ class Growing(System):
 def test_a_recording_ends_where_the_plant_leaves_its_bounds():
     plant, u = Growing(), torch.ones(100, 1)
     data = record_plant(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
-    kept, left = before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "excitation")
+    kept, left = _before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "excitation")
     assert len(kept) == 80 and float(kept.x_next.max()) < 2.0 < float(data.x_next[80])
     ends = {"low": -1, "high": 2, "unit": "m", "bounded": True}
     assert left == note("excitation.left", during="excitation", state="q", seconds=pytest.approx(0.81), **ends)
-    assert before_leaving(data, plant.signature, {"q": 4.0}, "excitation") == (data, None)
+    assert _before_leaving(data, plant.signature, {"q": 4.0}, "excitation") == (data, None)
 
 
 @pytest.mark.slow
@@ -129,14 +129,14 @@ def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
     plant, u = Growing(), torch.ones(1000, 1)
     data = record_plant(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
     with pytest.raises(Diverged, match=r"q .* 1000 m after 3.81 s.*excitation\.first=0\.1"):
-        before_leaving(data, plant.signature, {}, "excitation")
+        _before_leaving(data, plant.signature, {}, "excitation")
     with pytest.raises(Diverged, match=r"wider plant\.bounds"):
-        before_leaving(data, plant.signature, {"q": 4.0}, "excitation")
+        _before_leaving(data, plant.signature, {"q": 4.0}, "excitation")
     with pytest.raises(ValueError, match=r"bounds.* speed"):
-        before_leaving(data, plant.signature, {"speed": 4.0}, "excitation")
+        _before_leaving(data, plant.signature, {"speed": 4.0}, "excitation")
     lost = record_plant(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
     with pytest.raises(Diverged, match="after 10 s"):
-        before_leaving(lost, plant.signature, {}, "excitation")
+        _before_leaving(lost, plant.signature, {}, "excitation")
 
 
 def rollout(u, steps):

@@ -85,13 +85,6 @@ def test_lines_break_between_stretches_of_a_log_and_gaps_are_marked_unless_they_
     assert "gaps" in axes[-1].get_xlabel()
 
 
-def test_what_the_fit_leaves_out_is_shaded_in_every_panel() -> None:
-    figure = training_data(TIME, STATES[:, :2], np.zeros((100, 1)), PENDULUM, left_out=[[0.2, 0.3]])
-    for axis in figure.axes:
-        (shade,) = axis.patches
-        assert (shade.get_x(), round(shade.get_width(), 9)) == (0.2, 0.1)
-
-
 def test_where_an_excitation_began_anew_is_marked_and_lost_samples_of_a_log_are_not() -> None:
     x, u = STATES[:, :2].copy(), np.zeros((100, 1))
     x[40] = u[40] = np.nan
