@@ -2,9 +2,8 @@
 
 from dynasindy.agents.loss import TD3Loss
 from dynasindy.agents.networks import MLP, Actor, actor, critic
-from dynasindy.agents.noise import DecayingGaussian
 from dynasindy.agents.replay import LEARN_KEYS, MEASURED_KEYS, REAL_KEYS, DynaReplay
-from dynasindy.agents.td3 import TD3, Hyperparameters
+from dynasindy.agents.td3 import TD3, DecayingGaussian, Hyperparameters
 
 __all__ = [
     "LEARN_KEYS",

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents.finite_checks import is_finite_rollout, require_finite_rollout
+from dynasindy.agents.replay import is_finite_rollout, require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
 from dynasindy.evaluation.disturbances import SensorNoise, SizedDisturbance

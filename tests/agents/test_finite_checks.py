@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from dynasindy.agents.finite_checks import is_finite_rollout, require_finite_rollout
+from dynasindy.agents.replay import is_finite_rollout, require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.systems import Diverged, Signature, System
 from dynasindy.tasks import Step, Tracking, TrackingReward
@@ -32,7 +32,7 @@ def env_of(plant):
 
 
 def flown(plant, spoil=None):
-    rollout = env_of(plant).rollout(30, lambda td: td.set("action", torch.full((1,), 0.25)))
+    rollout = env_of(plant).rollout(30, lambda td: td.set("action", torch.full((1,), 0.25))).clone()
     if spoil:
         key, value = spoil
         rollout[key][7] = value

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from dynasindy.agents.noise import DecayingGaussian
+from dynasindy.agents.td3 import DecayingGaussian
 
 
 def zeros(n=20000):
