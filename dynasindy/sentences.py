@@ -152,6 +152,8 @@ LEFT_OUT = {
     "empty": "cells that are empty or NaN are all that they hold",
     "dates": "they hold dates, and the time is another column",
     "reference": "they are references by name",
+    "label": "they hold two values, or a few that hardly change, as labels do",
+    "derived": "they are sums of multiples of other columns",
 }
 """Why columns are left out that nobody named."""
 
@@ -650,7 +652,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "log.name": "a state or input is called {name!r}; allowed are names that begin with a letter, hold no signs of "
     "arithmetic and differ: name it in <data.states> or <data.inputs>, as {{angle: HEADING}}",
-    "log.time_order": "line {line}, column {column}: time does not increase, {after:g} s follows {before:g} s; "
+    "log.time_order": "line {line}, column {column}: time does not increase, {after:.12g} s follows {before:.12g} s; "
     "allowed is "
     "increasing time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
     "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s: "

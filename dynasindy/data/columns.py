@@ -207,7 +207,9 @@ def infer(
     else:
         found = _chosen(others, inputs, path, "data.inputs")
     left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
-    moves = {n: look.moving[c.name] for n, c in left.items() if n not in targets}
+    free = {n: c.name for n, c in left.items() if n not in {*named, *targets}}
+    labels = [n for n, h in free.items() if _is_label(look.moving[h])]
+    moves = {n: look.moving[c.name] for n, c in left.items() if n not in {*targets, *labels}}
     led = [n for n in moves if n not in named and _is_followed(moves[n], [moves[m] for m in moves if m != n])]
     guessed = not found and inputs is None and timed
     if guessed:
@@ -215,8 +217,15 @@ def infer(
         found = {n: left[n] for n in steps if n not in named}
         led = [n for n in led if n not in found]
     left = {n: c for n, c in left.items() if n not in {*found, *targets, *led}}
-    if states is not None:
-        targets, led = [], []
+    free = {n: c.name for n, c in left.items() if n not in {*named, *labels}}
+    labels += [n for n, h in free.items() if _is_label(look.moving[h], rarely=False)]
+    columns = {n: look.moving[c.name] for n, c in left.items() if n not in labels}
+    basis = [look.moving[others[n].name] for n in (*found, *targets, *led) if others[n].name in look.moving]
+    derived = [n for n in _derived(columns, basis) if n not in named]
+    if states is None:
+        left = {n: c for n, c in left.items() if n not in {*labels, *derived}}
+    else:
+        targets, led, labels, derived = [], [], [], []
         left = _chosen(left, states, path, "data.states")
         still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
         counts = [name for name in counts if INPUT.fullmatch(name)]
@@ -227,6 +236,8 @@ def infer(
         "empty": empty,
         "dates": dates if timed else dates[1:],  # the first is the time where nothing else is
         "reference": targets,
+        "label": labels,
+        "derived": derived,
     }
     out = [note("log.left_out", why=why, columns=columns) for why, columns in left_out.items() if columns]
     if not left or not found or not timed:
@@ -245,6 +256,43 @@ def infer(
     return left, found
 
 
+def _is_label(column: Array, rarely: bool = True) -> bool:
+    """Tell whether a column holds a few whole numbers, which change in hardly any row, or whenever they are two."""
+    levels = len(np.unique(column)) if len(column) and not (column % 1).any() else 0
+    return 1 < levels <= LABELS and _standing(column) > 1 - RARE if rarely else levels == 2
+
+
+def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
+    """Return the columns that are sums of multiples of those before them and of a basis, but for their last digits."""
+    every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // LOOKED_AT)
+    known, found = [column[every] for column in basis], list[str]()
+    for name, column in columns.items():
+        values = column[every]
+        table = np.stack([np.ones_like(values), *known], -1)
+        known.append(values)
+        if len(values) > SURELY * len(known):
+            factors = np.linalg.lstsq(table, values, rcond=None)[0]
+            digits = _last_digit(values) + np.abs(factors) @ [0.0, *map(_last_digit, known[:-1])]
+            if np.abs(values - table @ factors).max() <= min(digits, EXACT * np.ptp(values)):
+                found.append(name)
+                known.pop()
+    return found
+
+
+def _last_digit(column: Array) -> float:
+    """Return the least distance between two numbers of a column, which its last digit makes, but for rounding."""
+    steps = np.diff(np.unique(column))
+    return float(steps[steps > 1e-12 * np.abs(column).max()].min()) if len(steps) else 0.0
+
+
+LABELS = 10
+"""Labels that there are at most; a state of fewer steps tells little."""
+LOOKED_AT = 2000
+"""Rows, about, by which it is judged whether columns are sums of others."""
+SURELY = 20
+"""Rows for each column from which on no sum of others is a column by chance."""
+EXACT = 1e-3
+"""Part of its range to which such a sum is one."""
 RARE = 0.01
 """Share of the rows in which a label changes at most."""
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")

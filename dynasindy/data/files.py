@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from dynasindy.data.headings import UNITS
 from dynasindy.findings import Finding, note
 from dynasindy.sentences import setting
 
@@ -26,6 +27,8 @@ SAMPLE = 400
 """Lines from which separator, headings and decimal sign are told."""
 WIDEST = 100_000
 """Letters of such a line that are looked at."""
+CUT_OFF = 5
+"""Lines in which headings are looked for where values stand above them."""
 MOST = 1000
 """Columns that are read."""
 BLANKS = r"\s+"
@@ -38,14 +41,9 @@ PLAIN = str.maketrans({"\u2212": "-", "\u066b": ".", **dict.fromkeys("'\u2019\u0
 """Signs of numbers that Python does not read: another minus or decimal sign, and what parts thousands."""
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?")
 """A number whose points part thousands, where all points of a file with decimal commas do."""
+MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-]\S*)")
+"""A number with a unit."""
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
-UNITS = frozenset((
-    "s", "sec", "ms", "us", "ns", "min", "h", "hz", "khz", "m", "mm", "cm", "km", "m/s", "m/s2", "m/s^2",
-    "mm/s", "km/h", "rad", "rad/s", "deg", "deg/s", "°", "°/s", "rpm", "1/min", "turn", "v", "mv", "a", "ma",
-    "w", "kw", "n", "kn", "nm", "n*m", "pa", "kpa", "mpa", "bar", "mbar", "k", "c", "°c", "degc", "%", "pct",
-    "-", "kg", "g", "l", "l/s", "l/min", "m3/h", "counts", "ticks", "1", "t",
-))  # fmt: skip
-"""Units that may stand in a line of their own below the headings, in small letters and without brackets."""
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""
 PLACES = 9
@@ -194,7 +192,12 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _is_value(text: str) -> bool:
-    return _is_number(text) or text.strip().lower() in LOST or bool(DATE.fullmatch(text.strip()))
+    measured = MEASURED.fullmatch(text)
+    return (
+        _is_number(measured[1] if measured and measured[2].lower() in UNITS else text)
+        or text.strip().lower() in LOST
+        or bool(DATE.fullmatch(text.strip()))
+    )
 
 
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
@@ -236,6 +239,9 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     first = len(filled)
     while first and (holds_values(filled[first - 1]) or (first > 1 and holds_values(filled[first - 2], True))):
         first -= 1
+    if not first:  # what was cut off may stand above the headings
+        words = (_differ(rows[k], common) and not any(map(_is_value, rows[k])) for k in filled[:CUT_OFF])
+        first = next((place + 1 for place, head in enumerate(words) if head), 0)
     if first == len(filled):  # no values at all
         first = 1
     head, headed = filled[:first], bool(first)

@@ -23,6 +23,13 @@ SECONDS = {
     **dict.fromkeys(("hour", "hours"), 3600.0),
 }
 """Units of time, in seconds; capital letters are as good."""
+UNITS = frozenset((
+    "s", "sec", "ms", "us", "ns", "min", "h", "hz", "khz", "m", "mm", "cm", "km", "m/s", "m/s2", "m/s^2",
+    "mm/s", "km/h", "rad", "rad/s", "deg", "deg/s", "°", "°/s", "rpm", "1/min", "turn", "v", "mv", "a", "ma",
+    "w", "kw", "n", "kn", "nm", "n*m", "pa", "kpa", "mpa", "bar", "mbar", "k", "c", "°c", "degc", "%", "pct",
+    "-", "kg", "g", "l", "l/s", "l/min", "m3/h", "counts", "ticks", "1", "t",
+))  # fmt: skip
+"""Units that may stand below the headings, in them or in each cell, in small letters and without brackets."""
 CLOCKS = ("time", "t", "timestamp", "timestamps", "stamp", "datetime", "elapsed", "uptime", "epoch", "x_value")
 """What a column of time is called, in small letters."""
 NAME = re.compile(r"[^\W\d][\w .-]*")
@@ -69,7 +76,7 @@ def plain_heading(heading: str) -> str:
         name, unit = heading, ""
     if not unit and (end := next((e for e in SUFFIXES if len(name) > len(e) + 1 and name.endswith(f"_{e}")), "")):
         name, unit = name[: -len(end) - 1], SUFFIXES[end]
-    if not unit and (found := re.fullmatch(r"(.*\w)\s*(\u00b0[CF]?|%)", name)):  # no letters of a name
+    if not unit and (found := re.fullmatch(r"(.*?\w)(?:\s+in)?\s*(\u00b0[CF]?|%)", name)):  # no letters of a name
         name, unit = found.groups()
     name, unit = (name, _plain_unit(unit)) if unit else _apart(name)
     if not NAME.fullmatch(name):
@@ -88,10 +95,11 @@ def _plain_unit(unit: str) -> str:
 
 
 def _apart(name: str) -> tuple[str, str]:
-    """Split an angle's unit of degrees or radians off the end of a name that has it without brackets."""
+    """Split a unit off the end of a name that has it without brackets: degrees, radians, or what follows an `in`."""
     for between in APART.finditer(name):
         unit = _plain_unit(name[between.end() :].rstrip("}>"))
-        if between.start() and re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit):
+        said = between[0].strip() in ("in", ",") and unit.lower() in UNITS
+        if between.start() and (said or re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit)):
             return name[: between.start()], unit
     return name, ""
 
@@ -100,7 +108,11 @@ def plain_headings(headings: Sequence[str]) -> list[str]:
     """Return headings with plain names, but where two of these would be the same."""
     plain = [plain_heading(heading) for heading in headings]
     names = [split_unit(heading)[0] for heading in plain]
-    return [new if names.count(split_unit(new)[0]) == 1 else old for new, old in zip(plain, headings, strict=True)]
+    found = []
+    for new, old, name in zip(plain, headings, names, strict=True):
+        unit = "" if split_unit(old)[1] else split_unit(new)[1]
+        found.append(new if names.count(name) == 1 else f"{old} [{unit}]" if unit else old)
+    return found
 
 
 def units_of(headings: Iterable[str]) -> dict[str, str]:

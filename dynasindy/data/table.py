@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from dynasindy.data.files import PLAIN, read_file
-from dynasindy.data.headings import is_clock, named_by, plain_headings, split_unit
+from dynasindy.data.files import MEASURED, PLAIN, read_file
+from dynasindy.data.headings import UNITS, is_clock, named_by, plain_heading, plain_headings, split_unit
 from dynasindy.findings import Finding, LogError, note
 from dynasindy.sentences import setting
 from dynasindy.text import did_you_mean
@@ -107,7 +107,10 @@ def _read(path: Path, changed: int, size: int) -> Table:
     values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
     codes = list[Finding]()
     for k, heading in enumerate(headings):
-        values[:, k], wrong, is_date = _numbers(raw.frame[k], raw.lines)
+        cells, unit = _without_unit(raw.frame[k])
+        if unit and not split_unit(heading)[1]:
+            heading = headings[k] = plain_heading(f"{heading} [{unit}]")
+        values[:, k], wrong, is_date = _numbers(cells, raw.lines)
         if not is_date and (code := _lost_code(values[:, k])) is not None:
             rows = np.flatnonzero(values[:, k] == code)
             values[rows, k] = np.nan
@@ -231,12 +234,23 @@ def _keeps_time(column: Array, t: Array) -> bool:
     return bool((steps >= 0).all() and steps.max() > 0 and off <= max(ticks, STRAIGHT * np.ptp(x)))
 
 
+def _without_unit(column: pd.Series) -> tuple[pd.Series, str]:
+    """Return cells without the unit behind their numbers, and this unit, where all that have one have the same."""
+    if column.dtype.kind in "biuf":
+        return column, ""
+    text = column.astype("string").str.strip()
+    units = text.str.extract(f"^{MEASURED.pattern}$")[1].dropna().unique()
+    unit = units[0] if len(units) == 1 and units[0].lower() in UNITS else ""
+    return text.str.removesuffix(unit) if unit else column, unit
+
+
 def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words | None, bool]:
     """Return a column as numbers, the words in it, and whether these are dates, which become seconds."""
     if column.dtype.kind in "biuf":
         return column.to_numpy(dtype=np.float64), None, False
     text = column.astype("string").str.strip()
     points = text.str.translate(PLAIN).str.replace(",", ".", regex=False)
+    points = points.str.replace(r"(?<=\d) (?=\d{3}(?:\D|$))", "", regex=True)
     points = points.str.replace(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", regex=True)  # as Fortran writes
     comma = text.str.contains(",", regex=False).fillna(False)
     if comma.any() and text[comma].str.fullmatch(THOUSANDS).all():

@@ -45,6 +45,7 @@ def require_truth(found, states=("angle", "rate"), rows=ROWS - 1):
         ("angle (\u00ba)", "rate (\u00ba/s)"),
         ("angle [deg]", "rate [deg\u00b7s\u207b\u00b9]"),
         ("angle_degrees", "rate_degrees_per_second"),
+        ("angle in Grad", "rate in Grad/s"),
     ],
 )
 def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
@@ -52,6 +53,16 @@ def test_degrees_are_read_however_a_heading_says_them(tmp_path, angle, rate):
     found = recording(tmp_path / "l.csv", table(["time", angle, rate, "u"], T, *degrees, COMMAND, separator=";"))
     require_truth(found)
     assert found.signature.state_units == ("rad", "rad/s")
+
+
+def test_a_unit_stands_behind_a_word_too(tmp_path):
+    found = recording(
+        tmp_path / "l.csv",
+        table(["Zeit in s", "T in \u00b0C", "v, mm/s", "u in V"], T, ANGLE, RATE, COMMAND, separator=";"),
+    )
+    signature = found.signature
+    assert (signature.state_names, signature.state_units) == (("T", "v"), ("\u00b0C", "mm/s"))
+    assert (signature.input_names, signature.input_units) == (("u",), ("V",))
 
 
 def _grouped(mark, decimal):
@@ -162,6 +173,55 @@ def test_a_day_and_a_time_of_day_are_one_time(tmp_path, headings, day, clock):
     text = table(
         [headings[0], "angle", "rate", "u", headings[1]], stamps[0], ANGLE, RATE, COMMAND, stamps[1], separator=";"
     )
+    require_truth(recording(tmp_path / "l.csv", text))
+
+
+def left_out(found):
+    return {each.values["why"]: [*each.values["columns"]] for each in found.findings if each.code == "log.left_out"}
+
+
+def test_columns_that_follow_from_others_and_labels_are_no_states(tmp_path):
+    rows = np.arange(ROWS)
+    wanted = np.where(rows // 100 % 2, 0.4, -0.3)
+    headings = ["time", "trial", "angle_deg", "angle_rad", "rate", "u", "setpoint", "error", "alarm"]
+    text = table(headings, T, rows // 150 + 1.0, np.degrees(ANGLE), ANGLE, RATE, COMMAND, wanted, wanted - ANGLE,
+                 rows // 30 % 2 * 1.0)  # fmt: skip
+    found = recording(tmp_path / "l.csv", text)
+    require_truth(found, states=("angle_deg", "rate"))
+    expected = {"reference": ["setpoint"], "label": ["trial", "alarm"], "derived": ["angle_rad", "error"]}
+    assert left_out(found) == expected and found.signature.state_units[0] == "rad"
+    chosen = recording(tmp_path / "l.csv", text, states=["angle_rad", "error"], inputs=["u"])
+    assert chosen.signature.state_names == ("angle_rad", "error")
+
+
+def test_states_that_are_nearly_multiples_of_each_other_stay(tmp_path):
+    twist = 1e-3 * np.cos(9 * T)
+    text = table(["time", "motor", "load", "u"], T, ANGLE, ANGLE + twist, COMMAND)
+    assert recording(tmp_path / "l.csv", text).signature.state_names == ("motor", "load")
+
+
+def test_a_unit_in_each_cell_is_that_of_the_column(tmp_path):
+    forms, columns = (
+        ("{:.2f} s", "{:.6f}\u00b0", "{:.6f} rad/s", "{:.4f}%"),
+        (T, np.degrees(ANGLE), RATE, 100 * COMMAND),
+    )
+    cells = [[form.format(v) for v in column] for form, column in zip(forms, columns, strict=True)]
+    text = table(["time", "angle", "rate", "u"], *cells)
+    found = recording(tmp_path / "l.csv", text, inputs={"u": {"name": "u", "low": -100, "high": 100}})
+    require_truth(found)
+    assert found.signature.state_units == ("rad", "rad/s") and found.signature.input_units == ("%",)
+
+
+def test_a_blank_parts_thousands(tmp_path):
+    angle = [f"{1e4 * v:,.2f}".replace(",", " ") for v in ANGLE]
+    text = table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND)
+    require_truth(
+        recording(tmp_path / "l.csv", text, states={"angle": {"name": "angle", "scale": 1e-4}, "rate": "rate"})
+    )
+
+
+def test_a_line_that_was_cut_off_above_the_headings_is_none_of_values(tmp_path):
+    text = "0.12,-0.25\n" + table(["time", "angle", "rate", "u"], T, ANGLE, RATE, COMMAND)
     require_truth(recording(tmp_path / "l.csv", text))
 
 

@@ -24,7 +24,7 @@ def recording(path, headings, *columns, **settings):
     [("t_ms,angle_deg,rate_dps,u_pct", 180 / np.pi), ("t [ms],angle [deg],rate [deg/s],u [%]", 180 / np.pi)],
 )
 def test_units_at_the_end_of_a_name_count_as_those_in_brackets(tmp_path, headings, scale):
-    found = recording(tmp_path / "l.csv", headings, 1000 * T, scale * ANGLE, scale * COMMAND, 50 * COMMAND)
+    found = recording(tmp_path / "l.csv", headings, 1000 * T, scale * ANGLE, scale * COMMAND**2, 50 * COMMAND)
     assert found.signature.state_names == ("angle", "rate") and found.signature.state_units == ("rad", "rad/s")
     assert found.transitions.dt == pytest.approx(0.01)
     assert found.transitions.x[:, 0].numpy() == pytest.approx(ANGLE[:-1], abs=1e-8)

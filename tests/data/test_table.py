@@ -93,7 +93,7 @@ def test_dates_of_the_time_column_become_seconds(tmp_path):
     ("headings", "plain"),
     [
         ("a_deg,rate_deg_s,u_pct", ["a [deg]", "rate [deg/s]", "u [%]"]),
-        ("a_deg,a_rad,q[0],q[1]", ["a_deg", "a_rad", "q_0", "q_1"]),
+        ("a_deg,a_rad,q[0],q[1]", ["a_deg [deg]", "a_rad [rad]", "q_0", "q_1"]),
         ("/joint/q[1],/cmd/u,x_V [V]", ["joint_q_1", "cmd_u", "x_V [V]"]),
     ],
 )
