@@ -257,21 +257,31 @@ def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, A
 def append_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Append rows to a table, or begin it: all of them, or none where the disk is full.
 
-    Where others append to it as well, each waits for the one before; without POSIX locks that is the user's affair.
+    Where others append to it as well, each waits for the one before.
 
     Raises:
         LinkError: A link stands there.
         DamagedFileError: What is there is no table.
         ValueError: A row has another column.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with _waiting(path.parent):
+    with locked(path.parent):
         write_rows(path, columns, [*read_rows(path), *rows])
 
 
 @contextmanager
-def _waiting(folder: Path) -> Iterator[None]:
-    """Wait until no other process reads and then replaces a file of a folder."""
+def locked(folder: Path, wait: bool = True) -> Iterator[None]:
+    """Keep a folder from all others that lock it; the lock ends with the process, however that ends.
+
+    Without POSIX locks two processes in one folder are the user's affair.
+
+    Args:
+        folder: The folder; made if missing.
+        wait: Whether to wait for another process that has it.
+
+    Raises:
+        BlockingIOError: Another process has it, and is not waited for.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
     try:
         import fcntl
     except ImportError:
@@ -279,7 +289,7 @@ def _waiting(folder: Path) -> Iterator[None]:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         yield
     finally:
         os.close(descriptor)

@@ -6,7 +6,7 @@ where episodes do, with the rest of the signal. From then on the signal lies on 
 
     u = u_e - K (x - x_0) + strength * (signal - its mean),        dx/dt = A (x - x_0) + B u + c,   c + B u_e = 0,
 
-of a linear model, fitted to the tries so far near the start x_0 (`LocalModel`). Each try that leaves the limits all
+of a linear model, fitted to the tries so far near the start x_0 (`_LocalModel`). Each try that leaves the limits all
 the same halves the strength. Behind sensors the observer relies on that model, too, until there is a better one, and
 the place that is held is led from x_0 to and fro between the targets of each output on which no rate of change depends.
 Any value of it is a rest, and beside the noise of sensors small moves would not tell that nothing depends on it far
@@ -46,35 +46,23 @@ ENOUGH = 2
 
 
 @dataclass(frozen=True)
-class LocalModel:
-    """A linear model of the plant near where its episodes begin, dx/dt = A (x - x_0) + B u + c, from little data.
+class _LocalModel:
+    """A linear model of the plant near its start, dx/dt = A (x - x_0) + B u + c, from little data.
 
     Where all states are seen, it is found by least squares of their rates of change. Behind sensors it is fitted to the
     measurements by whole trajectories, as the world model is: rates that an observer without a model makes of angles
     come late, by as much as a plant that falls takes to fall.
-
-    Attributes:
-        home: x_0, `(n_x,)`.
-        a: A, `(n_x, n_x)` [1/s].
-        b: B, `(n_x, n_u)` [1/s].
-        c: `(n_x,)` [1/s].
-        model: The same as a system, on which an observer can rely; None where all states are seen.
     """
 
-    home: Tensor
-    a: Tensor
-    b: Tensor
-    c: Tensor
-    model: SindyModel | None = None
+    home: Tensor  # x_0, `(n_x,)`
+    a: Tensor  # `(n_x, n_x)` [1/s]
+    b: Tensor  # `(n_x, n_u)` [1/s]
+    c: Tensor  # `(n_x,)` [1/s]
+    model: SindyModel | None = None  # the same as a system, on which an observer can rely behind sensors
 
 
-def fit_local_model(rows: TensorDict, parts: PlantComponents) -> LocalModel | None:
-    """Return a linear model of what was seen near the start; None where that is too little.
-
-    Args:
-        rows: Control periods on the plant, `(T,)`.
-        parts: The plant, its period, its sensors and the ranges of its states.
-    """
+def _fit_local_model(rows: TensorDict, parts: PlantComponents) -> _LocalModel | None:
+    """Return a linear model of what control periods `(T,)` showed near the start, None where that is too little."""
     signature, home = parts.plant.system.signature, rows["state"][0].double()
     scale, n_x, n_u = torch.tensor(signature.x_scale, dtype=torch.float64), signature.n_x, signature.n_u
     if parts.sensing is None:
@@ -88,7 +76,7 @@ def fit_local_model(rows: TensorDict, parts: PlantComponents) -> LocalModel | No
         # The smallest solution where the data leave a choice.
         a, b, c = torch.linalg.lstsq(columns, slopes, driver="gelsd").solution.split([n_x, n_u, 1])
         scale = scale.unsqueeze(-1)
-        return LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
+        return _LocalModel(home, a.mT * scale / scale.mT, b.mT * scale, c[0] * scale.squeeze(-1))
     # Of the rates, which were not measured, nothing is known yet.
     away = ((rows["measurement"] - home) / scale).abs()
     data = transitions(rows[~(away > NEAR).any(-1)], parts.plant.log_dt)
@@ -106,7 +94,7 @@ def fit_local_model(rows: TensorDict, parts: PlantComponents) -> LocalModel | No
     at[:, :n_x] += home
     c, slopes = model(at[:, :n_x], at[:, n_x:]).split([1, n_x + n_u])
     a, b = (slopes - c).mT.split([n_x, n_u], -1)
-    return LocalModel(home, a, b, c[0], model)
+    return _LocalModel(home, a, b, c[0], model)
 
 
 BEYOND = 10.0
@@ -306,7 +294,7 @@ class RegulatedExcitation:
             rows: The tries so far, `(T,)`.
             parts: The plant, its period and the ranges of its states.
         """
-        found = fit_local_model(rows, parts)
+        found = _fit_local_model(rows, parts)
         if found is None:
             return
         scale = torch.tensor(parts.plant.system.signature.x_scale, dtype=torch.float64)
@@ -323,7 +311,7 @@ class RegulatedExcitation:
             self.ends = _free_ends(found, parts)
 
 
-def _free_ends(found: LocalModel, parts: PlantComponents) -> Tensor:
+def _free_ends(found: _LocalModel, parts: PlantComponents) -> Tensor:
     """Return the ends of the targets of outputs on which no rate of change depends, else x_0, `(2, n_x)`."""
     ends, task = found.home.repeat(2, 1), parts.plant.task
     if not isinstance(task, Tracking):

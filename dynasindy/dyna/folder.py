@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -16,7 +15,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.limits import raise_if_memory
-from dynasindy.safe_io import remove_leftovers
+from dynasindy.safe_io import locked, remove_leftovers
 
 FREE = ("folder:", "threads:", "device:", "results:", "resume:", "finish:", "plugins:")
 """Keys of a configuration, as its lines begin, that do not change a result."""
@@ -31,7 +30,7 @@ NEEDED = {"episodes", "cost", "evaluation", "untrained", "equations", "verdict",
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """Keep a run folder to oneself; the claim ends with the process, however that ends.
+    """Keep a run folder to oneself.
 
     Args:
         folder: Run folder; made if missing.
@@ -39,21 +38,12 @@ def claimed(folder: Path) -> Iterator[None]:
     Raises:
         ValueError: Another process works in it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        import fcntl
-    except ImportError:  # no POSIX system: two runs in one folder are then the user's affair
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
+    with ExitStack() as stack:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            stack.enter_context(locked(folder, wait=False))
         except BlockingIOError:
             raise ValueError(f"another process works in {folder}; wait for its end, or give another folder") from None
         yield
-    finally:
-        os.close(descriptor)
 
 
 def check_settings(folder: Path, settings: str) -> None:

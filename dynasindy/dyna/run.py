@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.callback import Place
@@ -22,16 +22,6 @@ from dynasindy.safe_io import read_json, refuse_links, write_json, write_text
 from dynasindy.sentences import check_summary, line
 from dynasindy.systems import Diverged
 from dynasindy.text import format_duration
-
-
-class _Stateful(Protocol):
-    """What a checkpoint holds a state of."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state."""
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
 
 
 def run(
@@ -69,7 +59,7 @@ def run(
     """
     parts, place, checkpoints = recipe.build(), Place(), Checkpoints(folder / "checkpoints")
     recorder = Recorder(folder, parts, evaluating, recipe.train.episodes)
-    kept: dict[str, _Stateful] = {"place": place, "parts": parts, "recorder": recorder}
+    kept: dict[str, Any] = {"place": place, "parts": parts, "recorder": recorder}
     with claimed(folder):
         refuse_links(folder)
         check_settings(folder, config)
@@ -104,7 +94,7 @@ def run(
     return metrics
 
 
-def _restore(kept: Mapping[str, _Stateful], state: Mapping[str, Any], folder: Path) -> None:
+def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) -> None:
     """Bring the parts of a run back to a saved state."""
     try:
         for name, part in kept.items():

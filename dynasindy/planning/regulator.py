@@ -129,19 +129,12 @@ class Regulator:
 
 @dataclass(frozen=True)
 class _Solved:
-    """A solution of the discrete Riccati equation.
+    """A solution of the discrete Riccati equation."""
 
-    Attributes:
-        gain: K, `(n_u, n_x)`.
-        cost: P, `(n_x, n_x)`.
-        slowest: Time constant of the slowest mode of the closed loop [periods].
-        closed: a - b K of the closed loop x[k+1] = (a - b K) x[k], `(n_x, n_x)`.
-    """
-
-    gain: Tensor
-    cost: Tensor
-    slowest: float
-    closed: Tensor
+    gain: Tensor  # K, `(n_u, n_x)`
+    cost: Tensor  # P, `(n_x, n_x)`
+    slowest: float  # time constant of the slowest mode of the closed loop [periods]
+    closed: Tensor  # a - b K of the closed loop x[k+1] = (a - b K) x[k], `(n_x, n_x)`
 
     def settling(self, away: Tensor, extents: Tensor, share: float) -> float:
         """Return when outputs stay within a share of their distance `away` `(n, n_x)` from a rest [periods].

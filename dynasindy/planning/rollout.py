@@ -93,7 +93,7 @@ class Window:
     actions: Tensor
     times: Tensor
     alive: Tensor
-    machine: MachineRollout | None = None
+    machine: _MachineRollout | None = None
 
 
 @torch.no_grad()
@@ -284,7 +284,7 @@ def _library() -> ctypes.CDLL | None:
 
 def _machine(
     env: ControlEnv, system: System, network: object, rows: Rows, steps: int, rest: Tensor | None
-) -> MachineRollout | None:
+) -> _MachineRollout | None:
     """Return the machine code of a window, None where it cannot be; `rest` are the inputs about which strengths act."""
     if not (isinstance(network, MLP) and network.squash and env.task.linear and rows.x.dim() == 2 and len(rows.x)):
         return None
@@ -293,21 +293,11 @@ def _machine(
     code = system.compiled(rows.x, rows.held)
     if type(code) is not Machine or code.dtype != torch.float32 or (library := _library()) is None:
         return None
-    return MachineRollout(library, env, code, network, rows, steps, rest)
+    return _MachineRollout(library, env, code, network, rows, steps, rest)
 
 
-class MachineRollout:
-    """A window of a perceptron in a model, as machine code.
-
-    Args:
-        library: `c/rollout.c`, compiled.
-        env: Imagined environment: its task, period, sub-steps and stops.
-        code: Machine code of the model.
-        policy: The perceptron.
-        rows: Where the rollouts begin.
-        steps: Control periods T of the window.
-        rest: Inputs about which the rows' strengths act in each period, or in all, `(T or 1, rows, n_u)`, if any.
-    """
+class _MachineRollout:
+    """A window of a perceptron in a model, as machine code: `library` is `c/rollout.c`, `code` that of the model."""
 
     def __init__(
         self,
@@ -336,13 +326,9 @@ class MachineRollout:
         self._kept = torch.empty(0)
 
     def imagine(self, x: Tensor, held: Tensor, free: Tensor, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
-        """Return states `(T + 1, rows, n_x)`, inputs that acted and actions, `(T, rows, n_u)`, of a window.
+        """Return what `_imagine` does; `free` are observations of states of zero, `(T, rows, n_o)`.
 
-        Args:
-            x: States at its begin, `(rows, n_x)`.
-            held: Inputs of the period before, `(rows, n_u)`.
-            free: Observations of states of zero, `(T, rows, n_o)`.
-            keep: Whether the policy's layers are kept for `adjoint`.
+        The policy's layers may be kept for `adjoint`.
         """
         states = x.new_empty(self.periods + 1, *x.shape)
         states[0] = x
@@ -355,14 +341,7 @@ class MachineRollout:
         return states, applied, actions
 
     def adjoint(self, a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None) -> None:
-        """Add the gradient of the cost of the last window to the policy's parameters.
-
-        Args:
-            a: Derivatives of the next state by the state, `(T, rows, n_x, n_x)`.
-            b: Those by the action that acts, `(T, rows, n_x, n_u)`.
-            cost: Derivatives of the cost by the states, `(T + 1, rows, n_x)`.
-            effort: Those by the actions, `(T, rows, n_u)`; None where these cost nothing.
-        """
+        """Add the gradient of the cost of the last window to the policy's parameters; arguments as of `_adjoint`."""
         gradients = network_pointers([Layer(*map(_gradient, layer)) for layer in self.policy.layers()])
         given = [None if each is None else _floats(each) for each in (a, b, cost, effort)]
         slopes = ctypes.byref(gradients), *map(_at, given)

@@ -55,15 +55,8 @@ def compile_library(sources: Sequence[Path], library: Path, options: Sequence[st
 
 
 def _build_fast(source: Path, library: Path) -> Path:
-    """Compile a C source for this computer's processor.
-
-    It is linked in a step of its own: linked with fast arithmetic, a library would have the whole process take small
-    numbers as zero.
-
-    Args:
-        source: File of C.
-        library: File to write.
-    """
+    """Compile a C source for this computer's processor, and return the library."""
+    # Linked with fast arithmetic, a library would have the whole process take small numbers as zero.
     compiled = source.with_suffix(".o")
     plain = [*FAST, "-fPIC", "-c", str(source), "-o", str(compiled)]
     try:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from dynasindy.dyna.excite import fit_local_model, interact
+from dynasindy.dyna.excite import _fit_local_model, interact
 from dynasindy.envs import ControlEnv
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.systems import Signature, System
@@ -50,7 +50,7 @@ def tries(made, number):
 @pytest.mark.parametrize(("measured", "within"), [(False, 0.06), (True, 0.06)])
 def test_slopes_are_those_of_the_plant_at_its_start(measured, within):
     made = parts(measured)
-    found = fit_local_model(tries(made, 6), made)
+    found = _fit_local_model(tries(made, 6), made)
     assert found.home.tolist() == [0.0, 0.0]
     torch.testing.assert_close(found.a[0], torch.tensor([0.0, 1.0]).double(), atol=0.02, rtol=0.0)
     assert found.a[1, 0].item() == pytest.approx(40.0, rel=within)
@@ -67,7 +67,7 @@ def test_slopes_are_those_of_the_plant_at_its_start(measured, within):
 @pytest.mark.parametrize("measured", [False, True])
 def test_of_too_little_no_model_is_made(measured):
     made = parts(measured)
-    assert fit_local_model(tries(made, 1)[:1], made) is None  # five samples for four numbers an equation
+    assert _fit_local_model(tries(made, 1)[:1], made) is None  # five samples for four numbers an equation
 
 
 def test_true_states_are_not_read_behind_an_encoder():
@@ -76,4 +76,4 @@ def test_true_states_are_not_read_behind_an_encoder():
     blind = rows.clone()
     blind["true_state"].fill_(torch.nan)
     blind["next", "true_state"].fill_(torch.nan)
-    assert torch.equal(fit_local_model(rows, made).a, fit_local_model(blind, made).a)
+    assert torch.equal(_fit_local_model(rows, made).a, _fit_local_model(blind, made).a)
