@@ -779,6 +779,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.recovery": _recovery,
     # a run
     "plant.coarse_steps": _coarse_steps,
+    "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "
+    "registered with {registered}, a limit that does not hold here",
     "excitation.restarts": _restarts,
     "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model "
     "is fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",

@@ -196,6 +196,14 @@ def coarse(plant: ControlEnv, rows: TensorDict) -> Finding | None:
     return weak("plant.coarse_steps", apart=float(apart) if math.isfinite(apart) else None, needed=needed)
 
 
+def longer_episodes(plant: ControlEnv) -> Finding | None:
+    """Return that episodes go on past what a Gymnasium environment is registered with; None if they do not."""
+    registered, steps = getattr(plant.system, "registered_steps", None), plant.task.max_steps
+    if registered is None or steps <= registered:
+        return None
+    return note("plant.longer_episodes", steps=steps, registered=registered)
+
+
 def within(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return whether states `(*batch, n_x)` lie within their limits, bool `(*batch,)`."""
     return ((x >= low) & (x <= high)).all(-1)

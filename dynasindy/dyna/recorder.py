@@ -25,7 +25,7 @@ from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode, Place
 from dynasindy.dyna.checkpoint import Saver
 from dynasindy.dyna.components import Components
-from dynasindy.dyna.excite import coarse, left_out, restarts
+from dynasindy.dyna.excite import coarse, left_out, longer_episodes, restarts
 from dynasindy.dyna.verdict import distrusted, judge_run
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
@@ -129,7 +129,7 @@ class Recorder(Callback):
             text = f"found: {note('model.delay', seconds=delay)}\n" if delay else ""
             write_text(self.folder / IDENTIFICATION, f"{FIRST}\n{report.to_text()}\n{text}")
         fine = None if self.parts.sensing is not None else coarse(self.plant, excited)
-        found = [restarts(self.parts, excited), fine, left_out(excited)]
+        found = [restarts(self.parts, excited), fine, left_out(excited), longer_episodes(self.plant)]
         self.excitation = records(each for each in found if each is not None)
         self.progress(0, f"real steps {cost.real_steps}")
         self._write_rollout("excitation", excited)

@@ -99,6 +99,9 @@ class Foreign(System):
         far = torch.tensor([[-math.inf], [math.inf]], dtype=torch.float64)
         self.ends = torch.where(clips, both, far)
         self.period = _period(copy)
+        assert copy.spec is not None
+        # What it was made with says how long episodes are here, not as which they are registered.
+        self.registered_steps = gymnasium.registry[copy.spec.id].max_episode_steps
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Refuse: the equations of a Gymnasium environment are not known.

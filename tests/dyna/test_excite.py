@@ -12,15 +12,16 @@ from dynasindy.dyna.excite import (
     excite,
     interact,
     left_out,
+    longer_episodes,
     restarts,
 )
-from dynasindy.envs import ControlEnv
+from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.envs.rollout_data import transitions
 from dynasindy.excitation import Multisine
 from dynasindy.findings import note, weak
 from dynasindy.sensing import Observer, Sensing, Sensors
-from dynasindy.systems import Signature, System, Xi
-from dynasindy.tasks import RandomStep, Tracking, TrackingReward
+from dynasindy.systems import Pendulum, Signature, System, Xi
+from dynasindy.tasks import RandomStep, Step, Tracking, TrackingReward
 
 BOUNDS = {"theta": 0.5, "p": 2.0}
 
@@ -245,3 +246,14 @@ def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_ne
     elsewhere = abs(kept_share(rate, 5) - kept_share(rate, 10)) * most
     wanted = weak("plant.coarse_steps", apart=pytest.approx(elsewhere, rel=0.01), needed=steps)
     assert told == (None if steps is None else wanted)
+
+
+@pytest.mark.parametrize(("steps", "longer"), [(200, False), (201, True)])
+def test_episodes_longer_than_an_environment_is_registered_with_are_said(steps, longer):
+    system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"])
+    task = Tracking(system.signature, Step([[1.0, 0.0]]), ("c", "s"), (), TrackingReward((4.0,)), steps)
+    wanted = note("plant.longer_episodes", steps=steps, registered=200) if longer else None
+    assert longer_episodes(GymnasiumEnv(system, task)) == wanted
+    plant = Pendulum()
+    task = Tracking(plant.signature, RandomStep([0], [1]), ("theta",), (), TrackingReward((4.0,)), 9000)
+    assert longer_episodes(ControlEnv(plant, task)) is None
