@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.equations import equations_to_latex
 from dynasindy.sindy.formulas import comment, formulas, identifiers, right_sides
+from dynasindy.sindy.pysindy_interchange import to_sympy
 from dynasindy.systems.machine import Program
 from dynasindy.systems.tangents import FORMULA_FUNCTIONS
 
@@ -45,9 +45,19 @@ def casadi_source(model: SindyModel) -> str:
 
 
 def latex_source(model: SindyModel) -> str:
-    """Write the equations of a model as LaTeX, for a document with amsmath."""
-    late = f"% Inputs act {model.delay!r} s after they are given.\n" if model.delay else ""
-    return late + equations_to_latex(model.library, model.coefficients)
+    """Write the equations of a model as LaTeX, for a document with amsmath, numbers of five digits.
+
+    Raises:
+        ValueError: The model has a function without a formula.
+    """
+    from sympy import Symbol, latex, multiline_latex
+
+    lines = [f"% Inputs act {model.delay!r} s after they are given."] if model.delay else []
+    for state, right in to_sympy(model).items():
+        name = latex(Symbol(state))
+        left = Symbol(rf"\dot{{{name}}}" if model.step is None else f"{{{name}}}[k+1]")
+        lines.append(multiline_latex(left, right.evalf(5), 3, "align*"))
+    return "\n".join(lines) + "\n"
 
 
 def numpy_field(model: SindyModel) -> NumpyField:

@@ -385,7 +385,7 @@ def describe_restarts(data: Transitions) -> str:
 
 
 def write_identification(found: Identified, source: Source, folder: Path, before: Sequence[Finding] = ()) -> None:
-    """Write model.json, metrics.json, report.txt and the coefficients as text, LaTeX and CSV.
+    """Write model.json, metrics.json, report.txt and the coefficients as text and CSV.
 
     Args:
         found: the model and its figures.

@@ -1,4 +1,4 @@
-"""Write Xi for readers: equations, text, LaTeX and CSV."""
+"""Write Xi for readers: equations, text and CSV."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.sindy.functions import QUOTIENTS
-from dynasindy.sindy.library import Library, latex_name, variable
+from dynasindy.sindy.library import Library, variable
 from dynasindy.systems.base import Diverged
 
 CANCELLED = 1e-9
@@ -138,24 +138,15 @@ def format_sum(terms: Sequence[tuple[str, float]], digits: int) -> str:
     return written
 
 
-def _number(value: float) -> str:
-    """Write a number as LaTeX."""
-    written = f"{value:.5g}"
-    if "e" in written:
-        mantissa, exponent = written.split("e")
-        return rf"${mantissa}\times10^{{{int(exponent)}}}$"
-    return f"${written}$" if value < 0 else written
-
-
 def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]:
-    """Write the Xi table, a row for each function, as text, as a LaTeX tabular as in the paper, and as CSV.
+    """Write the Xi table, a row for each function, as text and as CSV.
 
     Args:
         library: candidate functions.
         coefficients: Xi, `(n_features, n_x)`.
 
     Returns:
-        The three texts, of 5, 5 and all digits, by the endings of their files: `txt`, `tex` and `csv`.
+        The texts, of 5 and of all digits, by the endings of their files: `txt` and `csv`.
     """
     library, coefficients = mapping(library, coefficients)
     table, states = coefficients.tolist(), library.signature.state_names
@@ -167,13 +158,6 @@ def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]
         "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(row, widths, strict=True))])
         for name, *row in cells
     ]
-    rows = [["Library function", *(f"${_latex_moved_on(library, state)}$" for state in states)]]
-    rows += [
-        [f"${feature.latex()}$", *(_number(value) for value in row)]
-        for feature, row in zip(library.features, table, strict=True)
-    ]
-    latex = [rf"\begin{{tabular}}{{|{'c|' * len(rows[0])}}}", r"\hline"]
-    latex += [" & ".join(row) + r" \\ \hline" for row in rows]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     units = zip(left, states, library.signature.state_units, strict=True)
@@ -181,35 +165,7 @@ def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]
     writer.writerows(
         [["function", *heads], *([n, *map(repr, row)] for n, row in zip(library.names, table, strict=True))]
     )
-    return {
-        "txt": "\n".join(lines) + "\n",
-        "tex": "\n".join([*latex, r"\end{tabular}"]) + "\n",
-        "csv": out.getvalue(),
-    }
-
-
-def equations_to_latex(library: Library, coefficients: Tensor) -> str:
-    """Write one equation per state as LaTeX, an `align*` of amsmath, three terms to a line, numbers of five digits."""
-    library, coefficients = mapping(library, coefficients)
-    written = []
-    for i, state in enumerate(library.signature.state_names):
-        terms = []
-        for feature, value in zip(library.features, coefficients[:, i].tolist(), strict=True):
-            if value:
-                size = _number(abs(value)).strip("$")
-                name = feature.latex()
-                terms.append(
-                    ("-" if value < 0 else "+", size if name == "1" else name if size == "1" else rf"{size} \, {name}")
-                )
-        lines = [" ".join(f"{sign} {term}" for sign, term in terms[k : k + 3]) for k in range(0, len(terms), 3)]
-        right = " \\\\\n    &\\quad ".join(lines).removeprefix("+ ") or "0"
-        written.append(f"    {_latex_moved_on(library, state)} &= {right}")
-    return "\\begin{align*}\n" + " \\\\\n".join(written) + "\n\\end{align*}\n"
-
-
-def _latex_moved_on(library: Library, state: str) -> str:
-    name = latex_name(state)
-    return rf"\dot{{{name}}}" if library.step is None else f"{{{name}}}[k+1]"
+    return {"txt": "\n".join(lines) + "\n", "csv": out.getvalue()}
 
 
 def require_finite(library: Library, coefficients: Tensor, source: str = "model") -> Tensor:

@@ -26,8 +26,6 @@ class Function:
         compute: torch function, elementwise in every argument.
         text: format string of its value, e.g. `sin({0})`; `{0}` are its variables, `{1}` its number, and from `{2}` on
             the variables one by one.
-        latex: format string for LaTeX.
-        atomic: whether its LaTeX needs no brackets before a power.
         parametric: whether the number of a factor is the last argument, and not what the others are multiplied by.
         formula: format string of its value in operators, numbers and `FORMULA_FUNCTIONS`, which other languages than
             torch are written from; empty where there is none.
@@ -37,8 +35,6 @@ class Function:
     name: str
     compute: Callable[..., Tensor]
     text: str
-    latex: str
-    atomic: bool = True
     parametric: bool = False
     formula: str = ""
     given: str = ""
@@ -59,33 +55,24 @@ SMALLEST_ROOT = 1e-3
 _REGISTRY: dict[str, Function] = {
     f.name: f
     for f in (
-        Function("id", lambda z: z, "{0}", "{0}", formula="{0}"),
-        Function("sin", torch.sin, "sin({0})", r"\sin {0}", formula="sin({0})"),
-        Function("cos", torch.cos, "cos({0})", r"\cos {0}", formula="cos({0})"),
-        Function("abs", torch.abs, "|{0}|", r"|{0}|", formula="fabs({0})"),
-        Function("sign", torch.sign, "sign({0})", r"\operatorname{{sign}} {0}", formula="sign({0})"),
-        Function("exp", torch.exp, "exp({0})", r"e^{{{0}}}", atomic=False, formula="exp({0})"),
-        Function("tanh", torch.tanh, "tanh({0})", r"\tanh {0}", formula="tanh({0})"),
+        Function("id", lambda z: z, "{0}", formula="{0}"),
+        Function("sin", torch.sin, "sin({0})", formula="sin({0})"),
+        Function("cos", torch.cos, "cos({0})", formula="cos({0})"),
+        Function("abs", torch.abs, "|{0}|", formula="fabs({0})"),
+        Function("sign", torch.sign, "sign({0})", formula="sign({0})"),
+        Function("exp", torch.exp, "exp({0})", formula="exp({0})"),
+        Function("tanh", torch.tanh, "tanh({0})", formula="tanh({0})"),
         Function(
             "sqrt",
             lambda z: z.clamp_min(SMALLEST_ROOT).sqrt(),
             "sqrt({0})",
-            r"\sqrt{{{0}}}",
             formula=f"sqrt(larger({{0}}, {SMALLEST_ROOT!r}))",
         ),
-        Function(
-            "bell",
-            lambda z: (-z * z).exp(),
-            "exp(-({0})^2)",
-            r"e^{{-({0})^2}}",
-            atomic=False,
-            formula="exp(-square({0}))",
-        ),
+        Function("bell", lambda z: (-z * z).exp(), "exp(-({0})^2)", formula="exp(-square({0}))"),
         Function(
             "root",
             lambda z, p: (z - p).clamp_min(SMALLEST_ROOT).sqrt(),
             "sqrt({0} - {1})",
-            r"\sqrt{{{0} - {1}}}",
             parametric=True,
             formula=f"sqrt(larger({{0}} - {{1}}, {SMALLEST_ROOT!r}))",
         ),
@@ -93,7 +80,6 @@ _REGISTRY: dict[str, Function] = {
             "hinge",
             lambda z, p: (z - p).clamp_min(0),
             "max(0, {0} - {1})",
-            r"\max(0, {0} - {1})",
             parametric=True,
             formula="larger({0} - {1}, 0)",
         ),
@@ -101,17 +87,14 @@ _REGISTRY: dict[str, Function] = {
             "per_cos2",
             lambda z, p: 1 / (1 + p * z.cos().square()),
             "/(1 + {1} cos({0})^2)",
-            r"\frac{{1}}{{1 + {1} \cos^2 {0}}}",
-            atomic=False,
             parametric=True,
             formula="1 / (1 + {1} * square(cos({0})))",
         ),
-        Function("ahead", lambda a, b: a - b, "({2} - {3})", "({2} - {3})", formula="{0} - {1}"),
+        Function("ahead", lambda a, b: a - b, "({2} - {3})", formula="{0} - {1}"),
         Function(
             "slack",
             lambda a, b, p: a - b - (a - b).clamp(-p, p),
             "slack({0}; {1})",
-            r"\operatorname{{slack}}_{{{1}}}({0})",
             parametric=True,
             formula="larger({0} - {1} - {2}, 0) - larger({1} - {0} - {2}, 0)",
         ),
@@ -128,8 +111,6 @@ def _turned(plain: Function, name: str, sign: int) -> Function:
         name,
         lambda a, b, *p: compute(a + sign * b, *p),
         plain.text.replace("{0}", f"{{2}} {word} {{3}}"),
-        _in_brackets(plain.latex, f"{{2}} {word} {{3}}"),
-        plain.atomic,
         parametric=plain.parametric,
         # The number of a parametric function comes after its variables.
         formula=_in_brackets(plain.formula.replace("{1}", "{2}"), f"{{0}} {word} {{1}}"),
@@ -191,15 +172,12 @@ def unregister_function(name: str) -> None:
         _REGISTRY.pop(name, None)
 
 
-def register_function(
-    name: str, compute: Callable[..., Tensor], latex: str | None = None, formula: str = ""
-) -> Function:
+def register_function(name: str, compute: Callable[..., Tensor], formula: str = "") -> Function:
     """Make a torch function available to libraries, saved models and printed equations under a name.
 
     Args:
         name: a Python identifier; registering a name again replaces it.
         compute: torch function, elementwise in each argument, differentiable by autograd.
-        latex: format string, `{0}` standing for the first argument; by default the name in roman type.
         formula: format string in operators and `FORMULA_FUNCTIONS`, e.g. `1 / (1 + square({0}))`, with `{1}` for a
             second argument. It is saved with a model, which then can be read where the function is not registered,
             and be exported to C and other languages. It has to say what `compute` does.
@@ -213,10 +191,9 @@ def register_function(
     """
     if not name.isidentifier():
         raise ValueError(f"register_function got the name {name!r}; allowed is a Python identifier: rename it")
-    default = r"\operatorname{{" + name.replace("_", r"\_") + r"}}({0})"
     # What is given is not kept for other languages: its tree is written anew, from numbers and known names alone.
     written = _read(name, formula)[0] if formula else ""
-    made = Function(name, compute, name + "({0})", latex or default, formula=written, given=formula)
+    made = Function(name, compute, name + "({0})", formula=written, given=formula)
     _REGISTRY[name] = made
     return made
 

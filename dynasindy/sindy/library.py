@@ -70,21 +70,13 @@ class Factor:
         """Return the same factor to the power of one."""
         return self if self.power == 1 else replace(self, power=1)
 
-    def text(self, latex: bool = False) -> str:
+    def text(self) -> str:
         """Write the factor as a reader would."""
-        known = function(self.function)
-        form = known.latex if latex else known.text
-        number = f"{self.frequency:g}"
+        known, number = function(self.function), f"{self.frequency:g}"
         scale = "" if self.frequency == 1 or known.parametric else f"{number} "
-        names = [scale + (latex_name(v) if latex else v) for v in self.variables]
-        written = form.format(", ".join(names), number, *names)
-        if self.power == 1:
-            return written
-        if latex and self.function in ("sin", "cos", "tanh", "sign"):
-            return form.replace(" {0}", f"^{{{{{self.power}}}}} {{0}}").format(", ".join(names), number)
-        if latex and not known.atomic:
-            written = rf"\left({written}\right)"
-        return f"{written}^{{{self.power}}}" if latex else f"{written}^{self.power}"
+        names = [scale + v for v in self.variables]
+        written = known.text.format(", ".join(names), number, *names)
+        return written if self.power == 1 else f"{written}^{self.power}"
 
 
 @dataclass(frozen=True)
@@ -134,10 +126,6 @@ class Feature:
     def _name(self) -> str:
         """The name, which a library asks for again whenever numbers inside its functions move."""
         return " ".join(f.text() for f in self.factors) or "1"
-
-    def latex(self) -> str:
-        """Write the feature as LaTeX."""
-        return r" \, ".join(f.text(latex=True) for f in self.factors) or "1"
 
     def to_list(self) -> list[list]:
         """Return plain lists for JSON."""
@@ -248,21 +236,6 @@ def _written(name: str, arguments: str, power: int) -> Factor:
         )
     fitted, number = numbers.pop()
     return Factor(tuple(m["name"] for m in found), function(name).name, power, number, number if fitted else 0.0)
-
-
-_GREEK = ("alpha", "beta", "gamma", "delta", "theta", "phi", "psi", "omega", "Omega", "Theta", "Phi", "Psi")
-
-
-def latex_name(name: str) -> str:
-    r"""Write a state or input name as LaTeX, e.g. `Omega_a` as `\Omega_{a}`."""
-    head, _, tail = name.partition("_")
-    number = re.fullmatch(r"([A-Za-z]+?)(\d+)", head)
-    if number and not tail:
-        head, tail = number.groups()
-    head = "\\" + head if head in _GREEK else (head if len(head) == 1 else rf"\mathrm{{{head}}}")
-    head, tail = head.replace(" ", r"\ "), tail.replace(" ", r"\ ")  # mathematics loses spaces
-    # A second subscript within the first is an error of LaTeX.
-    return f"{head}_{{{tail}}}".replace("_", r"\_").replace(r"\_{", "_{", 1) if tail else head
 
 
 CONSTANT: Feature = Feature()

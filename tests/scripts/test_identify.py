@@ -42,7 +42,6 @@ def test_the_pendulum_is_identified_and_everything_written(tmp_path):
         "metrics.json",
         "report.txt",
         "coefficients.csv",
-        "coefficients.tex",
         "coefficients.txt",
     } <= names
     assert {"training_data.png", "prediction.png"} <= names

@@ -6,7 +6,7 @@ import pickle
 import pytest
 import torch
 
-from dynasindy.sindy.library import CONSTANT, Constraints, Feature, Library, latex_name, of, parse, variable
+from dynasindy.sindy.library import CONSTANT, Constraints, Feature, Library, of, parse, variable
 from dynasindy.sindy.named_libraries import build_library, polynomial
 from dynasindy.systems.base import Signature
 
@@ -64,16 +64,6 @@ def test_functions_of_two_angles_are_read_as_they_are_written(text):
     assert parse(text.replace("(a - b", "(a-b").replace("(a + b", "(a+b")) == feature
     assert feature.name() == text and Feature.from_list(feature.to_list()) == feature
     assert {"a", "b"} <= feature.variables
-
-
-def test_latex_is_that_of_the_paper():
-    square = variable("x_3", 2) * of("sin", "x_2")
-    assert square.latex() == r"x_{3}^{2} \, \sin x_{2}"
-    assert of("cos", "alpha_p", power=2).latex() == r"\cos^{2} \alpha_{p}"
-    assert latex_name("x12") == "x_{12}"
-    assert latex_name("a_b_c_d") == r"a_{b\_c\_d}"  # LaTeX takes no subscript of a subscript
-    assert latex_name("room temperature_in 2") == r"\mathrm{room\ temperature}_{in\ 2}"  # mathematics has no spaces
-    assert [latex_name(name) for name in ("v", "speed_a", "rate")] == ["v", r"\mathrm{speed}_{a}", r"\mathrm{rate}"]
 
 
 WRITTEN = {
