@@ -45,7 +45,7 @@ from dynasindy.sindy.reconstruction import (
 )
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums, integral_form, screen
-from dynasindy.sindy.shape_parameters import one_quotient, unmoved_shapes
+from dynasindy.sindy.shape_parameters import unmoved_shapes
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
     COARSE,
@@ -354,16 +354,14 @@ class SindyModel(WorldModel):
         if self._cuts and not earlier and few:
             rows, cut = self._cut(rows)
         self.sums.add(rows)
-        free = one_quotient(self.library, self.constraints.free, lambda trial: self._rows(seen, trial))
-        constraints = replace(self.constraints, free=free)
         if first is None:
-            self._solve(self.sums, constraints, seen.dependent)
+            self._solve(self.sums, seen.dependent)
             if self.refinement is None and not earlier:  # sums tell the textbook's alone, too small many times over
-                self.covariance = of_rates(self.coefficients, constraints.free, *rows)
+                self.covariance = of_rates(self.coefficients, self.constraints.free, *rows)
         else:
             self.set_coefficients(first)
         self.delay = delay
-        refined = self._refine(data, guess, constraints, None if first is None else self.initial_delay)
+        refined = self._refine(data, guess, None if first is None else self.initial_delay)
         findings = (*cut, *refined.findings)
         if self.refinement is not None:
             findings += (*unmoved_shapes(self.library, self.coefficients),)
@@ -380,7 +378,7 @@ class SindyModel(WorldModel):
             covariance=self.covariance,
             unmeasured=_unmeasured(*of, data),
             delay_at_end=refined.delay_at_end,
-            unscaled=states_without_scale(*of, constraints.free, data),
+            unscaled=states_without_scale(*of, self.constraints.free, data),
         )
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
@@ -394,7 +392,7 @@ class SindyModel(WorldModel):
         x, u, dx = (t.to(torch.float64) for t in (x, u, dx))
         self.sums = RunningSums(len(self.library), self.signature.n_x)
         self.sums.add((self.library(x, u), dx))
-        self._solve(self.sums, self.constraints)
+        self._solve(self.sums)
 
     def __str__(self) -> str:
         """Return the equations, a line for each state."""
@@ -527,19 +525,20 @@ class SindyModel(WorldModel):
         self.library = library
         return data
 
-    def _refine(self, data: Transitions, guess: Transitions, constraints: Constraints, late: float | None) -> Refined:
+    def _refine(self, data: Transitions, guess: Transitions, late: float | None) -> Refined:
         """Refine the coefficients, and return what was found: what is there where there is no refinement."""
         before = Refined(self.library, self.coefficients, self.delay)
         if self.refinement is None:
             return before
         try:
             found = self.refinement.run(
-                self.library, self.coefficients, constraints, data, guess, late, self.named in GENERAL
+                self.library, self.coefficients, self.constraints, data, guess, late, self.named in GENERAL
             )
         except RunsAway as error:
             raise Diverged(f"model learning: {error}") from error
         refined = require_finite(self.library, found.coefficients, "refinement")
-        if self.coefficients[constraints.free].any() and not refined[constraints.free].any():
+        free = self.constraints.free
+        if self.coefficients[free].any() and not refined[free].any():
             return before._replace(findings=(weak("fit.dropped"),))
         self.set_coefficients(refined)
         self.covariance = found.covariance
@@ -549,7 +548,7 @@ class SindyModel(WorldModel):
             self.sums = RunningSums(len(self.library), self.signature.n_x)
             recording = RegressionData(data, guess, rate_states(self.library, self.constraints), self.delay)
             self.sums.add(self._rows(recording.delayed(self.delay)))
-        rows = selection_rows(constraints.free, self.refinement.error == "innovation")
+        rows = selection_rows(free, self.refinement.error == "innovation")
         if self.refinement.method == "integral" or not self.refinement.select or len(data) <= rows:
             return found
         chosen = note("fit.chosen_on", rows=rows, total=len(data), stretches=CHOSEN_STRETCHES)
@@ -581,14 +580,13 @@ class SindyModel(WorldModel):
         self.coefficients = known.offset.clone()
         self.sums = RunningSums(len(library), self.signature.n_x)
 
-    def _rows(self, seen: RegressionData, library: Library | None = None) -> Rows:
+    def _rows(self, seen: RegressionData) -> Rows:
         """Return averaged functions and rates of change of what regressions read."""
-        library = library or self.library
-        return seen.rows(library, self) if seen.half else integral_form(library, seen.guess)
+        return seen.rows(self.library, self) if seen.half else integral_form(self.library, seen.guess)
 
-    def _solve(self, sums: RunningSums, constraints: Constraints, dependent: float = DEPENDENT) -> None:
+    def _solve(self, sums: RunningSums, dependent: float = DEPENDENT) -> None:
         regression = replace(self.regression, dependent=dependent) if dependent > DEPENDENT else self.regression
-        found = regression.solve(sums, constraints.free, constraints.offset)
+        found = regression.solve(sums, self.constraints.free, self.constraints.offset)
         self.set_coefficients(require_finite(self.library, found, "regression"))
 
 

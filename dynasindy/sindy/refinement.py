@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
 
+import torch
 from torch import Tensor
 
 from dynasindy.findings import Finding, note, weak
@@ -27,7 +28,7 @@ from dynasindy.sindy.reconstruction import RegressionData, find_missing_rates, h
 from dynasindy.sindy.regression import Regression, Rows, RunningSums, means, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
-from dynasindy.sindy.trajectory_fit import first_gain, refine_trajectory
+from dynasindy.sindy.trajectory_fit import refine_trajectory
 from dynasindy.systems.transitions import Transitions
 
 PERIODS = 2
@@ -46,6 +47,8 @@ METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("simulation", "prediction", "innovation")
 OBSERVED = 500
 """Samples in a window through which an observer follows the plant: so many that it matters little where it begins."""
+ALPHA = 0.7
+"""Part of an error of one step that a filter first takes for the state's (Kalata 1984)."""
 Model = tuple[Library, Tensor]
 """A library with the numbers inside its fitted factors, and coefficients, `(n_features, n_x)`."""
 
@@ -284,7 +287,7 @@ class _Fit:
         data = recording.delayed(0.0 if fits else delay).measured
         guess, gain = recording.delayed(delay).guess.x, None
         if observed:
-            mask, gain = first_gain(data, recording.rates)
+            mask, gain = _first_gain(data, recording.rates)
             descent = replace(descent, gain_mask=mask, window=min(descent.window, len(data)))
         before = recording.before() if fits else None
         (library, xi), first = found, delay if fits else 0.0
@@ -320,3 +323,19 @@ class _Fit:
             coefficients = regression.solve(sums, free, offset)
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
+
+
+def _first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
+    """Return where the gain of an observer is fitted, bool `(n_x, n_x)`, and a first guess, as of an alpha-beta filter.
+
+    Each measured state corrects itself and its rate, and all of them what no sensor sees in any form.
+    """
+    seen = ~data.x_next.isnan().all(0)
+    mask, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
+    for i in (~seen).nonzero().flatten().tolist():
+        of = rates.get(i)
+        if of is None or not bool(seen[of]):
+            mask[i] = seen
+        else:
+            mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
+    return mask, gain

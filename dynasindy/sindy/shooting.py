@@ -161,8 +161,7 @@ class Descent:
 
     Attributes:
         window: sampling intervals in a window; fewer where the model runs away in windows as long as that.
-        joined: whether the windows join to one trajectory; by default they do in the end, but not while functions are
-            chosen where small errors grow along the trajectory, as in chaos.
+        joined: whether windows join to one trajectory, which begins anew where small errors grow too far, as in chaos.
         select: whether functions come in and go; if not, those of the first estimate stay.
         penalty: factor on the squared error that a coefficient must be worth.
         gain_mask: where the gain of an observer is fitted, see `Windows`; None of simulations.
@@ -170,7 +169,7 @@ class Descent:
     """
 
     window: int
-    joined: bool | None = None
+    joined: bool = True
     select: bool = True
     penalty: float = 1.0
     gain_mask: Tensor | None = None

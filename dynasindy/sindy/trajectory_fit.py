@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 
@@ -39,8 +38,6 @@ NOISY = 1e-7
 """Part of a coefficient's effect that those of others leave over, below which data cannot tell it from them."""
 ROUGH, MOVES_LITTLE = 1e-4, 1e-5
 """Part of the cost that a step gains, below which steps end: where functions may still go, and where none does."""
-ALPHA = 0.7
-"""Part of an error of one step that a filter first takes for the state's (Kalata 1984)."""
 ELEMENTS, FEWEST = 300_000_000, 2000
 """Numbers in the products that choose functions, about, and rows that they are chosen by, at least."""
 SHORTEST_DELAY = 0.01
@@ -52,26 +49,6 @@ STEPS = 30
 """Steps of Levenberg and Marquardt's method at most between two changes of the equations."""
 TRIES = 10
 """Sets of functions that are tried at most."""
-
-
-def first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:
-    """Return where the gain of an observer is fitted, bool `(n_x, n_x)`, and a first guess, as of an alpha-beta filter.
-
-    Each measured state corrects itself and its rate, and all of them what no sensor sees in any form.
-
-    Args:
-        data: the recording, NaN where a state was not measured.
-        rates: which state is the rate of which other one, `{rate: state}`.
-    """
-    seen = ~data.x_next.isnan().all(0)
-    mask, gain = torch.diag(seen), torch.diag(ALPHA * seen.double())
-    for i in (~seen).nonzero().flatten().tolist():
-        of = rates.get(i)
-        if of is None or not bool(seen[of]):
-            mask[i] = seen
-        else:
-            mask[i, of], gain[i, of] = True, ALPHA**2 / (2 - ALPHA) / data.dt
-    return mask, gain
 
 
 def selection_rows(free: Tensor, observed: bool) -> int:
@@ -96,10 +73,9 @@ def _price(n: int, free: Tensor) -> float:
 def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price: float) -> Estimate:
     """Converge, drop and reconsider until there is nothing better.
 
-    What is better to first order may be worse once it has converged; then what came in is not tried again.
+    What is better to first order may be worse once it has converged; then what was there before stays.
     """
     flow = Flow.of(estimate, Parameters.where((estimate.xi != 0) & free), windows)
-    came = failed = torch.zeros_like(free)
     best: tuple[Flow, Linearised] | None = None
     least, fewest = math.inf, 0
     for _ in range(TRIES):
@@ -113,15 +89,10 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
             break
         left = left_over(model, windows)
         if best is not None and 2 * (left - least) + price * (len(flow.parameters) - fewest) >= 0:
-            flow, model = best
-            support = flow.parameters.support(free.shape)
-            if not bool((came & ~support & ~failed).any()):
-                break  # it only left functions out, and would do so again
-            failed = failed | (came & ~support)
-        else:
-            best, least, fewest = (flow, model), left, len(flow.parameters)
-            support = flow.parameters.support(free.shape)
-        active, others = flow.parameters, Parameters.where(free & ~support & ~failed)
+            break
+        best, least, fewest = (flow, model), left, len(flow.parameters)
+        active = flow.parameters
+        others = Parameters.where(free & ~active.support(free.shape))
         if not len(others):
             break
         try:
@@ -138,7 +109,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
         changed = _changed(wider, model, kept)
         if changed is None:
             break
-        flow, came = changed, changed.parameters.support(free.shape)
+        flow = changed
     return flow.estimate if best is None else best[0].estimate
 
 
@@ -215,16 +186,10 @@ def _settle(flow: Flow, enough: float = MOVES_LITTLE, model: Linearised | None =
     return flow, model
 
 
-GROWN = 100.0
-"""Factor by which errors grow along a trajectory, beyond which functions are chosen on windows on their own."""
 FARTHEST = 1e6
-"""The same, beyond which a trajectory begins anew: the effects of all coefficients look alike after such a growth."""
-WORSE = 1.2
-"""Factor on the errors of windows on their own, beyond which a trajectory through all of them does not fit."""
+"""Factor by which errors grow along a trajectory, beyond which it begins anew: coefficients look alike after that."""
 SHORTEST = 2
 """Sampling intervals in the shortest window."""
-LEAPS = (4, 2)
-"""Factors by which windows grow, the larger one where the model does not run away in windows as long as that."""
 
 
 def refine_trajectory(
@@ -254,7 +219,6 @@ def refine_trajectory(
         free = free & (xi != 0)
     data = data.to(torch.float64)
     guess = data.x if start is None else start.to(torch.float64)
-    joined = descent.joined
     some = choose_stretches(len(data), selection_rows(free, gain is not None))
 
     def _priced(n: int) -> float:
@@ -266,26 +230,17 @@ def refine_trajectory(
     turned = COARSE if descent.floor is None else FINEST
     flow = _grown(first, (xi != 0) & free, part, descent, turned, some_before)
     found, windows = flow.estimate, flow.windows
-    # Windows on their own tell little of a state that was not measured: then they begin anew where they have to.
-    seen = not bool(data.x_next.isnan().any())
-    if joined is None and not seen:
-        windows = replace(windows, joined=_grows(flow)[1])
-    if joined is None and seen and _grows(flow)[0] > GROWN:
-        alone = replace(windows, joined=torch.zeros_like(windows.joined))
-        own = _search_functions(found, free, alone, price)
-        windows = replace(windows, joined=_grows(Flow.of(own, flow.parameters.take(slice(0)), windows))[1])
-        found = _search_functions(own, free, windows, price)
-        if not bool((_sigma(found, windows) < WORSE * _sigma(own, alone)).all()):
-            found, joined = own, False
-    else:
-        found = _search_functions(found, free, windows, price)
+    if descent.joined and not bool(data.x_next.isnan().any()):  # windows on their own tell little of unmeasured states
+        found = _search_functions(found, free, replace(windows, joined=torch.zeros_like(windows.joined)), price)
+    if descent.joined:
+        windows = replace(windows, joined=_joins(Flow.of(found, flow.parameters.take(slice(0)), windows)))
+    found = _search_functions(found, free, windows, price)
     if not bool(some.all()):
         support = (found.xi != 0) & free
-        turned, again = min(turned, FINE), replace(descent, joined=joined)
-        flow = _grown(replace(found, nodes=guess), support, data, again, turned, before)
+        flow = _grown(replace(found, nodes=guess), support, data, descent, min(turned, FINE), before)
         whole, windows = flow.estimate, flow.windows
-        if joined is None:
-            windows = replace(windows, joined=_grows(flow)[1])
+        if descent.joined:
+            windows = replace(windows, joined=_joins(flow))
         flow = Flow.of(whole, Parameters.where(support), windows)
         found = _descended(flow, _priced(len(data)))[0].estimate
     else:
@@ -323,25 +278,15 @@ def _finely(found: Estimate, free: Tensor, windows: Windows, price: float) -> tu
     return _descended(Flow.of(found, Parameters.where(support), windows), price)[0].estimate, windows
 
 
-def _grows(flow: Flow) -> tuple[float, Tensor]:
-    """Return how much an error of a start grows along joined windows, in spreads of the states, and which may join."""
+def _joins(flow: Flow) -> Tensor:
+    """Return which windows continue the one before, bool `(W,)`: not where an error of a start has grown too far."""
     windows, spread = flow.windows, flow.estimate.nodes.std(0, correction=0).clamp_min(1e-12)
-    whole, part, largest, joined = torch.eye(len(spread), dtype=spread.dtype), None, 0.0, windows.joined.clone()
+    grown, joined = torch.eye(len(spread), dtype=spread.dtype), windows.joined.clone()
     ends = torch.cat([part.s[:, -1, :, : len(spread)] for _, part in flow.parts(flow.pieces)])
     for j, step in enumerate((ends * spread / spread.unsqueeze(-1)).unbind()):
-        whole = step @ whole if windows.joined[j] else step
-        largest = max(largest, float(whole.norm().nan_to_num(math.inf)))
-        longer = step @ part if part is not None and windows.joined[j] else step
-        joined[j] = bool(windows.joined[j]) and bool(longer.norm() <= FARTHEST)
-        part = longer if joined[j] else step
-    return largest, joined
-
-
-def _sigma(estimate: Estimate, windows: Windows) -> Tensor:
-    """Return the error of each state; infinite where no coefficient is left."""
-    if not bool(estimate.xi.any()):
-        return torch.full((estimate.xi.shape[1],), math.inf)
-    return Flow.of(estimate, Parameters.where(estimate.xi != 0), windows).sigma()
+        joined[j] = bool(joined[j]) and bool((step @ grown).norm() <= FARTHEST)
+        grown = step @ grown if joined[j] else step
+    return joined
 
 
 def _grown(
@@ -358,22 +303,21 @@ def _grown(
     guess, length = estimate.nodes, descent.window
 
     def _cut(found: Estimate, length: int) -> tuple[Flow, bool]:
-        windows = Windows.of(data, length, descent.joined is not False, substeps, before)
+        windows = Windows.of(data, length, descent.joined, substeps, before)
         windows = replace(windows, gain_mask=descent.gain_mask, floor=descent.floor)
         trial = Flow.of(replace(found, nodes=guess[windows.rows]), parameters, windows)
         return trial, bool(trial.lost().any())
 
     flow, lost = _cut(estimate, length)
     while lost and length > SHORTEST:
-        length = max(SHORTEST, length // LEAPS[0])
+        length = max(SHORTEST, length // 4)
         flow, lost = _cut(estimate, length)
     while length < descent.window:
         flow = _settle(flow)[0]
         guess = guess.index_copy(0, flow.windows.rows, flow.estimate.nodes)
-        longer = [min(leap * length, descent.window) for leap in LEAPS]
-        cuts = ((*_cut(flow.estimate, wanted), wanted) for wanted in dict.fromkeys(longer))
-        found = next((cut for cut in cuts if not cut[1]), None)
-        if found is None:
+        longer = min(2 * length, descent.window)
+        found, lost = _cut(flow.estimate, longer)
+        if lost:
             break  # a model that runs away in longer windows is fitted to these
-        flow, _, length = found
+        flow, length = found, longer
     return flow

@@ -1,4 +1,4 @@
-"""Numbers inside functions, and the angle of a mass matrix, are found from plants in which they are known."""
+"""Numbers inside functions are found from plants in which they are known."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,8 @@ from scipy.integrate import solve_ivp
 
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Library, parse
-from dynasindy.sindy.named_libraries import auto_rig
-from dynasindy.sindy.shape_parameters import fit_shapes, of_one_angle, one_quotient
+from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.systems import Signature
 from dynasindy.systems.transitions import Transitions
 
@@ -110,64 +108,3 @@ def test_a_fit_says_that_a_number_inside_a_function_means_nothing():
         model = SindyModel(CART, ["v", "u", f"tanh(~{guess} v)"], Regression("bic"), Refinement("integral", rounds=4))
         told = weak("fit.shape", function=f"tanh({guess} v)", guess=guess) in model.fit(data).findings
         assert told != silent
-
-
-GRAVITY, WIDTH = 9.81, 20.0
-LINKS = Signature(("a", "b", "v", "w"), ("rad", "rad", "rad/s", "rad/s"), ("one", "two"), (1.0, 1.0, 1.0, 1.0))
-ALPHA, BETA, DELTA, FIRST, SECOND = 0.36, 0.09, 0.055, 8.6, 2.1
-
-
-"""Of M = [alpha + 2 beta cos b, delta + beta cos b; ., delta]: inertias, and of gravity: moments [kg m^2, N m]."""
-
-
-P = -(BETA**2) / (ALPHA * DELTA - DELTA**2)
-
-
-"""det M = (alpha delta - delta^2) (1 + p cos^2 b)."""
-
-
-def elbow(x, u, dry=1.0):
-    """Solve Lagrange's equations of a planar elbow arm (Spong, 2006, section 7.4) by Cramer's rule; b is relative."""
-    a, b, v, w = x.unbind(-1)
-    h = BETA * b.sin()
-    one = (
-        u[:, 0] + h * (2 * v * w + w**2) - FIRST * a.sin() - SECOND * (a + b).sin() - 0.5 * dry * torch.tanh(WIDTH * v)
-    )
-    two = u[:, 1] - h * v**2 - SECOND * (a + b).sin() - 0.2 * dry * torch.tanh(WIDTH * w)
-    m, n = ALPHA + 2 * BETA * b.cos(), DELTA + BETA * b.cos()
-    det = m * DELTA - n**2
-    return torch.stack([v, w, (DELTA * one - n * two) / det, (m * two - n * one) / det], -1)
-
-
-def turned(x, u, sign):
-    """Return the same arm without friction, its second angle measured against the vertical as `sign` times it."""
-    a, c, v, z = x.unbind(-1)
-    dx = elbow(torch.stack([a, sign * c - a, v, sign * z - v], -1), u, 0.0)
-    return torch.stack([v, z, dx[:, 2], sign * (dx[:, 2] + dx[:, 3])], -1)
-
-
-@pytest.mark.parametrize(
-    ("plant", "angle"),
-    [
-        (elbow, ("b",)),
-        (lambda x, u: elbow(x[:, [1, 0, 3, 2]], u)[:, [1, 0, 3, 2]], ("a",)),
-        (lambda x, u: turned(x, u, 1), ("a", "b", "gap")),
-        (lambda x, u: turned(x, u, -1), ("a", "b", "sum")),
-    ],
-    ids=["relative", "swapped", "absolute", "counted the other way"],
-)
-def test_an_arm_is_held_exactly_by_the_functions_of_the_angle_between_its_links(plant, angle):
-    rng = torch.Generator().manual_seed(0)
-    x, u = (torch.rand(2000, n, generator=rng, dtype=torch.float64) * 3 - 1.5 for n in (4, 2))
-    dx, library = plant(x, u), auto_rig(LINKS)
-    numbers = [P if shape.function in QUOTIENTS else WIDTH for shape in library.shapes]
-    free = torch.zeros(len(library), 4, dtype=torch.bool)
-    free[:, 2:] = True
-    kept = one_quotient(library, free, lambda trial: (trial(x, u), dx))
-    assert torch.equal(kept, free & of_one_angle(library)[angle].unsqueeze(-1))
-    theta = library.with_shapes(numbers)(x, u)
-    for name, own in of_one_angle(library).items():
-        columns = theta[:, own]
-        found = torch.linalg.lstsq(columns, dx[:, 2:], driver="gelsd").solution
-        left = float((dx[:, 2:] - columns @ found).norm() / dx[:, 2:].norm())
-        assert left < 1e-9 if name == angle else left > 1e-4
