@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete
 
 import dynasindy
 from dynasindy.data.clock import clock_of
-from dynasindy.findings import note, weak
+from dynasindy.findings import FindingError, note, weak
 from dynasindy.identification.identify import LoggedData
 from dynasindy.sindy import Refinement, Regression, SindyModel
 
@@ -179,3 +179,17 @@ def test_a_doubled_row_is_left_out_and_equal_stamps_of_a_coarse_clock_are_not(tm
     assert copies.values == {"count": 1, "line": 203}
     log = logged(tmp_path / "log.csv", even(250), decimals(2))
     assert log.training.dt == pytest.approx(0.004, rel=1e-3) and fitted(log)["u"] == pytest.approx(5.0, rel=0.01)
+
+
+@pytest.mark.parametrize(("burst", "sure"), [(12, False), (40, True)])
+def test_a_coarse_clock_is_believed_where_its_stamps_leave_its_period_within_a_percent(tmp_path, burst, sure):
+    """Of 2.6 ticks each; bursts that begin anywhere in a tick bound it to less than a tick over their rows."""
+    ticks = [math.floor(2.6 * (k % burst) + 0.37 * (k // burst)) + 3 * burst * (k // burst) for k in range(240)]
+    log = LoggedData(written(tmp_path / "log.csv", "time", [f"{tick / 100:.2f}" for tick in ticks]))
+    if sure:
+        assert log.recording().transitions.dt == pytest.approx(0.026)
+    else:
+        with pytest.raises(FindingError) as told:
+            log.recording()
+        assert told.value.finding.code == "log.coarse_time"
+        assert [told.value.finding.values[name] for name in ("tick", "low", "high")] == [0.01, 2, 3]

@@ -84,6 +84,11 @@ def test_a_hidden_state_in_no_equation_is_said_to_need_a_first_guess_and_how_it_
     model, log = SindyModel(signature, ["upper", "lower", "u"]), log_of(math.nan, 1.0)
     (told,) = idle_states(model, log)
     assert (told.code, told.severity) == ("model.idle_state", "weak") and told.values["states"] == ["upper"]
+    example = {
+        "upper": {"u": 0.1, "upper": -0.1},
+        "lower": {"upper": 0.1},
+    }  # it is moved, fades, and moves what is seen
+    assert told.values["initial"] == example
     guessed = SindyModel(signature, ["upper", "lower", "u"], initial=told.values["initial"])
     assert bool(guessed.initial[:, 0].any())  # as it is given
     assert idle_states(model, log_of(1.0, 1.0)) == []  # it was measured

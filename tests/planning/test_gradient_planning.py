@@ -196,9 +196,11 @@ def test_the_imagined_cost_is_linear_without_a_bonus_and_the_task_keeps_its_own(
 
 def test_what_is_not_given_follows_the_plant_and_what_is_given_stays(setting, small):
     env, agent, replay = setting()
+    env.substeps = 7
     planner = GradientPlanning(env, agent, replay, updates=1, rollouts=4, lr=0.02)
     assert planner.plan().imagined == 4 * 60  # the window of the twin rotor
     assert (planner.pace.window, planner.pace.updates, planner.pace.lr) == (60, 1, 0.02)
+    assert planner.env.substeps == planner.pace.substeps < 7
     planner = GradientPlanning(env, agent, replay, updates=1, substeps=3, patience=7, **small)
     planner.plan()
     assert (planner.pace.window, planner.pace.patience, planner.env.substeps) == (20, 7, 3)

@@ -486,3 +486,21 @@ def test_its_steps_fit_the_fastest_motion_anywhere_in_its_ranges(rate, most):
     # The fastest of 64 places at random comes near to the end, not to it.
     assert 0.85 * most <= found.substeps(1.0) <= most
     assert found.substeps(0.1) == 1
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+@pytest.mark.parametrize("moving", [False, True])
+def test_many_trajectories_are_those_that_each_start_has_alone(machine_code, moving):
+    """Twelve at once, in a batch of two dimensions, beside one without any; by a plain loop over periods, too."""
+    found, ((x, _), (_, u), (_, end)) = model(machine_code=machine_code), (drawn(12), drawn(60), drawn(120))
+    u, end = (part[-60:].reshape(12, 5, -1) for part in (u, end))
+    end = end if moving else None
+    shaped = [None if part is None else part.unflatten(0, (3, 4)) for part in (x, u, end)]
+    whole = found.simulate(shaped[0], shaped[1], 0.04, 2, shaped[2]).flatten(0, 1)
+    for k in range(12):
+        alone = found.simulate(x[k], u[k], 0.04, 2, None if end is None else end[k])
+        torch.testing.assert_close(whole[k], alone, rtol=1e-10, atol=1e-12)
+    if not moving:
+        for t in range(5):
+            ends = integrate(found, whole[:, t], u[:, t], 0.04, 2)[0][:, -1]
+            torch.testing.assert_close(whole[:, t + 1], ends, rtol=1e-10, atol=1e-12)
