@@ -31,7 +31,6 @@ from pydantic.fields import FieldInfo
 from trust import nodes
 from typing_extensions import TypedDict
 
-from dynasindy.evaluation.ablation import Level
 from dynasindy.identification.source import DataSource
 from dynasindy.sindy import WorldModel
 from dynasindy.sindy.functions import register_formula
@@ -59,7 +58,7 @@ PLANT: dict[str, Any] = {
 """Keys of the plant, from which other groups copy; a mistake is named here rather than where it was copied to."""
 TOP: dict[str, Any] = {
     **{"seed": Annotated[int, range(2**63)], "threads": Annotated[int, THREADS, "eight for each core"]},
-    **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource, "level": Level},
+    **{"system": System | None, "world_model": Callable[..., WorldModel], "data": DataSource},
     **dict.fromkeys(("run", "resume", "controller"), str | None),
     **dict.fromkeys(("folder", "results", "output", "device", "refinement", "error_shape"), str),
     **dict.fromkeys(("integral", "animate", "finish", "tensorboard"), bool),
@@ -78,6 +77,7 @@ TOP: dict[str, Any] = {
 IMPORTED = {
     **{"sensors": "dynasindy.sensing.Sensors", "excitation": "dynasindy.excitation.Excitation"},
     **{"scenario": "dynasindy.evaluation.scenarios.Scenario", "guard": "dynasindy.rig.Guard"},
+    "level": "dynasindy.evaluation.ablation.Level",
 }
 """Keys whose types are imported where they are given."""
 EXPORTING: dict[str, Any] = {

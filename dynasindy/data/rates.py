@@ -6,16 +6,18 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
+from typing import TYPE_CHECKING
 
-import pandas as pd
 import torch
 from torch import Tensor
 
-from dynasindy.data.columns import Column, as_map
 from dynasindy.data.headings import PLAIN_RATES, is_rate_of
 from dynasindy.findings import Finding, LogError, weak
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
+
+if TYPE_CHECKING:
+    from dynasindy.data.columns import Column
 
 CLEAR = 3.0
 """Factor between slope and rate, either way, from which on a unit is wrong: no filter or noise makes as much."""
@@ -144,6 +146,8 @@ def require_consistent_rates(
         scale = _exact_factor(each.values["factor"]) * column.scale
         mended = {**columns, rate: replace(column, unit=_unit_of_rate(unit), scale=scale)}
         allowed = f"the unit of {state} per second" if unit == "-" else _unit_of_rate(unit)
+        from dynasindy.data.columns import as_map  # with pandas, which data of a simulation do without
+
         raise LogError(each.code, **place, **each.values, unit=allowed, states=as_map(mended, headings))
 
 
@@ -176,6 +180,8 @@ def _increments(data: Transitions, rate: int) -> Tensor:
     first, last = data.x[:, rate].double(), data.x_next[:, rate].double()
     if not bool((first + last).isnan().any()):
         return 0.5 * data.dt * (first + last)
+    import pandas as pd  # half a second of imports that data without gaps do without
+
     segments = data.begins().long().cumsum(0)
     sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
     samples = pd.Series(torch.stack([first, last], -1)[sampled].numpy())

@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 
 from dynasindy.data.rates import with_rates
-from dynasindy.data.recording import Recording
 from dynasindy.findings import Finding, note
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
@@ -24,6 +23,7 @@ from dynasindy.systems.base import WHOLE, Signature, System
 from dynasindy.systems.transitions import Transitions
 
 if TYPE_CHECKING:
+    from dynasindy.data.recording import Recording
     from dynasindy.excitation import Excitation
 
 VALIDATION_SHARE = 0.25
@@ -87,6 +87,8 @@ class Source:
 
     def __repr__(self) -> str:
         """Say in a few lines what it holds."""
+        from dynasindy.data.recording import Recording  # which imports pandas, that only logs need
+
         text = repr(Recording(self.training, self.signature, self.findings))
         head, *rest = text.replace("Recording of", "Data of", 1).split("\n")
         return "\n".join([f"{head}; {len(self.validation)} rows more to judge on", *rest])

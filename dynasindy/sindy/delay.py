@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache
 
 import torch
-from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from dynasindy.sindy.regression import Rows, fit_supported
@@ -113,6 +112,8 @@ def refine_delay(
     while (better := min((best - dt, best, best + dt), key=_at)) != best:
         best = better
     if not whole:
+        from scipy.optimize import minimize_scalar  # a third of a second of imports
+
         ends = max(0.0, best - dt), min(longest, best + dt)
         within = minimize_scalar(_at, bounds=ends, method="bounded", options={"xatol": CLOSE * dt})
         best = min(best, float(within.x), key=_at)

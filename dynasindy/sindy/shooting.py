@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import lsq_linear
 from torch import Tensor
 
 from dynasindy.sentences import setting
@@ -630,6 +629,8 @@ def _solve_within(square: Tensor, target: Tensor, low: Tensor, high: Tensor) -> 
     square, low, high = square[:, free], low[free], high[free]
     found = torch.linalg.lstsq(square, target.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
     if bool(((found < low) | (found > high)).any()):
+        from scipy.optimize import lsq_linear  # a third of a second of imports
+
         bounds = low.numpy(), high.numpy()
         found = torch.from_numpy(lsq_linear(square.numpy(), target.numpy(), bounds, method="bvls").x)
     solution[free] = found
