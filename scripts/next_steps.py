@@ -14,9 +14,7 @@ OF_RUN = {
 }
 """What a command shows or makes of a run."""
 SMOKE = ("experiment=smoke", "experiment=gradient_smoke")
-"""What tries every part of a training once."""
-LONG_PLAN = 3000
-"""Updates of a plan that is to be longer than all rounds of the usual one."""
+"""What tries every part of a training once, and learns too little."""
 IDENTIFYING = ("system", "data", "plant", "world_model", "refinement", "source", "longest_delay", "threads")
 """Words of `train` that say how a log is identified; `identify` has them too."""
 
@@ -52,23 +50,19 @@ def improvements(
     """
     from dynasindy.evaluation.tracking_criteria import WITHIN  # which takes seconds that --help does not have
 
-    if tried := next((word for word in words if word in SMOKE), None):
-        whole = without(words, "experiment", "train.episodes", "folder", "finish")
-        earnest = f"trains in earnest; {tried} only tries whether every part runs, and learns too little"
-        return next_steps(command_line("train", whole, earnest))
-    weak = "tells at which targets the loop is weak, and how"
-    lines = [command_line("check", [f"run={folder}"], weak)] if checked else []
+    lines = []
+    if checked:
+        lines.append(command_line("check", [f"run={folder}"], "tells at which targets the loop is weak, and how"))
     if episodes is not None and not any(word.startswith("resume=") for word in words):
         more, does = f"train.episodes={max(3, 2 * episodes)}", "flies more episodes, whose data mend the model"
         if imagined is not None and imagined > WITHIN:  # where the model is not what fails
-            given = [word.partition("=")[2] for word in words if word.startswith("planning.updates=")]
-            more = f"planning.updates={max([LONG_PLAN, *(2 * int(number) for number in given if number.isdecimal())])}"
+            more = "planning.updates=3000"
             does = f"plans longer: in the model, too, targets are missed by {100 * imagined:.2g} %"
-        kept = [*without(words, more.partition("=")[0], "folder", "finish"), more]
-        lines.append(command_line("train", kept, does))
+        kept = without([word for word in words if word not in SMOKE], more.partition("=")[0], "folder", "finish")
+        lines.append(command_line("train", [*kept, more], does))
     if episodes is None and any(word.startswith("data.path=") for word in words):
-        kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
         lacks = "tells what the log lacks: what to record, or which functions"
+        kept = [word for word in words if re.split(r"[=./]", word.lstrip("+~"))[0] in IDENTIFYING]
         lines.append(command_line("identify", kept, lacks))
     return next_steps(*lines)
 

@@ -57,12 +57,10 @@ def test_a_plant_that_is_not_controlled_is_offered_a_look_and_more_episodes_but_
     assert read(more)[2:] == ["system=xi", "hydra.run.dir=x", "train.episodes=4"]
     for smoke in ("experiment=smoke", "experiment=gradient_smoke"):
         tried = steps.improvements("a", ["system=xi", smoke, "train.episodes=2", "seed=3"], 2).split("\n")
-        assert len(tried) == 2 and read(tried[1])[2:] == ["system=xi", "seed=3"]
+        assert read(tried[2])[2:] == ["system=xi", "seed=3", "train.episodes=4"]
     assert steps.improvements("a", ["resume=a"], 2).count("\n") == 1  # a run that goes on takes no other settings
     (_, more) = steps.improvements("a", ["system=xi"], 1, checked=False, imagined=0.02).split("\n")
     assert "system=xi planning.updates=" in more and "train.episodes" not in more  # the model is not what fails
-    (_, more) = steps.improvements("a", ["planning.updates=4000"], 1, checked=False, imagined=0.02).split("\n")
-    assert read(more)[2:] == ["planning.updates=8000"]
     (_, more) = steps.improvements("a", [], 1, checked=False).split("\n")
     assert read(more)[2:] == ["train.episodes=3"]
 
