@@ -1,6 +1,6 @@
 """What goes wrong between the laboratory and the model: wind, other parameters, noise, delay.
 
-`Pushed` and `Detuned` are plants made from a plant, for `Scenario.plant`; `SensorNoise` and `DelayedActuator`
+`PerturbedPlant` is a plant made from a plant, for `Scenario.plant`; `SensorNoise` and `DelayedActuator`
 are policies made from a policy, for `Scenario.wrappers`. Where a run has sensors and an observer, `SensorNoise` says
 how much noisier the sensors are.
 """
@@ -32,43 +32,14 @@ class SizedDisturbance(Protocol):
         """Say what disturbs, by how much and in which units."""
 
 
-class Pushed(Altered):
-    """A plant under a constant push, such as wind on the beam: dx/dt = f(x, u) + push.
-
-    Args:
-        system: The plant.
-        push: Acceleration by name of a state, e.g. `{"Omega_a": 0.5}` [unit of the state per second].
-
-    Raises:
-        ValueError: A named state does not exist.
-    """
-
-    push: Tensor
-
-    def __init__(self, system: System, push: Mapping[str, float]) -> None:
-        super().__init__(system)
-        _require_names(system.signature, push, "push")
-        self.register_buffer("push", _by_name(system.signature, push, 0.0))
-
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self.system(x, u) + self.push.to(x)
-
-    def summary(self) -> str:
-        """Say how large the push is."""
-        signature = self.signature
-        units = [f"{u}^2" if u.endswith("/s") else "1/s" if u == "-" else f"{u}/s" for u in signature.state_units]
-        rows = zip(signature.state_names, self.push.tolist(), units, strict=True)
-        return f"pushed by {_listed(f'{value:g} {unit} on {name}' for name, value, unit in rows if value)}"
-
-
-class Detuned(Altered):
-    """A plant with other parameters: dx/dt = gain * f(x, input_gain * u).
+class PerturbedPlant(Altered):
+    """A plant with other parameters, under a constant push such as wind: dx/dt = gain * f(x, input_gain * u) + push.
 
     A gain of 0.9 on a rate is a moment of inertia 11 % larger, an input gain of 0.9 an amplifier 10 % weaker.
 
     Args:
         system: The plant.
+        push: Acceleration by name of a state, e.g. `{"Omega_a": 0.5}` [unit of the state per second].
         gain: Factor on dx/dt by name of a state; 1 where not named.
         input_gain: Factor on each input; 1 if omitted.
 
@@ -76,30 +47,42 @@ class Detuned(Altered):
         ValueError: A named state does not exist, or there is not one input gain per input.
     """
 
+    push: Tensor
     gain: Tensor
     input_gain: Tensor
 
-    def __init__(self, system: System, gain: Mapping[str, float], input_gain: Sequence[float] | None = None) -> None:
+    def __init__(
+        self,
+        system: System,
+        push: Mapping[str, float] | None = None,
+        gain: Mapping[str, float] | None = None,
+        input_gain: Sequence[float] | None = None,
+    ) -> None:
         super().__init__(system)
-        _require_names(system.signature, gain, "gain")
+        for key, values, default in (("push", push or {}, 0.0), ("gain", gain or {}, 1.0)):
+            _require_names(system.signature, values, key)
+            row = [values.get(name, default) for name in system.signature.state_names]
+            self.register_buffer(key, torch.tensor(row, dtype=torch.float64))
         n_u = system.signature.n_u
         input_gain = [1.0] * n_u if input_gain is None else list(input_gain)
         if len(input_gain) != n_u:
             raise ValueError(f"input_gain has {len(input_gain)} numbers, the plant {n_u} inputs; give one each")
-        self.register_buffer("gain", _by_name(system.signature, gain, 1.0))
         self.register_buffer("input_gain", torch.tensor(input_gain, dtype=torch.float64))
 
     def forward(self, x: Tensor, u: Tensor) -> Tensor:
         """Return dx/dt, `(*batch, n_x)`, of states `(*batch, n_x)` under inputs `(*batch, n_u)`."""
-        return self.gain.to(x) * self.system(x, self.input_gain.to(u) * u)
+        return self.gain.to(x) * self.system(x, self.input_gain.to(u) * u) + self.push.to(x)
 
     def summary(self) -> str:
-        """Say which factors are not 1."""
-        rates = [f"{name}'" for name in self.signature.state_names]
-        factors = zip(
-            [*rates, *self.signature.input_names], [*self.gain.tolist(), *self.input_gain.tolist()], strict=True
-        )
-        return f"detuned: {_listed(f'{name} times {value:g}' for name, value in factors if value != 1)}"
+        """Say how large the push is, and which factors are not 1."""
+        names, units = self.signature.state_names, self.signature.state_units
+        rates = [f"{u}^2" if u.endswith("/s") else "1/s" if u == "-" else f"{u}/s" for u in units]
+        pushes = [f"{p:g} {unit} on {n}" for n, p, unit in zip(names, self.push.tolist(), rates, strict=True) if p]
+        of = [*(f"{name}'" for name in names), *self.signature.input_names]
+        factors = zip(of, [*self.gain.tolist(), *self.input_gain.tolist()], strict=True)
+        changes = [f"{name} times {value:g}" for name, value in factors if value != 1]
+        said = [f"pushed by {', '.join(pushes)}"] * bool(pushes) + [f"detuned: {', '.join(changes)}"] * bool(changes)
+        return "; ".join(said) or "not disturbed"
 
 
 class SensorNoise:
@@ -153,8 +136,8 @@ class SensorNoise:
         """Say how large the noise of each state is."""
         signature = self.env.system.signature
         rows = zip(signature.state_names, self.std.tolist(), signature.state_units, strict=True)
-        told = _listed(f"{name} {value:g} {unit}" for name, value, unit in rows if value)
-        return f"measured with white noise, standard deviation {told}"
+        told = ", ".join(f"{name} {value:g} {unit}" for name, value, unit in rows if value)
+        return f"measured with white noise, standard deviation {told or 'nothing'}"
 
 
 class DelayedActuator:
@@ -189,10 +172,6 @@ class DelayedActuator:
         return f"inputs late by {periods}, {self.periods * self.dt:g} s"
 
 
-def _listed(parts: Iterable[str]) -> str:
-    return ", ".join(parts) or "nothing"
-
-
 def _of_sensors(signature: Signature, sensors: Mapping[str, Channel | Mapping[str, float]]) -> list[float]:
     variances = Sensors(sensors).variance(signature).tolist() if sensors else [0.0] * signature.n_x
     told = [math.sqrt(variance) if 0 < variance < math.inf else 0.0 for variance in variances]
@@ -207,10 +186,3 @@ def _require_names(signature: Signature, values: Iterable[str], key: str) -> Non
             f"{', '.join(signature.state_names)}; copy its file from conf/scenario to FOLDER/scenario/NAME.yaml, write "
             "states of this plant into it, and give --config-dir FOLDER 'scenarios=[NAME]'"
         )
-
-
-def _by_name(signature: Signature, values: Mapping[str, float], default: float) -> Tensor:
-    row = torch.full((signature.n_x,), default, dtype=torch.float64)
-    for name, value in values.items():
-        row[signature.state_index(name)] = value
-    return row

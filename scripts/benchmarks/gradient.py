@@ -25,7 +25,7 @@ from dynasindy.dyna.components import Components, LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Evaluation, Policy, Scenario, evaluate, step_references
 from dynasindy.excitation import Multisine
 from dynasindy.planning import Gate, GradientPlanning
@@ -269,7 +269,7 @@ def judge(case: Case, plant: str, parts: Components, seed: int) -> Iterable[tupl
         policies["_integral"] = IntegralAction(parts.agent.deployed, env)
     for suffix, policy in policies.items():
         if case.detuned:
-            gust = Scenario("detuned_gust", steps, 64, 30.0, partial(Pushed, push=GUST), [(12.0, 15.0)])
+            gust = Scenario("detuned_gust", steps, 64, 30.0, partial(PerturbedPlant, push=GUST), [(12.0, 15.0)])
             result = evaluate(env, policy, gust, parts.sensing)
             yield f"detuned_gust{suffix}", "max_abs_error_5s_after_gust", _numbers(result, _after(result, 20.0))
         else:

@@ -6,7 +6,7 @@ from alternating import Alternating
 from tensordict import TensorDict, TensorDictBase
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import DelayedActuator, Detuned, Pushed, SensorNoise
+from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant, SensorNoise
 from dynasindy.systems import Tras, Xi, integrate
 from dynasindy.tasks import Step, Tracking, Wave
 
@@ -20,20 +20,20 @@ def make() -> ControlEnv:
 
 
 def test_a_push_adds_its_acceleration_and_nothing_else() -> None:
-    change = Pushed(Xi(), {"Omega_p": -0.5})(X, U) - Xi()(X, U)
+    change = PerturbedPlant(Xi(), {"Omega_p": -0.5})(X, U) - Xi()(X, U)
     expected = torch.tensor([0, 0, 0, -0.5, 0, 0], dtype=torch.float64).expand(4, 6)
     torch.testing.assert_close(change, expected)
 
 
 def test_detuning_scales_accelerations_and_inputs() -> None:
-    detuned = Detuned(Xi(), {"Omega_a": 0.9}, [1.0, 0.8])(X, U)
+    detuned = PerturbedPlant(Xi(), gain={"Omega_a": 0.9}, input_gain=[1.0, 0.8])(X, U)
     expected = Xi()(X, U * torch.tensor([1.0, 0.8], dtype=torch.float64))
     expected[:, 2] *= 0.9
     torch.testing.assert_close(detuned, expected)
 
 
 def test_disturbed_plants_keep_stops_and_dtype() -> None:
-    for plant in (Pushed(Tras(), {"Omega_a": 1.0}), Detuned(Tras(), {})):
+    for plant in (PerturbedPlant(Tras(), {"Omega_a": 1.0}), PerturbedPlant(Tras(), gain={})):
         assert plant.stops == Tras().stops
         assert plant(X.float(), U.float()).dtype == torch.float32
 
@@ -85,9 +85,9 @@ def test_noisy_observations_are_of_the_present_time() -> None:
 
 
 def test_what_is_not_named_stays_as_it_is() -> None:
-    torch.testing.assert_close(Detuned(Xi(), {})(X, U), Xi()(X, U))
-    torch.testing.assert_close(Pushed(Xi(), {})(X, U), Xi()(X, U))
-    both = Pushed(Xi(), {"Omega_a": 0.5, "omega_p": -3.0})(X, U) - Xi()(X, U)
+    torch.testing.assert_close(PerturbedPlant(Xi(), gain={})(X, U), Xi()(X, U))
+    torch.testing.assert_close(PerturbedPlant(Xi(), {})(X, U), Xi()(X, U))
+    both = PerturbedPlant(Xi(), {"Omega_a": 0.5, "omega_p": -3.0})(X, U) - Xi()(X, U)
     torch.testing.assert_close(both[2], torch.tensor([0, 0, 0.5, 0, 0, -3.0], dtype=torch.float64))
     with pytest.raises(ValueError, match="one number >= 0"):
         SensorNoise(lambda td: td, make(), [0.1, 0.1, 0.1, 0.1, 0.1, -0.1])
@@ -96,10 +96,13 @@ def test_what_is_not_named_stays_as_it_is() -> None:
 def test_each_says_how_large_it_is() -> None:
     env = make()
     assert (
-        Pushed(Xi(), {"Omega_p": -0.5, "omega_a": 20.0}).summary()
+        PerturbedPlant(Xi(), {"Omega_p": -0.5, "omega_a": 20.0}).summary()
         == "pushed by -0.5 rad/s^2 on Omega_p, 20 rpm/s on omega_a"
     )
-    assert Detuned(Xi(), {"Omega_a": 0.9}, [1.0, 0.8]).summary() == "detuned: Omega_a' times 0.9, u_p times 0.8"
+    assert (
+        PerturbedPlant(Xi(), gain={"Omega_a": 0.9}, input_gain=[1.0, 0.8]).summary()
+        == "detuned: Omega_a' times 0.9, u_p times 0.8"
+    )
     noise = SensorNoise(lambda td: td, env, [0.002, 0.0, 0.0, 0.0, 40.0, 0.0])
     assert noise.summary() == "measured with white noise, standard deviation alpha_a 0.002 rad, omega_a 40 rpm"
     assert [DelayedActuator(lambda td: td, env, k).summary() for k in (1, 2)] == [
@@ -122,7 +125,7 @@ def test_a_plant_in_discrete_time_is_pushed_and_detuned_in_its_steps():
     """x+ = x + h (gain f + push) of f = (-1.6 x + u) / h: with a gain of 0.5 and a push of 0.2 from 1 under 0.1."""
     x, u = torch.tensor([[1.0]], dtype=torch.float64), torch.tensor([[0.1]], dtype=torch.float64)
     for plant, end in (
-        (Detuned(Alternating(), {"x": 0.5}), 1.0 + 0.5 * (-1.6 + 0.1)),
-        (Pushed(Alternating(), {"x": 0.2}), -0.6 + 0.1 + 0.5 * 0.2),
+        (PerturbedPlant(Alternating(), gain={"x": 0.5}), 1.0 + 0.5 * (-1.6 + 0.1)),
+        (PerturbedPlant(Alternating(), {"x": 0.2}), -0.6 + 0.1 + 0.5 * 0.2),
     ):
         assert float(integrate(plant, x, u, 0.5, 1)[0][..., -1, :]) == pytest.approx(end, rel=1e-12)

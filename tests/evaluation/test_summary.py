@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDict
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import DelayedActuator, Pushed
+from dynasindy.evaluation.disturbances import DelayedActuator, PerturbedPlant
 from dynasindy.evaluation.metrics import CONTROL, STEP, TRACKING, tracking_metrics
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import beyond_targets, evaluation_title, restless, save_evaluation, summarise, to_text
@@ -110,7 +110,7 @@ def test_the_heading_says_how_long_and_when_the_plant_was_disturbed() -> None:
     def still(td):
         return td.set("action", torch.zeros(*td.batch_size, 1))
 
-    gust = {"plant": partial(Pushed, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
+    gust = {"plant": partial(PerturbedPlant, push={"Omega": 1.0}), "windows": [(0.5, 1.5)]}
     scenario = Scenario("wind", Step([[0.5], [0.2]]), episodes=2, seconds=3.0, **gust)
     result = evaluate(ControlEnv(system, task, substeps=1), still, scenario)
     for part in ("'wind' (2 references, 3 s", "1 rad/s^2 on Omega", "from 0.5 s to 1.5 s", "before 0.5 s"):

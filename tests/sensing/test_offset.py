@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.sensing import Observer, Sensing, Sensors
 from dynasindy.sensing.offset import acting, correction
@@ -95,7 +95,7 @@ def steer(tensordict):
 
 
 def test_a_constant_push_leaves_no_steady_error_and_without_it_does():
-    scenario = Scenario("s", Step([[0.2], [-0.1]]), 2, 15.0, plant=partial(Pushed, push={"v": 0.3}))
+    scenario = Scenario("s", Step([[0.2], [-0.1]]), 2, 15.0, plant=partial(PerturbedPlant, push={"v": 0.3}))
     errors = {}
     for disturbance in (True, False):
         _, sensing, env = pushed(disturbance)
@@ -158,7 +158,10 @@ def test_a_plant_without_rates_is_pushed_on_what_is_measured_at_its_own_pace():
         error, level = 0.5 * seen[..., 2:3], 2.0 * seen[..., :1]
         return tensordict.set("action", 0.4 * (level + error) + error)
 
-    scenario, left = Scenario("s", Step([[0.5], [-0.5]]), 2, 250.0, plant=partial(Pushed, push={"level": 0.01})), {}
+    scenario, left = (
+        Scenario("s", Step([[0.5], [-0.5]]), 2, 250.0, plant=partial(PerturbedPlant, push={"level": 0.01})),
+        {},
+    )
     u = 2 * torch.rand(300, 1, generator=rng, dtype=torch.float64) - 1
     x = [torch.zeros(2, dtype=torch.float64)]
     for one in u:

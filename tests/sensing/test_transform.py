@@ -17,7 +17,7 @@ from dynasindy.dyna.components import LoopSettings
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.loop import train
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Detuned, SensorNoise
+from dynasindy.evaluation.disturbances import PerturbedPlant, SensorNoise
 from dynasindy.evaluation.scenarios import Scenario, evaluate
 from dynasindy.excitation import Chirp, Multisine
 from dynasindy.planning import Gate, ImaginedReplay
@@ -303,7 +303,9 @@ def policy():
     return TensorDictModule(lambda o: torch.tanh(o[..., 6:8]), in_keys=["observation"], out_keys=["action"])
 
 
-@pytest.mark.parametrize("changes", [{}, {"plant": partial(Detuned, gain={"Omega_a": 0.9}), "windows": [(0.5, 1.0)]}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"plant": partial(PerturbedPlant, gain={"Omega_a": 0.9}), "windows": [(0.5, 1.0)]}]
+)
 def test_an_evaluation_flies_by_estimates_and_is_judged_by_the_truth(changes):
     env, sensing, _ = behind()
     scenario = Scenario("s", Step([[0.3, 0.2], [0.1, -0.1]]), 2, 2.0, **changes)

@@ -10,7 +10,7 @@ import torch
 from matplotlib.colors import to_rgb
 
 from dynasindy.envs import ControlEnv
-from dynasindy.evaluation.disturbances import Pushed
+from dynasindy.evaluation.disturbances import PerturbedPlant
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.rig import Guard, Wiring
 from dynasindy.rig.log import FlightRecord
@@ -119,7 +119,7 @@ def test_steps_show_their_settling_band_and_waves_do_not(figures) -> None:
 def test_the_gust_is_shaded_in_every_panel(figures) -> None:
     system = Tras()
     env = ControlEnv(system, Tracking(system.signature, Step([[0.1, 0.1]])), substeps=1)
-    gust = Scenario("wind", None, 2, 3.0, partial(Pushed, push={"Omega_p": 0.5}), [(1.0, 2.0)])
+    gust = Scenario("wind", None, 2, 3.0, partial(PerturbedPlant, push={"Omega_p": 0.5}), [(1.0, 2.0)])
     for figure in figures(evaluate(env, rest(), gust)).values():
         for axis in figure.axes:
             shades = [patch for patch in axis.patches if patch.get_facecolor()[:3] == to_rgb(ORANGE)]
