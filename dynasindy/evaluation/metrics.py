@@ -73,11 +73,7 @@ def tracking_metrics(
 
     Returns:
         `rmse` to `settling_time` of shape `(*batch, n_r)`, `control_*` of shape `(*batch, n_u)`.
-
-    Raises:
-        ValueError: if the shapes do not agree or the record has fewer than two samples.
     """
-    _check(time, y, r, u)
     error, dt = (y - r).abs(), time[1] - time[0]
     smallest = MIN_STEP * (torch.ones(y.shape[-1]) if boxes is None else boxes).to(y)
     early = time < until if bool((time < until).sum() > 1) else torch.ones_like(time, dtype=torch.bool)
@@ -149,16 +145,3 @@ def _first_crossing(time: Tensor, progress: Tensor, level: float) -> Tensor:
     fraction = ((level - p0) / torch.where(p1 == p0, 1.0, p1 - p0)).clamp(0.0, 1.0)
     crossing = torch.lerp(time[before].to(progress), time[after].to(progress), fraction)
     return torch.where(above.any(-2), crossing.squeeze(-2), torch.inf)
-
-
-def _check(time: Tensor, y: Tensor, r: Tensor, u: Tensor) -> None:
-    if time.ndim != 1 or len(time) < 2:
-        raise ValueError(f"time has shape {tuple(time.shape)}; it must be (T,) with T >= 2, pass a longer record")
-    if y.shape != r.shape:
-        raise ValueError(
-            f"y has shape {tuple(y.shape)}, r {tuple(r.shape)}; they must be equal, select the tracked axes"
-        )
-    if y.shape[:-1] != u.shape[:-1] or y.shape[-2] != len(time):
-        raise ValueError(
-            f"y {tuple(y.shape)} and u {tuple(u.shape)} must share (*batch, T) with T = {len(time)}; slice them alike"
-        )

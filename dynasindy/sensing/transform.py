@@ -14,7 +14,7 @@ of an evaluation may read them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -37,19 +37,19 @@ class Sensing(Transform):
         env: The real environment.
         observer: Observer, with the sensors that it reads.
         rng: Generator of noise and losses.
-        added: Standard deviation of white noise of which the observer does not know, by name of a measured state.
+        sensors: What the plant is read by, if the observer does not know it well; those that it knows if omitted.
     """
 
     def __init__(
-        self, env: ControlEnv, observer: Observer, rng: torch.Generator, added: Mapping[str, float] | None = None
+        self, env: ControlEnv, observer: Observer, rng: torch.Generator, sensors: Sensors | None = None
     ) -> None:
         super().__init__(in_keys=[], out_keys=["true_state", "true_reward", "measurement", "observer"])
         self.__dict__["env"] = env  # transforms have parents, not children
-        self.observer, self.rng, self.added = observer, rng, dict(added or {})
+        self.observer, self.rng, self.sensors = observer, rng, sensors or observer.sensors
 
     def on(self, env: ControlEnv, rng: torch.Generator) -> Sensing:
         """Return the same sensors and observer for another environment of the same plant, with their own generator."""
-        return Sensing(env, self.observer, rng, self.added)
+        return Sensing(env, self.observer, rng, self.sensors)
 
     def noisier(self, std: Sequence[float]) -> Sensing:
         """Return the same sensors with more noise than the observer knows of.
@@ -57,13 +57,8 @@ class Sensing(Transform):
         Args:
             std: Standard deviation of white noise that is added to the measurement of each state [unit of the state].
         """
-        names = self.env.system.signature.state_names
-        return Sensing(self.env, self.observer, self.rng, dict(zip(names, std, strict=True)))
-
-    @property
-    def sensors(self) -> Sensors:
-        """What the plant is read by."""
-        return self.observer.sensors.noisier(self.added) if self.added else self.observer.sensors
+        added = dict(zip(self.env.system.signature.state_names, std, strict=True))
+        return Sensing(self.env, self.observer, self.rng, self.sensors.noisier(added))
 
     def around(self, env: ControlEnv) -> TransformedEnv:
         """Return an environment seen through the same sensors and observer, its noise drawn from the same generator."""
