@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -361,6 +360,8 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
     ]
     smooth = without_dry_friction(loop, rest, targets)
     others, how = variants(loop.plant.model, settings.draws, settings.seed)
+    sensors = None if loop.observer is None else loop.observer.sensors
+    noise = torch.zeros(loop.signature.n_x) if sensors is None else sensors.variance(loop.signature).double()
     drawn, phase = None, "steps of plants that differ from the model"
     if n := len(others):
         starts, ends = begin.expand(n, -1), targets[farthest].expand(n, -1)
@@ -375,7 +376,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         [margins for margins, _ in both],
         [loop_margins(smooth.row(k)) if smooth and ok else [] for k, ok in enumerate(good.tolist())],
         [noise for _, noise in both],
-        _sensor_noise(loop),
+        noise.where(noise.isfinite(), 0.0).sqrt().numpy(),
         simulate_loop(loop, begin.expand(len(targets), -1), targets, seconds),
         drawn,
         spread(loop, targets[good], rest.select(good), others, how, seconds),
@@ -391,14 +392,6 @@ def _begin(loop: ClosedLoop, settings: Settings) -> Tensor:
     if settings.start or bool(((low <= 0) & (high >= 0)).all()):
         return ends.mean(0)
     return guess_rest(loop, settings.middle.unsqueeze(0))[0, loop.parts["x"]]
-
-
-def _sensor_noise(loop: ClosedLoop) -> Array:
-    """Return the noise of sensors as the file states it, `(n_x,)`; 0 of a state that is seen as it is."""
-    if loop.observer is None:
-        return np.zeros(loop.signature.n_x)
-    variance = loop.observer.sensors.variance(loop.signature)
-    return variance.where(variance.isfinite(), 0.0).sqrt().numpy()
 
 
 def _recovery(loop: ClosedLoop, settings: Settings, targets: Tensor, rest: RestingLoop, seconds: float) -> list[Plane]:

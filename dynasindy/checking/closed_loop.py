@@ -203,7 +203,8 @@ class ClosedLoop:
         """
         assert self.observer is not None, "without an observer nothing is watched"
         observer, y, mean = self.observer, self._measured(z), z[..., self.parts["mean"]]
-        ahead, slopes = observer.transition(mean, self._remembered(z))
+        inputs = z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
+        ahead, slopes = observer.transition(mean, inputs)
         return lambda covariance: (
             observer.correct(observer.carried(Belief(mean, covariance), ahead, slopes), y)[0].covariance
         )
@@ -243,10 +244,6 @@ class ClosedLoop:
         """Return the measurement that arrives now, noise apart."""
         part = self.parts.get("late", self.parts["x"])
         return z[..., part.start : part.start + self.signature.n_x]
-
-    def _remembered(self, z: Tensor) -> Tensor:
-        """Return the commands that the observer remembers, `(*batch, memory, n_u)`."""
-        return z[..., self.parts["inputs"]].unflatten(-1, (-1, self.signature.n_u))
 
     def _layout(self) -> dict[str, slice]:
         n_x, n_u = self.signature.n_x, self.signature.n_u

@@ -127,7 +127,9 @@ def _read(path: Path, changed: int, size: int) -> Table:
         if k and not _counts(values[:, k]):
             raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         kept.remove(k)  # an index that a program wrote
-    same = [k for k in kept if _stands_before(k, headings, values, words)]
+    before = [headings.index(headings[k]) for k in range(len(headings))]
+    numbers = (k for k in kept if before[k] < k and headings[k] not in words)
+    same = [k for k in numbers if np.array_equal(values[:, before[k]], values[:, k], equal_nan=True)]
     found = [headings[k] for k in kept if k not in same]
     findings = [note("log.same_columns", columns=sorted({headings[k] for k in same}))] if same else []
     values = values[:, [k for k in kept if k not in same]]
@@ -143,12 +145,6 @@ def _lost_code(column: Array) -> float | None:
         if (abs(end) in CODES or abs(end) >= HUGE) and len(rest) and np.abs(rest - end).min() > np.ptp(rest):
             return float(end)
     return None
-
-
-def _stands_before(k: int, headings: Sequence[str], values: Array, words: Collection[str]) -> bool:
-    """Tell whether a column is there before with the same heading and the same numbers."""
-    first = headings.index(headings[k])
-    return first < k and headings[k] not in words and np.array_equal(values[:, first], values[:, k], equal_nan=True)
 
 
 def _with_whole_dates(table: Table) -> Table:

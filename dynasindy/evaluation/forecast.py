@@ -198,15 +198,10 @@ def predict(
         start = result.trajectory["state"][0, 0]
         matter, rerun = states_that_matter(model, result.columns, start), partial(evaluate, env, policy, scenario, seen)
         flights.append(judge_tracking(result, matter, rerun))
-        errors.append(_whole(result))
+        whole = result.errors.mean((0, 1))
+        errors.append(float(whole.amax()) if bool(whole.isfinite().all()) else math.inf)
     seconds = scenario.length(plan)
     return Forecast(tuple(flights), shown, within=within, errors=tuple(errors), seconds=seconds)
-
-
-def _whole(result: Evaluation) -> float:
-    """Return the mean absolute error over whole flights, of the worst output, in target ranges."""
-    errors = result.errors.mean((0, 1))
-    return float(errors.amax()) if bool(errors.isfinite().all()) else math.inf
 
 
 def _number(share: float | None) -> float:

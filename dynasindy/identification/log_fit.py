@@ -471,19 +471,16 @@ class _Search:
 
     def _single_steps(self, structures: Sequence[tuple[SindyModel, Source]]) -> None:
         """Try the fit of single steps, which finds exact equations in data without noise; first with measured rates."""
-        settings = replace(self.refinement, method="one_step")
+        settings, fold = replace(self.refinement, method="one_step"), self.folds[0]
         for model, source in structures:
-            if not bool(source.training.x_next.isnan().any()) and self._promising(model, source):
-                self._fit("single steps", self._each(model), source, settings)
-
-    def _promising(self, model: SindyModel, source: Source) -> bool:
-        """Tell whether a regression of rates, which costs little, is not hopelessly behind the best simple model."""
-        trial, fold = copy.deepcopy(model), self.folds[0]
-        trial.refinement = replace(self.refinement, method="integral")
-        with _attempt():
-            trial.fit(source.training.select(fold.fit_rows()))
-            return fold.score(fold.errors(trial, source)) < HOPELESS
-        return False
+            if bool(source.training.x_next.isnan().any()):
+                continue
+            trial = copy.deepcopy(model)
+            trial.refinement = replace(self.refinement, method="integral")
+            with _attempt():  # a regression of rates costs little: is it hopelessly behind the best simple model?
+                trial.fit(source.training.select(fold.fit_rows()))
+                if fold.score(fold.errors(trial, source)) < HOPELESS:
+                    self._fit("single steps", self._each(model), source, settings)
 
     def _each(self, model: SindyModel) -> list[SindyModel]:
         return [model] * len(self.folds)

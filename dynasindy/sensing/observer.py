@@ -225,8 +225,9 @@ class Observer:
         """
         if not self.learnt:
             return torch.zeros_like(guess)
-        u = inputs[..., -1, :].double()
-        return correction(self.system, mean[..., : self.n_x], u, self._push(mean), outputs, guess)
+        x, u, push = mean[..., : self.n_x], inputs[..., -1, :].double(), torch.zeros_like(mean[..., : self.n_x])
+        push[..., self.pushed] = mean[..., self.n_x :]
+        return correction(self.system, x, u, push, outputs, guess)
 
     def follow(self, y: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Filter a log.
@@ -379,12 +380,6 @@ class Observer:
         if self._augmentation is None or self._augmentation.system is not self.system:
             self._augmentation = _Augmented(self.system, self.pushed if self.learnt else (), len(self.pushed))
         return self._augmentation
-
-    def _push(self, mean: Tensor) -> Tensor:
-        """Return the push on each state, `(*batch, n_x)`."""
-        push = torch.zeros_like(mean[..., : self.n_x])
-        push[..., self.pushed] = mean[..., self.n_x :]
-        return push
 
     def _padded(self, y: Tensor) -> Tensor:
         """Return measurements with a NaN for each push, and for each state that has no sensor, whatever was given."""
