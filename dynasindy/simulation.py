@@ -204,29 +204,24 @@ def excite(
 
 def _rows(targets: Targets, outputs: Sequence[str]) -> list[list[float]]:
     """Return the targets of each run, in the order of the outputs."""
-    if isinstance(targets, Mapping):
-        if {*targets} != {*outputs}:
-            hints = (did_you_mean(name, outputs) for name in targets if name not in outputs)
-            raise ValueError(
-                f"targets are of {', '.join(map(str, targets)) or 'nothing'}; give where each of {', '.join(outputs)} "
-                f"is to be{next(hints, '')}"
-            )
-        lists = [np.atleast_1d(np.asarray(targets[name], float)) for name in outputs]
-        if len(counts := {len(each) for each in lists} - {1}) > 1:
-            raise ValueError(
-                f"targets has lists of {' and '.join(map(str, sorted(counts)))} values; give as many for each of "
-                f"{', '.join(outputs)}, or one for all runs"
-            )
-        rows = np.stack(np.broadcast_arrays(*lists), -1)
-    else:
-        rows = np.atleast_2d(np.asarray(targets, float))
+    if isinstance(targets, Mapping) and {*targets} != {*outputs}:
+        hints = (did_you_mean(name, outputs) for name in targets if name not in outputs)
+        raise ValueError(
+            f"targets are of {', '.join(map(str, targets)) or 'nothing'}; give where each of {', '.join(outputs)} is "
+            f"to be{next(hints, '')}"
+        )
+    try:
+        if isinstance(targets, Mapping):
+            rows = np.stack(np.broadcast_arrays(*(np.array(targets[name], float, ndmin=1) for name in outputs)), -1)
+        else:
+            rows = np.array(targets, float, ndmin=2)
+    except ValueError:  # lists of different lengths
+        rows = np.empty(0)
     if rows.ndim != 2 or rows.shape[1] != len(outputs) or not np.isfinite(rows).all():
         raise ValueError(
-            f"targets are {rows.tolist()}; give a finite number for each of {', '.join(outputs)}, or a row of them for "
-            "each run"
+            f"targets are {targets}; give a finite number for each of {', '.join(outputs)}, or as many for each run"
         )
-    found: list[list[float]] = rows.tolist()
-    return found
+    return [[float(value) for value in row] for row in rows]
 
 
 def _array(values: Tensor) -> Array:

@@ -66,23 +66,6 @@ def add_output(parser: argparse.ArgumentParser, name: str) -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / f"{name}.csv", help="CSV file to append to")
 
 
-def add_count(parser: argparse.ArgumentParser, what: str, least: int) -> None:
-    """Add the options of a number of repetitions, and of the file, which only `least` of them replace unasked."""
-    parser.add_argument(f"--{what}", type=int, default=least, help=f"{what} of each case")
-    parser.add_argument("--out", type=Path, help=f"CSV file to write; the published one from {least} {what} on")
-
-
-def output_path(out: Path | None, name: str, enough: bool) -> Path | None:
-    """Return the file to write; a quick look does not replace the published one."""
-    path = out or (RESULTS / f"{name}.csv" if enough else None)
-    print(
-        f"writes {path}"
-        if path
-        else "writes no file, as too little is measured to replace the published one: give --out"
-    )
-    return path
-
-
 def append(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
     """Append rows to a CSV file, with the commit that measured them, and print them."""
     stamped = [{**row, "commit": commit()} for row in rows]

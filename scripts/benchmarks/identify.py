@@ -18,7 +18,7 @@ import torch
 import yaml
 from torch import Tensor
 
-from benchmarks.common import EquationSystem, add_count, commit, output_path
+from benchmarks.common import RESULTS, EquationSystem, commit
 from benchmarks.pysindy_regression import (
     Score,
     best_threshold,
@@ -54,13 +54,15 @@ COLUMNS = ("case", "method", "measure", "value", "target", "commit")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
     parser.add_argument("--only", nargs="*", choices=list(CASES), help="names of cases; all by default")
-    add_count(parser, "seeds", SEEDS)
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="seeds of each case")
+    parser.add_argument("--out", type=Path, help=f"CSV file to write; the published one from {SEEDS} seeds on")
 
 
 def main(arguments: argparse.Namespace) -> None:
     """Measure, print a table and write it as CSV."""
     torch.set_num_threads(1)
-    out = output_path(arguments.out, "identification", arguments.seeds >= SEEDS)
+    out = arguments.out or (RESULTS / "identification.csv" if arguments.seeds >= SEEDS else None)
+    print(f"writes {out or 'no file, as too few seeds are measured to replace the published one: give --out'}")
     rows, names = [], arguments.only or list(CASES)
     for name in names:
         for found in CASES[name](arguments.seeds):

@@ -58,9 +58,3 @@ def test_a_command_that_leaves_nothing_says_why(tmp_path):
     with pytest.raises(RuntimeError, match="nowhere"):
         common.run_command("train", ["system=nowhere"], tmp_path, tmp_path / "metrics.json")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_quick_look_does_not_replace_published_figures(tmp_path):
-    assert common.output_path(None, "x", enough=False) is None
-    assert common.output_path(None, "x", enough=True) == common.RESULTS / "x.csv"
-    assert common.output_path(tmp_path, "x", enough=False) == tmp_path
