@@ -190,19 +190,15 @@ class GradientPlanning(Planner):
         given = {"window": window, "lr": lr, "updates": updates, "patience": patience, "substeps": substeps}
         given |= {"warm_start": warm_start, "gain_range": gain_range}
         self.given: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        sizes: dict[str, Any] = {"check_every": check_every, "width": width}
-        sizes |= {key: self.given.get(key) for key in ("window", "lr", "patience", "substeps")}
-        if bad := [f"{name}={value}" for name, value in sizes.items() if value is not None and not value > 0]:
-            raise ValueError(f"gradient planning got {', '.join(bad)}; these must be positive: mend planning")
-        if gain_range is not None and not 0 <= gain_range < 1:
-            raise ValueError(f"gradient planning got gain_range={gain_range}; give a share of at least 0 and below 1")
-        if not 0 <= input_delay <= 1:
-            raise ValueError(f"gradient planning got input_delay={input_delay}; give 0 to 1 control periods")
-        if min(rollouts, updates or 0, more_updates) < 0:
-            raise ValueError(
-                f"gradient planning got rollouts={rollouts}, updates={updates}, more_updates={more_updates}; these "
-                "must be >= 0: mend planning"
-            )
+        positive = {"check_every": check_every, "width": width, "window": window, "lr": lr, "patience": patience}
+        positive |= {"substeps": substeps}
+        counts = {"rollouts": rollouts, "updates": updates, "more_updates": more_updates}
+        bad = [f"{key}={value}, not above 0" for key, value in positive.items() if value is not None and not value > 0]
+        bad += [f"{key}={value}, below 0" for key, value in counts.items() if value is not None and value < 0]
+        bad += [f"gain_range={gain_range}, not within [0, 1)"] * (not 0 <= (gain_range or 0) < 1)
+        bad += [f"input_delay={input_delay}, not within [0, 1]"] * (not 0 <= input_delay <= 1)
+        if bad:
+            raise ValueError(f"gradient planning got {', '.join(bad)}: mend planning")
         signature, window = env.system.signature, window or UNTOLD
         check_memory(
             8.0 * rollouts * window * signature.n_x * (signature.n_x + signature.n_u + 4),
@@ -264,29 +260,26 @@ class GradientPlanning(Planner):
             if strength is not None:
                 rows.strength = strength.ends(len(rows.x))
                 best = self.test() if best > -math.inf else best
-        best, done, made = self._descend(episodes, best, updates, lr, held)
-        imagined, learnt = begun.imagined, begun.updates
+        parts = [begun, self._descend(episodes, best, updates, lr, held)]
         for _ in range(0 if "updates" in self.given else ROUNDS):
             if rests is None or pace.afar or (self.steady_state_error() or 0.0) <= ACCEPTABLE_ERROR:
                 break
             # The law of the model, where that is better than what the gradient has found and nobody rules it out.
             if not held and self.given.get("warm_start", True):
-                law = hold(self.network, self.env, rests, rows, self.test, self.rng, search=False)
-                imagined, learnt, held, best = imagined + law.imagined, learnt + law.updates, True, self.test()
-            before = best
-            best, more, steps = self._descend(episodes, best, updates, 0.3 * lr, held)
-            done, made = done + more, made + steps
-            if best - before <= GAIN * abs(before):
+                parts.append(hold(self.network, self.env, rests, rows, self.test, self.rng, search=False))
+                held, before = True, self.test()
+            else:
+                before = parts[-1].score
+            parts.append(self._descend(episodes, before, updates, 0.3 * lr, held))
+            if parts[-1].score - before <= GAIN * abs(before):
                 break
-        improved = Imitation(best)
         if rests is None and self.searches:  # there is no rest that ways could have been searched to
-            improved = improve(self.network, self.env, self.held_out, self.test, self.rng, pace.window, self.searches)
+            parts.append(improve(self.network, self.env, rows, self.test, self.rng, pace.window, self.searches))
         for policy in (self.agent.policy, self.agent.deployed):  # of an agent on a GPU, or a running average
             if (network := _network(policy)) is not self.network:
                 network.load_state_dict(self.network.state_dict())
         self.imagined_error = None if rests is None else self.steady_state_error()
-        imagined += done * self.rollouts * pace.window + improved.imagined
-        return Planned(imagined, learnt + made + improved.updates)
+        return Planned(sum(part.imagined for part in parts), sum(part.updates for part in parts))
 
     def summary(self) -> str:
         """Return the settings of the latest phase and why they are so, in one line."""
@@ -336,8 +329,8 @@ class GradientPlanning(Planner):
         task = self.env.task
         return (lambda observation: task.limit(network(observation))) if task.limited else network
 
-    def _descend(self, episodes: _Episodes, best: float, updates: int, lr: float, held: bool) -> tuple[float, int, int]:
-        """Follow the gradient, leave the best policy that was tested; return its score, updates, and finite ones.
+    def _descend(self, episodes: _Episodes, best: float, updates: int, lr: float, held: bool) -> Imitation:
+        """Follow the gradient, leave the best policy that was tested, and return its score and what it cost.
 
         `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
         """
@@ -364,7 +357,7 @@ class GradientPlanning(Planner):
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
             raise self._diverged(done, made, episodes.diverged, finite, rate)
-        return best, done, made
+        return Imitation(best, done * self.rollouts * self.pace.window, made)
 
     def _update(self, episodes: _Episodes, optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""

@@ -58,12 +58,12 @@ class _Law(Protocol):
 
 @dataclass(frozen=True)
 class Imitation:
-    """What came of an imitation.
+    """What came of a part of a planning phase, an imitation or a descent.
 
     Attributes:
         score: What the policy earns in the model.
-        imagined: Control periods that the search for ways has imagined.
-        updates: Gradient updates of the imitation.
+        imagined: Control periods that were imagined for it.
+        updates: Gradient updates of it.
         afar: Whether it imitates ways from afar.
     """
 
