@@ -11,6 +11,7 @@ from dynasindy.findings import note
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.lag_states import (
     TIMES,
+    completed,
     lag_state_candidates,
     lag_state_finding,
     lag_state_ranges,
@@ -206,3 +207,20 @@ def test_a_trial_tells_a_delay_from_a_lag_where_both_were_taken_for_one_delay():
     assert best.delay == pytest.approx(5 * DT, abs=0.02 * DT)
     assert terms(best, "u_lagging") == {"(u - u_lagging)": pytest.approx(1 / 0.15, rel=0.01)}
     assert terms(best, "w") == {"u_lagging": pytest.approx(8, rel=0.01), "w": pytest.approx(-0.5, rel=0.02)}
+
+
+def test_a_log_lacks_followers_of_its_model_alone_and_other_names_are_another_plant():
+    """A name that differs is refused, and so is a state that no sensor sees but which follows nothing."""
+    u = levels(4, 2)
+    data = Transitions.from_trajectory(torch.rand(9, 2).double(), u, DT)
+    names = ("q", "w", "u_lagging")
+    signature = Signature(names, ("rad", "rad/s", "1"), ("u",), (1.0, 3.0, 1.0))
+    words = ["w", "u", "(u - u_lagging)"]
+    lagging = SindyModel(signature, words, known={"q": "w"}, allowed={"u_lagging": ["(u - u_lagging)"]})
+    whole = completed(data, ("q", "w"), lagging)
+    assert torch.equal(whole.x[:, :2], data.x) and torch.equal(whole.x_next[:, :2], data.x_next)
+    assert bool(whole.x[:, 2].isnan().all() & whole.x_next[:, 2].isnan().all())
+    free = SindyModel(signature, words, known={"q": "w"})  # whose third state is any state
+    for names, model in ((("w", "q"), lagging), (("q", "v"), lagging), (("q", "w"), free)):
+        with pytest.raises(ValueError, match="plant"):
+            completed(data, names, model)
