@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import NoReturn
 
 from cli import (  # isort: split
     CONF,
@@ -26,6 +27,7 @@ os.environ.setdefault("HYDRA_FULL_ERROR", "1")  # errors reach us instead of Hyd
 
 import hydra
 from errors import MISSPELT, in_words, mendable, of_user
+from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -98,6 +100,7 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     handle_signals(stop)
     try:
         with one_line(config_name), PROGRESS:
+            _require_options()
             sys.argv[1:] = complete([as_text(_resolve_latest(word)) for word in sys.argv[1:]])
             _start(hydra.main(version_base="1.3", config_path=str(CONF), config_name=config_name)(job))
     except KeyboardInterrupt as end:
@@ -112,6 +115,17 @@ def run(config_name: str, task: Callable[[DictConfig], None], progress: bool = T
     if Sweep.errors:
         print(*(fit_stderr(f"error: {line}") for line in Sweep.errors), sep="\n", file=sys.stderr)
         sys.exit(2)
+
+
+def _require_options() -> None:
+    """Refuse options that Hydra does not have in a line, where it would print all that there are."""
+
+    def refuse(said: str) -> NoReturn:
+        raise ValueError(f"{said}; settings are written key=value, and --hydra-help lists the options")
+
+    parser = get_args_parser()
+    parser.error = refuse  # type: ignore[method-assign]
+    parser.parse_args()
 
 
 def _start(main: Callable[[], None]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import hydra
 import yaml
-from cli import CONF, SCRIPTS, config_dir, plant_settings
+from cli import CONF, SCRIPTS, config_dir, group_options, plant_settings
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, InstantiationException, MissingConfigException, OverrideParseException
@@ -114,6 +114,8 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
             return in_words(wrong, config_name, settings)
     if misspelt := MISSPELT.search(text):
         return _misspelt(misspelt[1], config_name) or f"{text}; replace the whole of a group's keys in a file"
+    if deleted := next((word for word in sys.argv[1:] if word.startswith("~")), ""):
+        return f"{deleted} takes away what the command reads ({text}); leave it out, or give the key another value"
     return re.sub(r"\b[a-z_]+(?:\.[a-z_]+)+\b", lambda key: _taken_from(key[0], settings) or key[0], text)
 
 
@@ -180,5 +182,9 @@ def unknown_name(name: str, names: Iterable[str], where: str, elsewhere: Iterabl
     same = [key for key in elsewhere if key.rpartition(".")[2] == name.rpartition(".")[2]]
     meant = [repr(key) for key in same if key.count(".") == same[0].count(".")][:3]
     hint = f"; did you mean {' or '.join(meant)}?" if meant else did_you_mean(name, names)
+    group, _, key = f"{where}.{name}".strip(".").partition(".")
+    files = group_options(group) if key else {}  # another option of the group may have the key
+    own = [option for option, file in files.items() if re.search(rf"^ *{re.escape(key)}:", file.read_text(), re.M)]
+    hint = f"; {group}={' or '.join(own)} has it" if own else hint
     place = f" in '{where}'" if where else ""
-    return f"'{name}' does not exist{place}; allowed are {', '.join(names)}{hint}"
+    return f"'{name}' does not exist{place}; allowed are {', '.join(names) or 'none'}{hint}"

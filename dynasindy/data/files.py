@@ -41,8 +41,8 @@ PLAIN = str.maketrans({"\u2212": "-", "\u066b": ".", **dict.fromkeys("'\u2019\u0
 """Signs of numbers that Python does not read: another minus or decimal sign, and what parts thousands."""
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d*)?")
 """A number whose points part thousands, where all points of a file with decimal commas do."""
-MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,+-]\S*)")
-"""A number with a unit."""
+MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)(?:\s+|(?![mkun]$))([^\d\s.,+-]\S*)")
+"""A number with a unit, which alone and without a blank may be a milli or a kilo."""
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""

@@ -87,6 +87,7 @@ class Recorder(Callback):
     def __init__(self, folder: Path, parts: Components, evaluating: Evaluating, episodes: int) -> None:
         if evaluating.tensorboard:
             import_module("tensorboard")  # TorchRL would complain without its name, and only when the run begins
+        evaluating.scenario.length(parts.plant)  # refuses one that is too short before anything is written
         self.folder, self.parts, self.plant = folder, parts, parts.plant
         self.evaluating, self.episodes = evaluating, episodes
         self.saver: Saver | None = None

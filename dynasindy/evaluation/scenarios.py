@@ -83,8 +83,17 @@ class Scenario:
             )
 
     def length(self, place: Sampled) -> float:
-        """Return how long the run is where it is flown [s]."""
-        return self.seconds or self.lengths * place.task.max_steps * place.dt
+        """Return how long the run is where it is flown [s].
+
+        Raises:
+            ValueError: It is shorter than a control period.
+        """
+        seconds = self.seconds or self.lengths * place.task.max_steps * place.dt
+        if round(seconds / place.dt) < 1:
+            raise ValueError(
+                f"scenario.seconds is {seconds} s, less than a control period of {place.dt} s; give one or more"
+            )
+        return seconds
 
 
 @dataclass(frozen=True)
@@ -285,11 +294,7 @@ def _prepare(env: ControlEnv, scenario: Scenario, width: int) -> tuple[ControlEn
                 "scenario=task, or scenario.reference=null"
             )
         task = task.with_reference(scenario.reference)
-    task.max_steps, n_x = round((scenario.seconds or 0.0) / env.dt), env.system.signature.n_x
-    if task.max_steps < 1:
-        raise ValueError(
-            f"scenario.seconds is {scenario.seconds} s, less than a control period of {env.dt} s; give one or more"
-        )
+    task.max_steps, n_x = round(scenario.length(env) / env.dt), env.system.signature.n_x
     check_memory(
         4.0 * scenario.episodes * task.max_steps * (2 * task.n_o + (2 + env.substeps) * n_x + width),
         f"scenario.episodes={scenario.episodes} of {task.max_steps * env.dt:g} s (scenario.seconds) in periods of "

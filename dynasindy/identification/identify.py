@@ -229,11 +229,7 @@ def identify_source(model: SindyModel, source: Source) -> Identified:
         TypeError: The model is not sparse.
         ValueError: It refuses the data.
     """
-    if not isinstance(model, SindyModel):
-        raise TypeError(
-            f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
-            "or another that builds a SindyModel"
-        )
+    _require_sparse(model)
     fit = fit_log(model, source)
     model, source = fit.model, fit.source
     report_progress("prediction of the validation data")
@@ -251,13 +247,25 @@ def identify_source(model: SindyModel, source: Source) -> Identified:
     return Identified(model, source, fit.report, predicted, metrics, forecasts)
 
 
+def _require_sparse(model: object) -> None:
+    if not isinstance(model, SindyModel):
+        raise TypeError(
+            f"world_model is a {type(model).__name__}, which has no coefficients to identify; choose world_model=sindy "
+            "or another that builds a SindyModel"
+        )
+
+
 def before_fit(model: SindyModel, source: Source) -> list[Finding]:
     """Return what was read, what is wrong with it or costs the fit dearly, before the fit.
 
     Args:
         model: A model of the data, not fitted yet.
         source: The data.
+
+    Raises:
+        TypeError: The model is not sparse.
     """
+    _require_sparse(model)
     rates = check_rates(source.training, source.signature, rates_of(model))
     return [*rates, *source.findings, *_missing_rates(model, source)]
 

@@ -98,6 +98,8 @@ class Tracking(Task):
                     f"task.{key} names '{absent[0]}', which is no state; the states are "
                     f"{', '.join(signature.state_names)}{did_you_mean(absent[0], signature.state_names)}"
                 )
+        if len(set(outputs)) < len(outputs):
+            raise ValueError(f"the task tracks an output twice: {', '.join(outputs)}; name each once in plant.outputs")
         if own := [name for name, rate in zip(outputs, rates, strict=False) if name == rate]:
             raise ValueError(
                 f"task.rates names '{own[0]}' as its own rate; name the state that is it: mend plant.rates"

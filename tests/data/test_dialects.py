@@ -212,6 +212,13 @@ def test_a_unit_in_each_cell_is_that_of_the_column(tmp_path):
     assert found.signature.state_units == ("rad", "rad/s") and found.signature.input_units == ("%",)
 
 
+def test_a_prefix_behind_a_number_is_no_unit(tmp_path):
+    text = table(["time", "angle", "rate", "i [A]", "u"], T, ANGLE, RATE, [f"{1000 * v:.1f}m" for v in RATE], COMMAND)
+    found = recording(tmp_path / "l.csv", text)
+    require_truth(found)
+    assert left_out(found) == {"words": ["i"]}
+
+
 def test_a_blank_parts_thousands(tmp_path):
     angle = [f"{1e4 * v:,.2f}".replace(",", " ") for v in ANGLE]
     text = table(["time", "angle", "rate", "u"], T, angle, RATE, COMMAND)
