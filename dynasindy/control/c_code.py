@@ -18,7 +18,7 @@ import jinja2
 import numpy as np
 
 from dynasindy.control.controller import Array, Controller
-from dynasindy.control.files import network, require_sparse, require_states
+from dynasindy.control.files import network, require_sparse
 from dynasindy.control.integral import IntegralAction
 from dynasindy.sensing import Observer
 from dynasindy.sensing.observer import FAR, LEAST, NUDGE, UNKNOWN
@@ -34,7 +34,7 @@ from dynasindy.sindy.formulas import (
     rows,
     single,
 )
-from dynasindy.systems import Signature, Stops
+from dynasindy.systems import Signature
 from dynasindy.systems.base import WHOLE
 from dynasindy.systems.compiler import load_library
 
@@ -219,7 +219,7 @@ def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any
     return {
         "model": model,
         "found": formulas(model).with_constants(observer.pushed, len(observer.pushed)),
-        "stops": stop_positions(observer.stops, observer.n_x),
+        "stops": [] if observer.stops is None else observer.stops.rows(observer.n_x),
         "measured": comment(", ".join(controller.measured)),
         "memory": late + 2,
         "period": _flow(late + 2, part) + _flow(late + 1, dt - part),
@@ -233,18 +233,6 @@ def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any
         "far": number(FAR**2),
         "range": [*size[: observer.n_x].tolist(), *[1.0] * model.signature.n_u],
     }
-
-
-def stop_positions(stops: Stops | None, n_x: int) -> list[tuple[int, int, float, float]]:
-    """Return the places of position and rate of each stop, and its ends.
-
-    Raises:
-        ValueError: They are at states that do not exist.
-    """
-    if stops is None:
-        return []
-    require_states(stops, n_x)
-    return list(zip(stops.positions, stops.rates, stops.low, stops.high, strict=True))
 
 
 class Native:

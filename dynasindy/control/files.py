@@ -224,19 +224,8 @@ def _stops(record: Mapping[str, Any] | None, n_x: int) -> Stops | None:
         for key, none in (("low", -math.inf), ("high", math.inf))
     )
     stops = Stops(tuple(record["positions"]), tuple(record["rates"]), low, high)
-    require_states(stops, n_x)
+    stops.rows(n_x)  # refuses states that do not exist
     return stops
-
-
-def require_states(stops: Stops, n_x: int) -> None:
-    """Make sure that stops are at states that exist.
-
-    Raises:
-        ValueError: They are not.
-    """
-    places = [*stops.positions, *stops.rates]
-    if wrong := [place for place in places if type(place) is not int or not 0 <= place < n_x]:
-        raise ValueError(f"stops are at state {str(wrong[0])[:40]!r}; allowed are whole numbers from 0 to {n_x - 1}")
 
 
 def _loaded_observer(record: Mapping[str, Any] | None, setup: ControlSetup, file: Path) -> Observer | None:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from dynasindy import __version__
 from dynasindy.control import Controller
-from dynasindy.control.c_code import controller_sources, fill, stop_positions
+from dynasindy.control.c_code import controller_sources, fill
 from dynasindy.safe_io import replace_file
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.formulas import formulas, number
@@ -121,7 +121,7 @@ def plant_fmu(model: SindyModel, path: Path, step: float, stops: Stops | None = 
     name, signature = "plant", model.signature
     if not signature.n_u:
         raise ValueError("an FMU of a plant has inputs, and this model has none; export it as C instead")
-    step, ends = model.step or step, stop_positions(stops, signature.n_x)
+    step, ends = model.step or step, stops.rows(signature.n_x) if stops else []
     words = {"model": model, "found": formulas(model), "stops": ends, "past": PAST}
     text = _fill("fmu_plant.c", **words, step=number(step), delay=number(model.delay)) + _interface(version)
     units = zip(signature.state_names, signature.state_units, strict=True)

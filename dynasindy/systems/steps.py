@@ -141,6 +141,19 @@ class Stops:
         if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
             raise ValueError(f"stops need low < high, got low={self.low}, high={self.high}; swap or widen them")
 
+    def rows(self, n_x: int) -> list[tuple[int, int, float, float]]:
+        """Return the places of position and rate of each stop of a system with so many states, and its ends.
+
+        Raises:
+            ValueError: They are at states that do not exist.
+        """
+        places = [*self.positions, *self.rates]
+        if wrong := [place for place in places if type(place) is not int or not 0 <= place < n_x]:
+            raise ValueError(
+                f"stops are at state {str(wrong[0])[:40]!r}; allowed are whole numbers from 0 to {n_x - 1}"
+            )
+        return list(zip(self.positions, self.rates, self.low, self.high, strict=True))
+
     def apply(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Hold states at the stops.
 
