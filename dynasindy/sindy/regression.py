@@ -20,8 +20,6 @@ DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
 BETTER = 2.0
 """Squared weighted error that an exchange of one coefficient for one other must gain."""
-IDLE = 1e-12
-"""Norm of a column, of those that have norm one, below which a parameter has no effect."""
 
 
 def _least_missed(
@@ -98,11 +96,6 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: floa
         Positions of the parameters that stay, and their values, both `(n_kept,)`.
     """
     active = torch.arange(triangle.shape[1] - 1)
-    # What always stays and has no effect, as the number inside a function that is not in the model, stays as it is.
-    idle = (triangle[:, :-1].norm(dim=0) < IDLE) & ~removable
-    if bool(idle.any()):
-        unit = torch.nn.functional.pad(torch.diag(idle.to(triangle.dtype))[idle], (0, 1))
-        triangle = torch.linalg.qr(torch.cat([triangle, unit]), mode="r")[1]
     sets = _backward(triangle, active, removable, dependent)
     left, active = next((left, active) for left, active, growth in sets if growth >= limit)
     return active, _solution(left, len(active))
@@ -248,8 +241,6 @@ def needed_at_edge(rows: Rows, x: Tensor, free: Tensor, offset: Tensor, complexi
     return needed
 
 
-AT_ONCE = 10_000
-"""Rows of which the functions at both ends are computed at once; of more they would fill the memory."""
 Rows = tuple[Tensor, Tensor]
 Theta = Callable[[Tensor, Tensor], Tensor]
 
@@ -272,11 +263,7 @@ def integral_form(library: Theta, data: Transitions) -> Rows:
     data = data.to(torch.float64)
     if time_step_of(library) is not None:
         return library(data.x, data.u), (data.x_next - data.x) / data.dt
-    if len(data) > AT_ONCE:
-        theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.last_inputs))
-    else:  # where single operations cost more than what they compute
-        ends = library(torch.cat([data.x, data.x_next]), torch.cat([data.u, data.last_inputs]))
-        theta = 0.5 * (ends[: len(data)] + ends[len(data) :])
+    theta = 0.5 * (library(data.x, data.u) + library(data.x_next, data.last_inputs))
     return theta, (data.x_next - data.x) / data.dt
 
 
@@ -456,21 +443,15 @@ def stlsq(theta: Tensor, targets: Tensor, support: Tensor, limit: float) -> Tens
         Coefficients, `(n_features, n_x)`.
     """
     coefficients = torch.zeros(theta.shape[1], targets.shape[1], dtype=theta.dtype)
-    if everything := bool(support.all()):
-        coefficients = least_squares(theta, targets)
-    for i in range(targets.shape[1]):
+    for i in support.any(0).nonzero().flatten().tolist():
         active = support[:, i].nonzero().squeeze(-1)
-        xi = coefficients[:, i].clone() if everything else least_squares(theta[:, active], targets[:, i])
+        xi = least_squares(theta[:, active], targets[:, i])
         for _ in range(REFITS):
             big = xi.abs() >= limit
             if bool(big.all()):
                 break
             active = active[big]
-            if not len(active):
-                xi = xi[:0]
-                break
-            xi = least_squares(theta[:, active], targets[:, i])
-        coefficients[:, i] = 0
+            xi = least_squares(theta[:, active], targets[:, i]) if len(active) else xi[:0]
         coefficients[active, i] = xi
     return coefficients
 

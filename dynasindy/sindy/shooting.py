@@ -382,8 +382,6 @@ TRUST = 2.0
 """Factor by which a step may change the number inside a function."""
 UNOBSERVABLE = 1e-300
 """Weight of an unknown that nothing measured depends on."""
-FAINT = 0.01
-"""Weighted error below which a start that moves by a whole spread of its state is taken to change nothing."""
 
 
 class RunsAway(ValueError):
@@ -473,7 +471,7 @@ def _condensed(flow: Flow, sigma: Tensor, count: int) -> tuple[list[Tensor], Ten
         moves.append(moved)
     nodes = torch.cat(moves) if windows.floor is None else moves[0]
     norms = torch.stack([triangle.norm(dim=0) for triangle in triangles]).norm(dim=0)
-    rest = [_starts(flow, sigma, nodes, norms)] if joined else []
+    rest = [_starts(flow, sigma, nodes)] if joined else []
     unseen = windows.first.isnan().all(0) & ~windows.mask.flatten(0, 1).any(0)
     if bool(unseen.any()):
         estimate, parameters = flow.estimate, flow.parameters
@@ -502,14 +500,13 @@ def _joined(flow: Flow, sigma: Tensor, moves: Tensor, observed: Tensor) -> Tenso
     return columns.mul_((windows.mask / sigma[observed]).unsqueeze(-1)).flatten(0, 2)
 
 
-def _starts(flow: Flow, sigma: Tensor, moves: Tensor, norms: Tensor) -> Tensor:
-    """Return the weighted rows of the starts of trajectories, `(2 S n_x, F + P + 1)`; `norms` are of the others."""
-    estimate, windows, begun = flow.estimate, flow.windows, ~flow.windows.joined
-    start_error, start_weight = (windows.first - estimate.nodes)[begun], 1 / sigma
+def _starts(flow: Flow, sigma: Tensor, moves: Tensor) -> Tensor:
+    """Return the weighted rows of the starts of trajectories, `(S n_x, F + P + 1)`."""
+    begun = ~flow.windows.joined
+    start_error = (flow.windows.first - flow.estimate.nodes)[begun]
     starts = moves[begun].clone()
     starts[..., -1] = start_error - starts[..., -1]
-    starts = torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts * start_weight.unsqueeze(-1)).flatten(0, 1)
-    return torch.cat([starts, _held(estimate, begun, torch.cat([norms.unsqueeze(0), starts]))])
+    return torch.where(start_error.isnan().unsqueeze(-1), 0.0, starts / sigma.unsqueeze(-1)).flatten(0, 1)
 
 
 def cost_of(flow: Flow, sigma: Tensor) -> float:
@@ -554,16 +551,6 @@ def _every(flow: Flow, observed: Tensor) -> Tensor:
     every[..., -1] = torch.cat([start_error.unsqueeze(1), windows.measured - flow.predicted[..., observed]], 1)
     seen = torch.cat([~start_error.isnan().unsqueeze(1), windows.mask > 0], 1)
     return every.masked_fill_(~seen.unsqueeze(-1), 0.0)
-
-
-def _held(estimate: Estimate, begun: Tensor, rows: Tensor) -> Tensor:
-    """Return rows that hold starts which nothing measured depends on, `(S n_x, F + P + 1)`."""
-    n_start = int(begun.sum()) * estimate.nodes.shape[1]
-    spread = estimate.nodes.std(0, correction=0).clamp_min(1e-12).repeat(int(begun.sum()))
-    faint = rows[:, :n_start].norm(dim=0) * spread < FAINT
-    held = torch.zeros(n_start, rows.shape[1], dtype=rows.dtype)
-    held[:, :n_start] = torch.diag(torch.where(faint, 1 / spread, 0.0))
-    return held
 
 
 def _gap_sigma(sigma: Tensor, estimate: Estimate) -> Tensor:
