@@ -10,24 +10,22 @@ import torch
 
 from dynasindy.systems import Signature
 from dynasindy.systems.compiler import compiler
-from dynasindy.tasks import Mixture, RandomStep, Tracking, TrackingReward, Wave
+from dynasindy.tasks import RandomStep, Tracking, TrackingReward, Wave
 from dynasindy.tasks.machine import tracking_machine
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 SIGNATURE = Signature(("a", "b", "c", "d"), ("rad", "rad/s", "m", "m/s"), ("u",), (1.5, 4.0, 0.3, 7.0))
-REFERENCES = Mixture(
-    [
-        RandomStep([-0.4, -0.2], [0.4, 0.3]),
-        Wave((0.3, 0.2), (0.9, 0.7), random=True),
-        Wave((0.3, 0.0), (0.9, 0.7), "square", (0.1, -0.2), random=True),
-    ]
+REFERENCES = (
+    RandomStep([-0.4, -0.2], [0.4, 0.3]),
+    Wave((0.3, 0.2), (0.9, 0.7), random=True),
+    Wave((0.3, 0.0), (0.9, 0.7), "square", (0.1, -0.2), random=True),
 )
 
 
 def task(rates=("b", "d"), **reward):
     return Tracking(
         SIGNATURE,
-        REFERENCES,
+        REFERENCES[0],
         ("a", "c"),
         rates,
         TrackingReward(**{"tolerance": 0.4, **reward}),
@@ -50,7 +48,7 @@ def task(rates=("b", "d"), **reward):
 def test_observations_references_and_rewards_are_those_of_the_torch_code(tracking, dtype, apart):
     random = torch.Generator().manual_seed(0)
     x, following = torch.randn(2, 3, 40, 4, generator=random, dtype=dtype)
-    params = tracking.sample(torch.Size((3, 40)), random).to(dtype)
+    params = torch.stack([each.sample(torch.Size((40,)), random) for each in REFERENCES]).to(dtype)
     steps = torch.randint(0, 400, (3, 40, 1), generator=random)
     touched = torch.rand(3, 40, generator=random) < 0.5
     code = tracking_machine(tracking, 0.05, dtype)
