@@ -205,9 +205,8 @@ class ControlEnv(EnvBase):
     ) -> TensorDictBase:
         """Roll a policy out as `EnvBase.rollout` does, with its arguments, several times as fast.
 
-        What a period ends with and the next one begins with lies in memory once, and the periods of a batch lie apart:
-        to change numbers in place, or to `view` them, pass `return_contiguous=True`, which copies everything, as any
-        other option of TorchRL does.
+        The periods of a batch lie apart in memory: to `view` them, pass `return_contiguous=True`, which goes TorchRL's
+        way, as any other of its options does.
 
         Returns:
             Control periods `(*batch, T)`.
@@ -424,6 +423,6 @@ def _stack_periods(
     for key in begun[0]:
         rows = [each[key] for each in begun]
         same = key in memory and all(one is other for one, other in zip(rows[1:], ended[key]))
-        root[key] = memory[key][:count].movedim(0, len(batch)) if same else _along(rows)
+        root[key] = memory[key][:count].clone().movedim(0, len(batch)) if same else _along(rows)
     shape, names = (*batch, count), [*[None] * len(batch), "time"]
     return TensorDict({**root, "next": TensorDict(following, shape)}, shape, names=names)
