@@ -107,6 +107,11 @@ def in_words(error: BaseException, config_name: str, settings: object = None) ->
         return unknown_name(option, (choice for choice in error.options if not choice.startswith("_")), group)
     if lacking := re.search(r"Missing mandatory value: ([\w.]+)", text):  # also where another key takes it from there
         return f"{lacking[1]} is not given; give {lacking[1]}=VALUE, of which --help says more"
+    if text.startswith("Config group override must be"):
+        for group, _, option in (word.partition("=") for word in sys.argv[1:]):
+            choices = group_options(group) if option else ()
+            if choices and not isinstance(yaml.safe_load(option), str):  # a name may be that of a file of the user
+                return unknown_name(option, choices, group)
     if text.startswith("Ambiguous value for argument"):
         try:  # that there are several values is no mistake in a command that sweeps
             compose(config_name, _words())

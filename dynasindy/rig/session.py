@@ -145,14 +145,9 @@ class Session:
             What came of the flight; None if there was none.
 
         Raises:
-            ValueError: The folder holds logs of another rig, an input would go beyond what its actuator reaches, or
-                the signal wants a feedback; nothing has moved.
+            ValueError: The folder holds logs of another rig, or an input would go beyond what its actuator reaches;
+                nothing has moved.
         """
-        if signal.gain is not None:
-            raise ValueError(
-                "excitation.gain is given, and a rig is excited without feedback, since nobody has tried it there yet; "
-                "leave it out, or fly a controller that holds the rig by controller=PATH"
-            )
         steps = signal.samples(self.wiring.dt).double()
         growth = signal.growth(torch.arange(len(steps))).unsqueeze(-1)
         levels: Array = (signal.offset + growth * (steps - signal.offset)).numpy()

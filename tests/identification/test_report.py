@@ -21,7 +21,7 @@ def test_everything_is_written(tmp_path):
     before = [note("log.gaps", count=1)]
     write_identification(found, source, tmp_path / "run", before)
     names = {p.name for p in (tmp_path / "run").iterdir()}
-    tables = {f"coefficients.{suffix}" for suffix in ("txt", "tex", "csv")}
+    tables = {f"coefficients.{suffix}" for suffix in ("txt", "csv")}
     assert names == {"model.json", "metrics.json", "report.txt", *tables}
     written = json.loads((tmp_path / "run/metrics.json").read_text())
     assert [Finding.from_record(each) for each in written.pop("findings")] == [*before, *found.findings]
