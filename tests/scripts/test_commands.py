@@ -1,6 +1,7 @@
 """The commands of `dynasindy`: which there are, and what they say of themselves."""
 
 import os
+import shutil
 import re
 import subprocess
 import sys
@@ -75,11 +76,12 @@ def test_each_command_has_all_that_it_imports_in_a_process_of_its_own(tmp_path):
     short = ("scenario.episodes=2", "task.max_steps=60", "excitation.duration=3", "folder=run")
     made = dynasindy("train", "experiment=gradient_smoke", "system=pendulum", *short, cwd=tmp_path)
     assert made.returncode == 0, made.stderr
+    shutil.copytree(tmp_path / "run", tmp_path / "results" / "runs" / "mine")
     calls = (
         ("evaluate", "run=run", "scenarios=[step]", "formats=[svg]", "animate=true"),
         ("check", "run=run", "points=1", "grid=2", "draws=1", "seconds=1"),
         ("export", "run=run", "formats=[c,model]"),
-        ("report",),
+        ("report", "results=results"),
         ("rig", "system=pendulum", "controller=run/controller.json", "sensors=exact", "seconds=0.2", "guard.late=100"),
     )
     for words in calls:
