@@ -1,8 +1,8 @@
 """The commands of `dynasindy`: which there are, and what they say of themselves."""
 
 import os
-import shutil
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
