@@ -220,7 +220,7 @@ def infer(
     free = {n: c.name for n, c in left.items() if n not in {*named, *labels}}
     labels += [n for n, h in free.items() if _is_label(look.moving[h], rarely=False)]
     columns = {n: look.moving[c.name] for n, c in left.items() if n not in labels}
-    basis = [look.moving[others[n].name] for n in (*found, *targets, *led) if others[n].name in look.moving]
+    basis = [look.moving[others[n].name] for n in (*targets, *led) if others[n].name in look.moving]
     derived = [n for n in _derived(columns, basis) if n not in named]
     if states is None:
         left = {n: c for n, c in left.items() if n not in {*labels, *derived}}

@@ -395,3 +395,19 @@ def _fields_of_hdf5(path):
 def test_containers_tell_times_units_and_which_sheet_holds_the_log(tmp_path, name, write):
     write(tmp_path / name)
     require_truth(LoggedData(str(tmp_path / name)).recording(None))
+
+
+@pytest.mark.parametrize("reference", [0.3 + 0 * np.arange(400.0), np.repeat([0.2, -0.4, 0.5, 0.0], 100)])
+def test_a_state_that_an_exact_feedback_was_made_of_stays_one(tmp_path, reference):
+    """Of an input and a reference it is a sum of multiples, as the command is its own."""
+    t = 0.01 * np.arange(400)
+    place, path = np.sin(7 * t) * np.exp(-t), tmp_path / "log.csv"
+    np.savetxt(
+        path,
+        np.stack([t, place, np.gradient(place, t), reference, 2 * (reference - place)], -1).round(6),
+        delimiter=",",
+        header="time,place,speed,reference,u",
+        comments="",
+    )
+    found = LoggedData(str(path)).recording()
+    assert (found.signature.state_names, found.signature.input_names) == (("place", "speed"), ("u",))
