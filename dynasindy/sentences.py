@@ -602,8 +602,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
     "log.followed": "{columns:list} move in steps that another column follows, and are taken as references, which are "
     "neither inputs nor states; if they are states, give {states:data.states}",
-    "log.guessed_inputs": "{inputs:list} are taken as inputs, for they move in steps and all others in most rows; no "
-    "heading says so: if they are not, correct {inputs:data.inputs} and {states:data.states}",
+    "log.guessed_inputs": "taken as input: {inputs:list}, by steps where all others move in most rows; no heading says "
+    "so: if that is wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.converted": lambda units, kept: (
         f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}. Targets and "
@@ -754,6 +754,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{unit}, this one to {error:error}: something may be missing here, a function or a state that no sensor sees, as "
     "of a motor that follows its command slowly",
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
+    "observer.lost": "by these equations errors of {states:list} grow so much within {seconds:time} that no observer "
+    "follows the log; see how well identify predicts with them, and leave out by <data.states> what follows other "
+    "columns at once, as the current of a motor does its voltage and speed",
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be "
     "planned: the log hardly shows what the inputs do; record longer, and let every input change often and by much",
     # the check of a controller

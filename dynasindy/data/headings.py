@@ -97,7 +97,10 @@ def _plain_unit(unit: str) -> str:
 def _apart(name: str) -> tuple[str, str]:
     """Split a unit off the end of a name that has it without brackets: degrees, radians, or what follows an `in`."""
     for between in APART.finditer(name):
-        unit = _plain_unit(name[between.end() :].rstrip("}>"))
+        text = name[between.end() :].rstrip("}>")
+        if text.lower().startswith("grad") and between[0].strip() in ("", "_"):  # a gradient, as of a temperature
+            continue
+        unit = _plain_unit(text)
         said = between[0].strip() in ("in", ",") and unit.lower() in UNITS
         if between.start() and (said or re.fullmatch(r"(m?rad|[mc]?deg|\u00b0)(/s)?", unit)):
             return name[: between.start()], unit

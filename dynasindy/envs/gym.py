@@ -69,8 +69,10 @@ class _GymControl(gymnasium.Env[Array, Array]):
         """Advance by one control period."""
         if self._steps is None:
             raise RuntimeError("step was called before reset; call reset first")
-        self._steps += 1
         u = np.minimum(np.maximum(np.asarray(action, dtype=np.float32), -1.0), 1.0)
+        if u.shape != self.action_space.shape:
+            raise ValueError(f"an action has shape {self.action_space.shape}, given {u.shape}")
+        self._steps += 1
         over = self._steps >= self._task.max_steps
         if self._compiled is not None:
             observation, reward, self._info = self._compiled(u)
@@ -80,6 +82,15 @@ class _GymControl(gymnasium.Env[Array, Array]):
         self._now, after = self.env.step_mdp(stepped), stepped["next"]
         observation, info = self._observed(after)
         return observation, float(after["reward"]), False, over or bool(after["truncated"]), info
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy goes on from; the compiled step knows only where the numbers of this one lie."""
+        return {name: value for name, value in vars(self).items() if name != "_compiled"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on as a copy."""
+        vars(self).update(state)
+        self._compiled = None if self._steps is None else _compiled_step(self.env, self._now)
 
     def render(self) -> Frame | None:
         """Return a picture of the state, uint8 `(height, width, 3)`, or None without a render mode."""
@@ -102,12 +113,12 @@ def _compiled_step(
 
     Args:
         env: The environment.
-        begun: What it shows at the start of the episode.
+        begun: What it shows at the start of the episode; its state and its count of periods follow the episode.
 
     Returns:
         A function of the action, `(n_u,)`, that returns observation, reward, and state and reference.
     """
-    x, params, steps = begun["state"].clone(), begun["task_params"].contiguous(), begun["step_count"].clone()
+    x, params, steps = begun["state"], begun["task_params"].contiguous(), begun["step_count"]
     u = x.new_zeros(1, env.system.signature.n_u)
     judge, code = tracking_machine(env.task, env.dt, x.dtype), env.system.compiled(x, u[0])
     if type(env) is not ControlEnv or math.isfinite(env.left_beyond) or judge is None or code is None:

@@ -24,6 +24,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from dynasindy.findings import FindingError
 from dynasindy.sensing.offset import correction
 from dynasindy.sensing.sensors import LONGEST, Sensors
 from dynasindy.systems import Altered, Signature, Stops, System, integrate
@@ -279,13 +280,19 @@ class Observer:
 
         Returns:
             The estimates on the log, `(T + 1, n_x)`.
+
+        Raises:
+            FindingError: Numbers of the model grow beyond what can be solved.
         """
         self.nis = math.nan
         self.q = self._candidates()
         if self.pushed and not self.sensors.rate_indices(self.model.signature):
             self._size_pushes(self.follow(y, u)[0], u)
             self.q = self._candidates()
-        means, nis, likelihoods = self.follow(y, u)
+        try:
+            means, nis, likelihoods = self.follow(y, u)
+        except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
+            raise FindingError("observer.lost", states=self.model.signature.state_names, seconds=self.dt) from error
         chosen = int(likelihoods.sum(-1).argmax())
         self.q, self.nis = self.q[chosen].clone(), nis[chosen].nanmean().nan_to_num(nan=0.0).item()
         return means[chosen, :, : self.n_x]

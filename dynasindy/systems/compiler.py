@@ -88,7 +88,8 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached:
         with suppress(OSError):  # it may be missing or damaged, and is then compiled anew
             code = ctypes.CDLL(str(file))
             if all(hasattr(code, name) for name in functions):
-                file.touch()
+                with suppress(OSError):  # it may be another user's
+                    file.touch()
                 return code
     # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
     # its file no more; where it cannot be removed then, as on Windows, it is left to the system.

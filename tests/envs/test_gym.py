@@ -1,5 +1,7 @@
 """The Gymnasium adapter against Gymnasium's own checker and against the environment it adapts."""
 
+import copy
+import pickle
 import subprocess
 import sys
 import warnings
@@ -161,3 +163,23 @@ def test_gymnasium_has_nothing_to_warn_of_and_ends_episodes(name):
         observation, _, _, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))
         ends.append(truncated)
     assert len(ends) == 400 and env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_copies_within_an_episode_go_on_by_themselves(name):
+    env = gymnasium.make(name).unwrapped
+    action = np.full(env.action_space.shape, 0.3, np.float32)
+    env.reset(seed=1)
+    env.step(action)
+    copies = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
+    expected = [env.step(action)[0] for _ in range(3)]
+    for each in copies:
+        assert all(np.array_equal(each.step(action)[0], seen) for seen in expected)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_action_of_another_shape_is_refused(name):
+    env = gymnasium.make(name).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="shape"):
+        env.step(np.zeros(3))

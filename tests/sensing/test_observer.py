@@ -8,6 +8,7 @@ import torch
 from scipy.linalg import solve_discrete_are
 
 from dynasindy.envs import ControlEnv
+from dynasindy.findings import FindingError
 from dynasindy.sensing import Observer, Sensors
 from dynasindy.sensing.observer import CANDIDATES, Belief
 from dynasindy.systems import Signature, System, Tras, integrate
@@ -337,3 +338,21 @@ def test_a_model_in_discrete_time_is_filtered_as_in_the_textbook():
     ours.dt = 1.5 * DT
     with pytest.raises(ValueError, match=r"0\.05 s .* 0\.075 s"):
         ours.follow(y, u)
+
+
+def test_a_model_that_no_observer_can_follow_is_refused():
+    """Errors grow by exp(800 x 0.05) a period: beyond what double precision has digits for."""
+
+    class Explosive(System):
+        def forward(self, x, u):
+            return 800 * x.flip(-1) + u
+
+    plant = Explosive(Signature(("a", "b"), ("m", "m"), ("u",), (1.0, 1.0)))
+    sensors = Sensors({"a": {"noise": 0.1}, "b": {"noise": 0.1}})
+    task = Tracking(plant.signature, Step([[0.0]]), ["a"], [None], TrackingReward([1.0]))
+    rng = torch.Generator().manual_seed(0)
+    with pytest.raises(FindingError) as error:
+        Observer(plant, sensors, ControlEnv(plant, task, DT, 20)).learn(
+            torch.randn(40, 2, generator=rng, dtype=torch.float64), torch.rand(39, 1, generator=rng).double()
+        )
+    assert error.value.finding.code == "observer.lost" and error.value.finding.values["states"] == ("a", "b")
