@@ -55,6 +55,7 @@ class _GymControl(gymnasium.Env[Array, Array]):
         self.observation_space = spaces.Box(-most, most, (n_o,), np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (n_u,), np.float32)
         self._steps: int | None = None
+        self._compiled: Callable[[Array], tuple[Array, float, dict[str, Any]]] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode with a fresh reference; the same seed begins the same sequence of episodes."""

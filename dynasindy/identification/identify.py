@@ -194,8 +194,7 @@ def identify(
 
     Returns:
         The model; `equations()` shows it, `save` keeps it, and `findings` holds what was found before the fit, by it,
-        and of delay and dry friction in the equations. What is found before the
-        fit is a warning, too.
+        and of delay and dry friction in the equations. What is found before the fit is a warning, too.
 
     Raises:
         ValueError: The data or the library do not allow a fit, or a rate that is known is in other units than its
