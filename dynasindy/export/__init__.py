@@ -1,4 +1,4 @@
-"""Controllers and models in other languages: C99, ONNX, FMI, CasADi, SymPy, LaTeX and python-control."""
+"""Controllers and models in other languages: C99, ONNX, FMI, CasADi, SymPy and LaTeX."""
 
 from dynasindy.control.c_code import Native, controller_sources, model_sources
 

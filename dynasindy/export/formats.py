@@ -1,4 +1,4 @@
-"""The model for other tools: Python source for CasADi, LaTeX, a NumPy function and a system of python-control.
+"""The model for other tools: Python source for CasADi, and LaTeX.
 
 SymPy expressions are in `dynasindy.sindy.pysindy_interchange.to_sympy`.
 """
@@ -8,16 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dynasindy.sindy import SindyModel
-from dynasindy.sindy.formulas import comment, formulas, identifiers, right_sides
+from dynasindy.sindy.formulas import comment, formulas, right_sides
 from dynasindy.sindy.pysindy_interchange import to_sympy
 from dynasindy.systems.machine import Program
-from dynasindy.systems.tangents import FORMULA_FUNCTIONS
-
-NumpyField = Callable[[Any, Any], NDArray[np.float64]]
 
 
 def casadi_source(model: SindyModel) -> str:
@@ -60,66 +54,21 @@ def latex_source(model: SindyModel) -> str:
     return "\n".join(lines) + "\n"
 
 
-def numpy_field(model: SindyModel) -> NumpyField:
-    """Return dx/dt of a model as a function of arrays `x` `(n_x,)` and `u` `(n_u,)`, in NumPy alone.
-
-    Of a difference equation it returns the next state.
-
-    Raises:
-        ValueError: The model has a function without a formula.
-    """
-    calls: dict[str, Any] = {name: getattr(np, name) for name in FORMULA_FUNCTIONS if hasattr(np, name)}
-    field = _run(right_sides(model), calls | {"larger": np.maximum})
-    return lambda x, u: np.array(field(x, u), dtype=np.float64)
-
-
 def field_of(model: SindyModel, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
     """Return dx/dt of a model as a function of the places of `x` and `u`, which may hold any kind of number.
 
     Args:
         model: The model.
-        calls: What is called for each of `FORMULA_FUNCTIONS`.
+        calls: What is called for each of `dynasindy.systems.tangents.FORMULA_FUNCTIONS`.
 
     Raises:
         ValueError: The model has a function without a formula.
     """
-    return _run(formulas(model), calls)
-
-
-def _run(found: Program, calls: Mapping[str, Any]) -> Callable[[Any, Any], list[Any]]:
-    """Return formulas as a function."""
     scope = dict(calls)
     # The text is made of numbers, places and the formulas of the library's functions: no word of a file is in it.
-    exec(compile(_python(found), "<exported model>", "exec"), scope)
+    exec(compile(_python(formulas(model)), "<exported model>", "exec"), scope)
     field: Callable[[Any, Any], list[Any]] = scope["field"]
     return field
-
-
-def control_system(model: SindyModel) -> Any:
-    """Return a model as a nonlinear system of python-control, whose outputs are its states; in discrete time as it is.
-
-    Its inputs are those that act: a delay of the model is not in it.
-
-    Raises:
-        ModuleNotFoundError: python-control is not installed.
-        ValueError: The model has a function without a formula.
-    """
-    try:
-        import control
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "this needs python-control, which is not installed; install it by pip install 'dynasindy[export]'"
-        ) from error
-    field, states = numpy_field(model), identifiers(model.signature.state_names)
-    return control.nlsys(
-        lambda t, x, u, params: field(x, np.atleast_1d(u)),
-        None,
-        inputs=[f"u_{word}" for word in identifiers(model.signature.input_names)],
-        states=[f"x_{word}" for word in states],
-        outputs=[f"y_{word}" for word in states],
-        name="model",
-        dt=model.step or 0,
-    )
 
 
 def _python(found: Program, word: str = "dx") -> str:
