@@ -137,23 +137,15 @@ def _named_unit(column: str, unit: str) -> str:
     return f"'data.time=\"{text}\"'" if _words_of_commands else f"time={text!r}"
 
 
-def _missing(rows: int, total: int, counts: Mapping[str, int], line: int, skipped: bool) -> str:
-    where = ", ".join(f"{name}: {count}" for name, count in counts.items())
-    what, then = "states", "the fit goes on without them, and with what else these rows hold"
-    if skipped:
-        what, then = "values", "they were skipped"
-    return f"{rows} of {total} rows have {what} missing or not finite ({where}), the first in line {line}; {then}"
-
-
 LEFT_OUT = {
-    "constant": "what never changes tells nothing of the plant",
-    "counter": "they grow evenly, as a counter of rows or a second clock does",
-    "words": "they hold words and no numbers (write ON and OFF as 1 and 0)",
-    "empty": "cells that are empty or NaN are all that they hold",
-    "dates": "they hold dates, and the time is another column",
-    "reference": "they are references by name",
-    "label": "they hold two values, or a few that hardly change, as labels do",
-    "derived": "they are sums of multiples of other columns",
+    "constant": "never changing",
+    "counter": "growing evenly, as a counter or a second clock does",
+    "words": "words (write ON and OFF as 1 and 0)",
+    "empty": "empty",
+    "dates": "dates beside the time",
+    "reference": "references by name",
+    "label": "labels, of two values or a few that hardly change",
+    "derived": "sums of multiples of other columns",
 }
 """Why columns are left out that nobody named."""
 
@@ -186,8 +178,8 @@ def _no_roles(
     }
     return (
         f"{path} has the columns {', '.join(columns)}, with numbers in {', '.join(numbers) or 'none'}; "
-        f"{lacking[lacks]}. Allowed are a column of time, one state or more, and one input or more: say which is "
-        f"which, by <data.time>, <data.inputs> and <data.states>.{_taken(left_out)}{_guess(**guess) if guess else ''}"
+        f"{lacking[lacks]}. Say which is the time, and which are inputs and states, one at least, by <data.time>, "
+        f"<data.inputs> and <data.states>.{_taken(left_out)}{_guess(**guess) if guess else ''}"
     )
 
 
@@ -196,46 +188,32 @@ def _guess(
 ) -> str:
     """Say what columns may be: sentences, then settings to copy."""
     hints = [
-        " No column grows from row to row, as time does: write the time of each row into the file, or give <data.dt>, "
-        "the time between two rows in seconds." * (not time),
-        f" {counter} holds whole numbers, as a counter does: if it counts rows, give <data.dt>, too, in seconds."
-        * bool(counter),
-        " No column is held for some samples, as commands are: without a command nothing can be identified."
-        * (not held),
+        " No column grows as time does: log it, or give <data.dt>, the time between two rows in seconds." * (not time),
+        f" If {counter}, of whole numbers, counts rows, give <data.dt>, too." * bool(counter),
+        " No column is held for some samples, as commands are, without which nothing is identified." * (not held),
     ]
     given: dict[str, Any] = {} if not time or (clock_known and time == "time") else {"time": time}
     given |= {"inputs": [*inputs], "states": [*states]}
-    seconds = ["dt=SECONDS"] if not time or (counter and not clock_known) else []
-    words = [f"{key}={value!r}" for key, value in given.items()]
-    copied = f"read({', '.join(['path', *words, *seconds])})"
-    if _words_of_commands:
-        words = [f"'data.{key}={_flow(value)}'" for key, value in given.items()]
-        copied = " ".join([*words, *(f"data.{word}" for word in seconds)])
+    words = [f"'data.{key}={_flow(v)}'" if _words_of_commands else f"{key}={v!r}" for key, v in given.items()]
+    if not time or (counter and not clock_known):
+        words.append("data.dt=SECONDS" if _words_of_commands else "dt=SECONDS")
+    copied = " ".join(words) if _words_of_commands else f"read(path, {', '.join(words)})"
     return f"{''.join(hints)} This is a first guess, to be corrected: {copied}"
 
 
-def _too_few(path: str, count: int, least: int, left_out: Sequence[Finding], state: str = "") -> str:
-    what = f"samples of {state}" if state else "transitions"
-    return f"{path} gives {count} {what}; allowed are {least} or more: log longer.{_taken(left_out)}"
-
-
 def _rate_units(state: str, rate: str, factor: float, guessed: bool, unit: str = "", states: Any = None) -> str:
-    slope = f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}: in which units are they?"
+    slope = f"{rate} does not fit {state}, whose slope over time is {factor:.3g} times {rate}"
     if states is not None:
-        return (
-            f"{slope} It was given as the rate of {state}; allowed is a rate in {unit}, for its equation is taken as "
-            f"exact: give {setting('data.states', states)}, or correct the column"
-        )
+        return f"{slope}, as which it was given; allowed is a rate in {unit}: give {setting('data.states', states)}"
     guess = f" That it is the rate of {state} is a guess; a unit of its own, as 'motor rad/s', says that it is none"
-    return f"{slope} Correct the column, or give it a scale in <data.states>.{guess * guessed}"
+    return f"{slope}: in which units are they? Correct them, or give a scale in <data.states>.{guess * guessed}"
 
 
 def _quiet(steps: Mapping[str, int], wanted: int, inputs: Mapping[str, float | None]) -> str:
     """Say which states move too little, and how far inputs are to go."""
     which = " and ".join(f"{name}, which moves by {count} steps of its sensor" for name, count in steps.items())
     far = (f"{n}, which does not move" if by is None else f"{n} {by:.2g} times as far" for n, by in inputs.items())
-    move = f"log it anew and move {', or '.join(far)}"
-    return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: {move}"
+    return f"the log is too quiet to tell of {which}, where some {wanted} are wanted: move {', or '.join(far)}"
 
 
 # --- the model -------------------------------------------------------------------------------------------------------
@@ -263,19 +241,15 @@ def verdict_lines(findings: Sequence[Finding]) -> list[str]:
 
 def _restarts(times: int, beyond: Sequence[Mapping[str, Any]]) -> str:
     why = ["{state} beyond {low:g} to {high:g} {unit}, {times} times".format_map(each) for each in beyond]
-    reasons = ", ".join(why) or "an episode was over"
-    return f"the excitation ended early and began anew at the start {times} times: {reasons}"
+    return f"the excitation began anew at the start {times} times: {', '.join(why) or 'an episode was over'}"
 
 
 def _coarse_steps(apart: float | None, needed: int | None) -> str:
     mend = "no number of steps that was tried is enough, as of a plant that jumps or explodes"
     if needed is not None:
         mend = f"so give {setting('env.substeps', needed)}, or a shorter <env.dt>"
-    elsewhere = "at no number" if apart is None else f"{apart:.2g} ranges of a state elsewhere"
-    return (
-        "the simulation of the plant is coarse: with twice as many Runge-Kutta steps a control period ends "
-        f"{elsewhere}, {mend}"
-    )
+    ends = "at no number" if apart is None else f"{apart:.2g} ranges of a state elsewhere"
+    return f"the simulation of the plant is coarse: with twice as many steps a control period ends {ends}, {mend}"
 
 
 def _controlled(
@@ -302,8 +276,7 @@ def _controlled(
     if not outputs:
         parts = ["the task names no targets, so nothing is said of control"]
         if grew is not None:
-            change = "grew" if grew else "did not grow"
-            parts[0] += f"; what was compared is the mean return with that of the untrained policy, and it {change}"
+            parts += [f"the mean return {'grew' if grew else 'did not grow'} beside that of the untrained policy"]
     for swings in (False, True):
         shares = {name: each["share"] for name, each in away.items() if each["swings"] == swings}
         if shares:
@@ -353,14 +326,13 @@ def percent(share: float | None) -> str:
 
 
 def _distrusted(closed: int, episodes: int, episode: int, error: float | None, cause: str, limit: float | None) -> str:
-    why = "its errors on real periods were no numbers"
+    why = "no number"
     if error is not None and limit is not None:
         key = {"reward_closes": "close_above", "reward_opens": "open_below"}[cause]
-        what = f"{error:.2g} of reward per control period, above {setting(f'gate.{key}', limit)}"
-        why = f"its error on real periods that it was not fitted to was {what}"
+        why = f"{error:.2g} of reward per control period, above {setting(f'gate.{key}', limit)}"
     return (
-        f"the model was not trusted after {closed} of {episodes} episodes, so nothing was planned on it there: after "
-        f"episode {episode} {why}; gate.csv tells of each"
+        f"the model was not trusted, so that nothing was planned on it, after {closed} of {episodes} episodes: after "
+        f"episode {episode} its error on real periods that it was not fitted to was {why}; gate.csv tells of each"
     )
 
 
@@ -376,21 +348,20 @@ def _forecast_errors(
     for name, each in outputs.items():
         both = dict.fromkeys(f"{value:.2g}" for value in (each["least"], each["most"]))  # one where they are alike
         reference = "of a turn" if each["of_turn"] else "of the target range"
-        average = f"{name} {' to '.join(both)} % {reference} on average"
-        texts.append(f"{average}, {each['worst']:.2g} % at worst")
-    limits = f"limits: {within:g} % on average, {lost:g} % at worst"
-    return f"errors at {end} ({limits}): {'; '.join(texts)}"
+        texts.append(f"{name} {' to '.join(both)} % {reference} on average, {each['worst']:.2g} % at worst")
+    return f"errors at {end} (limits: {within:g} % on average, {lost:g} % at worst): {'; '.join(texts)}"
 
 
 def _period(seconds: float, cause: str, value: float, ahead: int) -> str:
+    swings = f"the model's fastest oscillation of {value:.3g} s"
+    doubles = f"the {value:.3g} s in which a deviation of the unstable model doubles"
     causes = {
         "step": "the step of the model",
-        "oscillation": f"a fifth of the model's fastest oscillation of {value:.3g} s",
-        "doubling": f"a quarter of the {value:.3g} s in which a deviation of the unstable model doubles",
-        "sample_oscillation": f"one sample of the log, as the model's fastest oscillation takes {value:.3g} s",
-        "sample_doubling": f"one sample of the log, as a deviation of the unstable model doubles in {value:.3g} s",
-        "settles": f"as the model settles in {format_duration(value, digits=2)}, and a plan looks {ahead} periods "
-        "ahead",
+        "oscillation": f"a fifth of {swings}",
+        "doubling": f"a quarter of {doubles}",
+        "sample_oscillation": f"one sample of the log, because of {swings}",
+        "sample_doubling": f"one sample of the log, because of {doubles}",
+        "settles": f"as the model settles in {format_duration(value, digits=2)}, with a plan {ahead} periods long",
         "samples": "ten samples of the log",
     }
     return f"the control period is {seconds:g} s, {causes[cause]}; <env.dt> chooses another one"
@@ -408,46 +379,38 @@ def _beside(value: float, limit: float, digits: int = 3) -> str:
     return text
 
 
+def _error(error: float | None, limit: float, unit: str, output: str, **_: Any) -> str:
+    """Say how large an error is."""
+    return f"{'no bound' if error is None or math.isinf(error) else f'{_beside(error, limit)} {unit}'} of {output}"
+
+
+def _error_limit(limit: float, unit: str, size: float, output: str, **_: Any) -> str:
+    return f"{limit:.3g} {unit}, {100 * limit / size:g} % of the typical size of {output}"
+
+
 def _places(values: Sequence[float]) -> str:
     return f"({', '.join(f'{value:g}' for value in values)})"
 
 
-def _error(error: float | None, limit: float, unit: str, output: str, **_: Any) -> str:
-    """Say how large an error is, and that no measurement can show it where a sensor does not resolve it."""
-    text = "no bound" if error is None or math.isinf(error) else f"{_beside(error, limit)} {unit}"
-    return f"{text} of {output}"
-
-
-def _error_limit(limit: float, unit: str, size: float, output: str, **_: Any) -> str:
-    return f"{limit:.3g} {unit}, {100 * limit / size:g} % of {size:.3g} {unit}, the typical size of {output}"
-
-
 def _stability(targets: int, unstable: int, outputs: Sequence[str], target: Sequence[float], **more: Any) -> str:
-    grid = f"{targets} target{'s' * (targets > 1)} of {' and '.join(outputs)}"
+    grid, place = f"{targets} target{'s' * (targets > 1)} of {' and '.join(outputs)}", _places(target)
     if not unstable:
-        slowest, dt = (format_duration(more[key], digits=2) for key in ("slowest", "dt"))
         return (
             f"stable at {'all ' * (targets > 1)}{grid}; largest spectral radius {_beside(more['radius'], 1.0, 4)} at "
-            f"{_places(target)}, threshold: < 1. There the slowest part of plant and controller together dies out with "
-            f"a time constant of {slowest}, which is -dt / ln(radius) with the control period dt = {dt}"
+            f"{place}, threshold: < 1; the slowest motion there has a time constant of "
+            f"{format_duration(more['slowest'], digits=2)}"
         )
     rest = f"; at {more['restless']} of these targets there is no rest" if more["restless"] else ""
     swing, limit, share = more["swing"], 100 * more["swing_limit"], more["swing"]["share"]
     moves = f"{swing['output']} runs away, or its swings still grow"
     if share is not None and not math.isinf(share):
-        moves = (
-            f"the loop goes on swinging, by {_swing(swing)}, {_beside(100 * share, limit, 2)} % of its typical size, "
-            f"and {more['input']} by {more['input_swing']:.2g}"
-        )
+        size = f"{_error(**swing)}, {_beside(100 * share, limit, 2)} % of its typical size, to either side"
+        moves = f"goes on swinging, by {size}, and {more['input']} by {more['input_swing']:.2g}"
     return (
-        f"NOT stable at {unstable} of {grid}, {'such as ' * (unstable > 1)}{_places(target)}{rest}; simulated there "
-        f"for {format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
-        f"{moves}; thresholds: spectral radius < 1 at all, swings of {limit:g} %"
+        f"NOT stable at {unstable} of {grid}, {'such as ' * (unstable > 1)}{place}{rest}; simulated there for "
+        f"{format_duration(more['seconds'])}, the output ends within {_error(**more['ends'])} of its target, and "
+        f"{moves}; thresholds: spectral radius < 1, or swings of {limit:g} %"
     )
-
-
-def _swing(swing: Mapping[str, Any]) -> str:
-    return f"{_error(**swing)} to either side"
 
 
 def _margin(form: str) -> Callable[..., str]:
@@ -464,27 +427,16 @@ def _margin(form: str) -> Callable[..., str]:
     return text
 
 
-def _noise(value: float = 0.0, limit: float = 0.0, input: str = "", known: bool = True) -> str:
-    if not known:
-        return (
-            "not known, as the controller's file states no noise of sensors; check.json has what a unit of it would "
-            "do, and a run with sensors=bench, or on a log, states it"
-        )
-    return f"noise of the sensors moves {input} by {_beside(value, limit)} (standard deviation); threshold: {limit:g}"
-
-
 def _coefficients(
     plants: int, held: int, how: str, unstable: int, radius: float, slowest: float, ran_away: int, **error: Any
 ) -> str:
-    stays = "stable with all" if not unstable else f"NOT stable with {unstable}"
+    stays = f"NOT stable with {unstable}" if unstable else "stable with all"
     far = "no rest" if math.isinf(radius) else f"spectral radius {_beside(radius, 1.0, 4)}"
     far += "" if math.isinf(slowest) else f", a time constant of {format_duration(slowest, digits=2)}"
-    steady = f"of those that come to rest a steady error of at most {_error(**error)}"
-    if unstable == plants:
-        steady = "no steady error, as none comes to rest"
+    steady = "" if unstable == plants else f", of those that come to rest a steady error of at most {_error(**error)}"
     return (
         f"{plants} plants with other coefficients, {how}, at {held} targets where the model itself is stable: {stays}, "
-        f"at worst {far}, {steady}, and {ran_away} run away in the step of steps.png; threshold: stable, "
+        f"at worst {far}{steady}, and {ran_away} run away in the step of steps.png; threshold: stable, "
         f"{_error_limit(**error)}"
     )
 
@@ -492,31 +444,24 @@ def _coefficients(
 def _recovery(shares: Mapping[str, float], reach: float, tried: int, limit: float, **error: Any) -> str:
     found = ", ".join(f"{_beside(100 * share, 100 * limit)} % in {both}" for both, share in shares.items())
     return (
-        f"comes back from errors of up to {reach:g} times the typical size of each state: {found}, of {tried} errors "
-        f"in each such plane; the error that stays where it rests is {_error(**error, limit=math.inf)}; threshold: "
-        f"{100 * limit:g} %"
+        f"comes back from errors of up to {reach:g} times the typical size of each state: {found}, of {tried} each, "
+        f"and rests with an error of {_error(**error, limit=math.inf)}; threshold: {100 * limit:g} %"
     )
 
 
-_GENTLE = (
-    "Where <plant.rates> names rates, try <task.reward.rate_weight=10>, by which quick movements cost more than by 0.1"
-)
-_CAREFUL = f"{_GENTLE}. On any plant, try <planning.gain_range=0.5>, by which training varies its inputs more"
-_VARIED = (
-    "Where a plant is not stable, try <planning.gain_range=0.5>, by which training varies its inputs more; where only "
-    "the steady error is too large, give the controller integral action, as the page on checks shows"
-)
+_GENTLE = "Where <plant.rates> names rates, try <task.reward.rate_weight=10>, by which quick movements cost more"
+_VARIED = "try <planning.gain_range=0.5>, by which training varies its inputs more"
+_CAREFUL = f"{_GENTLE}. On any plant, {_VARIED}"
 REMEDIES = {
-    "check.stability": "To mend it, narrow the targets, or excite the plant near these targets and train anew",
-    **dict.fromkeys(
-        [*(f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")), "check.gain_reduction"], _CAREFUL
-    ),
+    "check.stability": "Narrow the targets, or excite the plant near these targets and train anew",
+    **dict.fromkeys((f"check.{kind}_margin" for kind in ("gain", "phase", "delay", "disk")), _CAREFUL),
+    "check.gain_reduction": _CAREFUL,
     "check.noise": f"{_GENTLE}, or mend the sensor",
-    "check.steady_error": "See steps.png. If outputs still move at its end, give a longer time by seconds=; if they "
-    "rest beside their targets, narrow the targets",
+    "check.steady_error": "Give a longer time by seconds= if outputs still move at the end of steps.png, else narrow "
+    "the targets",
     "check.slew": _GENTLE,
-    "check.saturation": "To mend it, narrow the targets, for these steps ask for more than the actuator has",
-    "check.coefficients": _VARIED,
+    "check.saturation": "Narrow the targets: these steps ask for more than the actuator has",
+    "check.coefficients": f"Where a plant is not stable, {_VARIED}; else give the controller integral action",
     "check.recovery": "Switch the controller on near the middle of the targets, or give <plant.start> the range from "
     "which it is to come back, and train anew",
 }
@@ -531,11 +476,10 @@ def check_lines(findings: Sequence[Finding]) -> list[str]:
     """
     texts, said = [], set[str]()
     for each in findings:
-        unknown, remedy = each.values.get("known") is False, REMEDIES.get(each.code, "")
-        mark = "?" if unknown else "ok" if each.severity == "note" else "WEAK"
-        mend = "" if each.severity == "note" or remedy in said else SETTING.sub(_named, f". {remedy}")
-        said |= {remedy} if mend else set()
-        texts.append(f"{mark:<4}  {_title(each)}: {each}{mend}")
+        remedy = "" if each.severity == "note" or REMEDIES[each.code] in said else REMEDIES[each.code]
+        mark = "?" if each.values.get("known") is False else "ok" if each.severity == "note" else "WEAK"
+        said.add(remedy)
+        texts.append(f"{mark:<4}  {_title(each)}: {each}" + (SETTING.sub(_named, f". {remedy}") if remedy else ""))
     return [*texts, check_summary(findings)]
 
 
@@ -545,18 +489,15 @@ def _title(finding: Finding) -> str:
 
 def check_summary(findings: Sequence[Finding]) -> str:
     """Sum a check up in a line."""
-    stability = findings[0]
-    count, bad = stability.values["targets"], stability.values["unstable"]
-    if stability.severity == "wrong":
+    count, bad = (findings[0].values[key] for key in ("targets", "unstable"))
+    if findings[0].severity == "wrong":
         return f"In short: NOT stable at {bad} of {count} targets. Do not fly it as it is."
     weak = [_title(each) for each in findings if each.severity != "note"]
     unknown = [_title(each) for each in findings if each.values.get("known") is False]
     rest = f"weak in {len(weak)} of {len(findings)} findings: {', '.join(weak)}" if weak else "no finding is weak"
     rest += f"; not known: {', '.join(unknown)}" if unknown else ""
-    if bad:
-        swing = f"at {bad} it goes on swinging, by {_swing(stability.values['swing'])}"
-        return f"In short: stable at {count - bad} of {count} targets; {swing}; {rest}."
-    return f"In short: stable at {f'all {count} targets' if count > 1 else 'the one target'}, and {rest}."
+    swings = f", and swings a little at {bad}" if bad else ""
+    return f"In short: stable at {count - bad} of {count} target{'s' * (count > 1)}{swings}; {rest}."
 
 
 SENTENCES: dict[str, str | Callable[..., str]] = {
@@ -568,8 +509,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
-    "log.words": "line {line}, column {column!r} holds {text!r}, which is no number; it counts as "
-    "missing, as do all {count} such cells of the column",
+    "log.words": "line {line}, column {column!r} holds {text!r}, which is no number; {count} such cells of the column "
+    "count as missing",
     "log.left_out": _left_out,
     "log.time": lambda column, unit, dates, dt: (
         f"time is the column {column}, {'read as dates' if dates else f'in {unit}' if unit else 'taken as seconds'}"
@@ -579,14 +520,16 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.overflow": "the time counts to {size:g} and goes on from 0 in line {lines:list}",
     "log.restart": "the time begins anew in line {lines:list}, and so does a recording",
     "log.whole_seconds": lambda column: (
-        f"{column} holds whole numbers without a unit, as a counter of rows does: if it is one, give the true time "
-        f"between two rows in seconds, such as {setting('data.dt', 0.01)}; if it is a time in ms, give "
-        f"{_named_unit(column, 'ms')}, or [s] for seconds"
+        f"{column} holds whole numbers without a unit: of a counter of rows give the true time between two in seconds, "
+        f"such as {setting('data.dt', 0.01)}, of a time its unit: {_named_unit(column, 'ms')}, or [s]"
     ),
-    "log.row_counter": "time is the column {column}, taken as a counter of rows: {dt:g} s between rows, as given by "
-    "<data.dt>",
+    "log.row_counter": "time is the column {column}, taken as a counter of rows, {dt:g} s apart by <data.dt>",
     "log.zero_order_hold": "{column} stands in {rows} of {total} rows, and is held from each to the next",
-    "log.missing": _missing,
+    "log.missing": lambda rows, total, counts, line, skipped: (
+        f"{rows} of {total} rows, the first in line {line}, lack "
+        f"{', '.join(f'{name} ({count})' for name, count in counts.items())}, or have no finite number there; "
+        + ("they were skipped" if skipped else "the fit goes on with what else they hold")
+    ),
     "log.copies": "{count} rows are those before them once more, the first in line {line}; they were left out",
     "log.code": "{column} is {value:g} in {count} rows, the first in line {line}, far off all others; they count as "
     "missing",
@@ -596,28 +539,26 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "that is none of an angle keeps it as it is",
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
     "log.gaps": "{count} gaps longer than 1.5 sampling times split the recording",
-    "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines between the "
-    "jumps of the inputs, and inputs, taken as held from each sample to the next, are means over each step. If the "
-    "samples were even and only their times were written late, give a counter as the time and {dt:data.dt}",
+    "log.resampled": "{count} of {total} sampling times are not {dt:g} s; states were resampled by splines, inputs, "
+    "taken as held, by means. If only the times were written late, give a counter as the time and {dt:data.dt}",
     "log.stop": "{count} samples with {state} at {value:g}, a stop, saturation or frozen sensor, were masked",
-    "log.followed": "{columns:list} move in steps that another column follows, and are taken as references, which are "
-    "neither inputs nor states; if they are states, give {states:data.states}",
-    "log.guessed_inputs": "taken as input: {inputs:list}, by steps where all others move in most rows; no heading says "
-    "so: if that is wrong, correct {inputs:data.inputs} and {states:data.states}",
+    "log.followed": "{columns:list} move in steps that another column follows, and are left out as references; if they "
+    "are states, give {states:data.states}",
+    "log.guessed_inputs": "taken as input: {inputs:list}, by steps where all others move in most rows; if that is "
+    "wrong, correct {inputs:data.inputs} and {states:data.states}",
     "log.unmeasured": "{state} is seen by no sensor; it is estimated with the model",
     "log.converted": lambda units, kept: (
-        f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}. Targets and "
-        "limits are to be given in these units, and a controller reads them so; "
-        f"{setting('data.states', kept)} would keep the units of the file"
+        f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}, as targets, "
+        f"limits and what a controller reads are then; {setting('data.states', kept)} would keep the file's units"
     ),
-    "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, so nothing is known of "
-    "the values between them, which a controller uses. Log some of these, too; where the actuator can only switch, "
-    "pulse it and log the share of the time that it is on",
-    "log.hardly_moved": "input {input} was given low {low:g} and high {high:g}, and its column goes from {least:.6g} "
-    "to {most:.6g} only, {percent:.1g} % of that; check that both are in one unit. What a model says so far beyond a "
-    "log is a guess: log more of the range, or give narrower ends",
-    "log.small_input": "input {input} goes from {least:.3g} to {most:.3g} only, and its actuator is taken to reach "
-    "from -1 to 1: what a model says so far beyond a log is a guess. Log more of the range, or give its ends: "
+    "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, and nothing of the values "
+    "between, which a controller uses. Log some, too; where the actuator can only switch, pulse it and log the share "
+    "of the time that it is on",
+    "log.hardly_moved": "input {input} was given low {low:g} and high {high:g}, and goes from {least:.6g} to "
+    "{most:.6g}, {percent:.1g} % of that: what a model says so far beyond a log is a guess. Check the units, log more "
+    "of the range, or give narrower ends",
+    "log.small_input": "input {input} goes from {least:.3g} to {most:.3g}, and its actuator is taken to reach from -1 "
+    "to 1: what a model says so far beyond a log is a guess. Log more of the range, or give its ends: "
     "{inputs:data.inputs}",
     "log.beyond_ends": "input {input} goes from {least:g} to {most:g}, beyond the [-1, 1] of a plant's inputs; the "
     "model holds for these numbers, or give its ends, low and high, in <data.inputs>",
@@ -627,63 +568,54 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
     "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, "
     "high: 1 keeps the numbers as they are: {inputs:data.inputs}",
-    "log.resolution": lambda state, step, unit, coarse: (
-        f"{state} is read in steps of {step:.3g} {unit}"
-        + "; standard errors take it that the sensor rounds: one that cuts off reads half a step too low, which no "
-        "log tells and none of them holds" * coarse
-    ),
+    "log.resolution": "{state} is read in steps of {step:.3g} {unit}{coarse:?(a sensor that cuts off reads half "
+    "a step too low, which no standard error tells)}",
     "log.low_signal": _quiet,
     "log.touched_stop": "{count} samples that touched a stop were left out",
-    "log.rate_contradicted": "{rate} was given as the rate of {state}, and the log contradicts it: {state} does not "
-    "move by the integral of {rate} (correlation {correlation:.2f}); correct <plant.known> or the columns, for this "
-    "equation is taken as exact",
-    "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round: "
-    "{state} is the rate of {rate}; give {known:plant.known}, or correct the columns",
+    "log.rate_contradicted": "{rate} was given as the rate of {state}, which the log contradicts: {state} does not "
+    "move by its integral (correlation {correlation:.2f}); correct <plant.known> or the columns",
+    "log.rate_exchanged": "{rate} was given as the rate of {state}, and in the log it is the other way round; give "
+    "{known:plant.known}, or correct the columns",
     # logs that cannot be read
     "log.no_roles": _no_roles,
-    "log.too_few": _too_few,
-    "log.column_without_numbers": "the column {column} holds no number, only cells that are empty or NaN; allowed are "
-    "columns of numbers: log what it should hold, or leave it out",
-    "log.worded_input": "the input {column} holds words, such as {text!r}; allowed are numbers: write them as numbers, "
-    "ON and OFF as 1 and 0",
+    "log.too_few": lambda path, count, least, left_out, state="": (
+        f"{path} gives {count} {f'samples of {state}' if state else 'transitions'}; allowed are {least} or more: log "
+        f"longer.{_taken(left_out)}"
+    ),
+    "log.column_without_numbers": "the column {column} holds no number: log what it should hold, or leave it out",
+    "log.worded_input": "the input {column} holds words, such as {text!r}: write them as numbers, ON and OFF as 1 and "
+    "0",
     "log.absent_column": lambda key, column, path, columns: (
         f"<{key}> names '{column}'; {path} has "
         f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"
     ),
     "log.name": "a state or input is called {name!r}; allowed are names that begin with a letter, hold no signs of "
     "arithmetic and differ: name it in <data.states> or <data.inputs>, as {{angle: HEADING}}",
-    "log.time_order": "line {line}, column {column}: time does not increase, {after:.12g} s follows {before:.12g} s; "
-    "allowed is "
-    "increasing time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
+    "log.time_order": "line {line}, column {column}: {after:.12g} s follows {before:.12g} s; allowed is increasing "
+    "time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
     "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s: "
     "rename it",
-    "log.coarse_time": "time moves in ticks of {tick:.6g} s, {low:g} or {high:g} of them from row to row, and does not "
-    "tell the sampling time; allowed are times that do: write them with more digits, or give the time between two rows "
-    "in seconds as <data.dt>",
+    "log.coarse_time": "time moves in ticks of {tick:.6g} s, {low:g} or {high:g} of them from row to row, which does "
+    "not tell the sampling time: write it with more digits, or give the time between two rows in seconds as <data.dt>",
     "log.whole_time": lambda column, step: (
-        f"whole numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds; "
-        f"allowed is a time whose unit is known: give it, as in {_named_unit(column, 'us')}, or [s] for seconds, or "
-        "[ms]"
+        f"whole numbers without a unit stand in the time column {column}, {step:g} from row to row, hardly seconds: "
+        f"give their unit, as in {_named_unit(column, 'us')}, or [s] for seconds, or [ms]"
     ),
     "log.large_time": "the time column {column} begins at {value:.15g}, which is no number of seconds; allowed are "
     "seconds, a unit such as [ms] in the heading, or dates such as 2024-05-31 12:00:00.05: write the time so",
-    "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart; allowed are stretches of 4 or more: check "
-    "the sampling time",
-    "log.constant_input": "input {input} is constant at {value:g}; allowed is an input that moves: excite it, or "
-    "leave it "
-    "out of <data.inputs>",
+    "log.uneven": "no stretch of the recording has 4 samples {dt:g} s apart, which are needed: check the sampling time",
+    "log.constant_input": "input {input} is constant at {value:g}: excite it, or leave it out of <data.inputs>",
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": _rate_units,
-    "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only; "
-    "{state} is in rad, and these look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep "
-    "degrees by unit: deg of its column in <data.states>",
+    "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only, so "
+    "they look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep degrees by unit: deg of its "
+    "column in <data.states>",
     # the fit
     "fit.standard_errors": "coefficients{of_step:?of the change over a step} are known within {median:.2g} % of "
     "themselves in the median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)",
-    "fit.unscaled": "no sensor sees {states:and}, and nothing else tells its unit: in any other unit, with "
-    "coefficients to match, the model predicts the same. Coefficients and standard errors are in about the unit of the "
-    "first guess",
+    "fit.unscaled": "no sensor sees {states:and}, and nothing tells its unit: in any other one the model predicts the "
+    "same. It is about that of the first guess",
     "fit.trajectories": lambda unmeasured: (
         "the fit compares whole simulations with the log and not single steps, as "
         + (f"the log has no samples of {', '.join(unmeasured)}" if unmeasured else "sensors seem to be noisy")
@@ -698,7 +630,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
     "the log lacks",
     "fit.longest_delay": lambda seconds: (
-        f"the best delay of the inputs is the longest that was tried, {seconds:g} s; it may be longer: give "
+        f"the best delay of the inputs is the longest that was tried, {seconds:g} s: give "
         f"{setting('longest_delay', float(f'{2 * seconds:g}'))}, or 0 where it stands for what the equations lack. "
         "Standard errors take the delay as right"
     ),
@@ -710,16 +642,14 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
-    "fit.rates_added": "what {known:and} will do depends on rates that the log lacks. They are estimated with the "
-    "model, as if {known:plant.known} had been given; <plant.known={{}}> leaves them out",
+    "fit.rates_added": "what {known:and} will do depends on rates that the log lacks, which are estimated with the "
+    "model, as by {known:plant.known}; <plant.known={{}}> leaves them out",
     "fit.rates_missing": "what {states:and} will do depends on rates that are no states yet. Give {known:plant.known}: "
     "a column of that name is read as the rate; without one, the rate is estimated",
     "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
     "training data that the fit had not seen: {what}",
-    "fit.behind": lambda state, seconds, factor: (
-        f"{state} up to {format_duration(seconds)} ahead was predicted {factor:.3g} times as well by the best simple "
-        "model, of past samples (ARX) or the last value held, in data kept back"
-    ),
+    "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
+    "model, of past samples (ARX) or the last value held, in data kept back",
     "fit.budget": lambda seconds, stopped: (
         f"the search {'was stopped' if stopped else 'used up its time'} after {seconds:.0f} s of computing; the best "
         "model until then was kept"
@@ -731,15 +661,12 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     ),
     "model.dry_friction": "{state}' has dry friction",
     "model.lag_state": lambda signal, seconds, is_input, state: (
-        (
-            f"{signal} acts through a lag of {seconds:.3g} s"
-            if is_input
-            else f"something follows {signal} with a time constant of {seconds:.3g} s"
-        )
-        + f": the state {state}, which no sensor sees"
+        f"{signal} acts through a lag of {seconds:.3g} s: the state {state}, which no sensor sees"
+        if is_input
+        else f"{state}, which no sensor sees, follows {signal} with a time constant of {seconds:.3g} s"
     ),
-    "model.idle_state": "{states:and} stand in no equation: no sensor sees what they do in any form, which needs a "
-    "first guess of the equations, as in {initial:plant.initial}, with numbers of your plant",
+    "model.idle_state": "{states:and} stand in no equation; what no sensor sees needs a first guess of the equations, "
+    "as in {initial:plant.initial}, with numbers of your plant",
     "model.predicts": lambda seconds, exact: (
         f"this model predicts {format_duration(seconds)} ahead"
         + f", and {', '.join(exact)} as exactly as the sensors can tell" * bool(exact)
@@ -747,18 +674,18 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.incomplete": "this model is better than the last value held for {seconds:time}, but it lacks something",
     "model.runs_away": "this model does not predict: within {seconds:time} it runs away in {states:list}",
     "model.misses": _misses,
-    "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too: the plant seems to run "
-    "away by itself, as a pole that falls, and no model predicts that for long without the controller; up to "
-    "{seconds:time} ahead this model has at most half of the error of the last value held",
+    "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too, as of a pole that falls, "
+    "which no model predicts for long without the controller; up to {seconds:time} ahead this model has at most half "
+    "of the error of the last value held",
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "
     "{unit}, this one to {error:error}: something may be missing here, a function or a state that no sensor sees, as "
     "of a motor that follows its command slowly",
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
     "observer.lost": "by these equations errors of {states:list} grow so much within {seconds:time} that no observer "
-    "follows the log; see how well identify predicts with them, and leave out by <data.states> what follows other "
-    "columns at once, as the current of a motor does its voltage and speed",
-    "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be "
-    "planned: the log hardly shows what the inputs do; record longer, and let every input change often and by much",
+    "follows the log; see how well identify predicts, and leave out by <data.states> what follows other columns at "
+    "once, as the current of a motor does its voltage and speed",
+    "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned; "
+    "record longer, and let every input change often and by much",
     # the check of a controller
     "check.stability": _stability,
     "check.gain_margin": _margin("{}"),
@@ -766,17 +693,21 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "check.phase_margin": _margin("{} deg"),
     "check.delay_margin": _margin("{} control periods"),
     "check.disk_margin": _margin("{}"),
-    "check.noise": _noise,
+    "check.noise": lambda value=0.0, limit=0.0, input="", known=True: (
+        f"noise of the sensors moves {input} by {_beside(value, limit)} (standard deviation); threshold: {limit:g}"
+        if known
+        else "not known, as the controller's file states none of sensors; a run with sensors=bench, or on a log, does"
+    ),
     "check.steady_error": lambda begin, **error: (
         f"in steps from {begin} at most {_error(**error)}; threshold: {_error_limit(**error)}"
     ),
     "check.slew": lambda begin, input, value, limit: (
-        f"in steps from {begin} {input} changes by up to "
-        f"{_beside(value, limit)} in a control period; threshold: {limit:g}"
+        f"in steps from {begin} {input} changes by up to {_beside(value, limit)} in a control period; threshold: "
+        f"{limit:g}"
     ),
     "check.saturation": lambda begin, input, value, limit, seconds: (
-        f"in steps from {begin} {input} is at its limit for up "
-        f"to {_beside(100 * value, 100 * limit)} % of {format_duration(seconds)}; threshold: {100 * limit:g} %"
+        f"in steps from {begin} {input} is at its limit for up to {_beside(100 * value, 100 * limit)} % of "
+        f"{format_duration(seconds)}; threshold: {100 * limit:g} %"
     ),
     "check.coefficients": _coefficients,
     "check.recovery": _recovery,
@@ -798,9 +729,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "run.gate_closed": _distrusted,
     # what a controller will do
     "forecast.errors": _forecast_errors,
-    "forecast.runs_away": lambda models, of: (
-        f"{'it runs' if of == 1 else 'all of them run'} away" if models == of else f"{models} of {of} models run away"
-    ),
+    "forecast.runs_away": "models that run away: {models} of {of}",
     "forecast.untracked": lambda states, runs_away, rates=(), targets=None: (
         _untracked(states, runs_away, not runs_away) + (f"; {_track_rates(rates, targets)}" if targets else "")
     ),
@@ -812,21 +741,18 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.longer_plan": "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of "
     "targets",
     "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
-    "{functions} functions of the equations, so that nothing tells how well they hold: log longer, or choose a smaller "
-    "library",
+    "{functions} functions of the equations, which tells nothing: log longer, or choose a smaller library",
     "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g} {unit}, the log from {least:.3g} to "
     "{most:.3g}: what the equations say so far beyond is a guess, so log it there, or give targets nearer to the log",
     "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "
-    "{most:.2g}, and the equations are not linear in it: what it does beyond is a guess; plan with the log, or log all "
-    "of the range",
+    "{most:.2g}, and the equations are not linear in it: plan with the log, or log all of the range",
     "control.period": _period,
     "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, as the log is sampled every "
     "{step:g} s",
     "control.restless": "in the steady state {input} still changes by {percent:.2g} % of its range from one control "
-    "period to the next, on average, which may be its answer to the noise and the steps of sensors; see that the "
-    "actuator stands it",
+    "period to the next, on average; see that the actuator stands it",
     "control.beyond_targets": "the references of {output} in scenario '{scenario}' go from {least:.3g} to {most:.3g} "
-    "{unit}, and its targets, <plant.low> and <plant.high>, from {low:.3g} to {high:.3g} {unit}; the first follow "
-    "<plant.signals>, and a run that is trained with <plant.signals=null> keeps within the targets",
+    "{unit}, and its targets, <plant.low> and <plant.high>, from {low:.3g} to {high:.3g} {unit}: train with "
+    "<plant.signals=null> to keep within these",
 }
 """What is said of each finding: a template, or a function of its values."""
