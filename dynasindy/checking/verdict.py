@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from dynasindy.checking.check import TOLERANCE, Check
-from dynasindy.checking.linear_loop import Margins
 from dynasindy.findings import Finding, note, records, weak, wrong
 
 
@@ -47,63 +46,54 @@ class Thresholds:
 
 def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, Any]:
     """Return all figures as plain numbers, findings first; null stands for what is infinite or does not exist."""
-    signature, outputs, linear, others = (
-        found.loop.signature,
+    outputs, inputs, states = (
         found.loop.task.output_names,
-        found.rest.linear,
-        found.spread,
+        found.loop.signature.input_names,
+        found.loop.signature.state_names,
     )
-    names = signature.input_names
-    targets = []
-    for k, target in enumerate(found.targets.tolist()):
-        gain, swings = found.noise[k], (*found.swings.outputs[k], *found.swings.inputs[k])
-        eigenvalues = [[_plain_number(v.real), _plain_number(v.imag)] for v in linear.eigenvalues[k] if abs(v) > 1e-6]
+    others, linear, targets = found.spread, found.rest.linear, []
+    for k, stable in enumerate(found.stable.tolist()):
+        gain, swings = found.noise[k], (*found.swings.outputs[k].tolist(), *found.swings.inputs[k].tolist())
         targets.append(
             {
-                "target": dict(zip(outputs, target, strict=True)),
+                "target": _named(outputs, found.targets[k]),
                 "rests": bool(found.rest.still[k]),
-                "stable": bool(found.stable[k]),
-                "spectral_radius": _plain_number(linear.radius[k]),
-                "eigenvalues": eigenvalues,
+                "stable": stable,
+                "spectral_radius": float(linear.radius[k]),
+                "eigenvalues": [[v.real, v.imag] for v in linear.eigenvalues[k].tolist() if abs(v) > 1e-6],
                 "steady_error": _named(outputs, found.steps.steady_error[k]),
-                "swing": None if bool(found.stable[k]) else _named((*outputs, *names), swings),
-                "margins": _margin_record(names, found.margins[k]),
-                "margins_without_friction": _margin_record(names, found.smooth[k]),
-                "noise_to_input": None
-                if gain is None
-                else {name: _named(signature.state_names, row) for name, row in zip(names, gain, strict=True)},
-                "slew": _named(names, found.steps.slew[k]),
-                "saturated": _named(names, found.steps.saturated[k]),
+                "swing": None if stable else dict(zip((*outputs, *inputs), swings, strict=True)),
+                "margins": dict(zip(inputs, map(vars, found.margins[k]), strict=False)),
+                "margins_without_friction": dict(zip(inputs, map(vars, found.smooth[k]), strict=False)),
+                "noise_to_input": gain if gain is None else _named(inputs, [_named(states, row) for row in gain]),
+                "slew": _named(inputs, found.steps.slew[k]),
+                "saturated": _named(inputs, found.steps.saturated[k]),
             }
         )
-    changes = [
-        {"spectral_radius": _plain_number(radius), "steady_error": _named(outputs, error)}
-        for radius, error in zip(others.worst.tolist(), others.farthest, strict=True)
-    ]
-    planes = [
-        {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
-        for plane in found.planes
-    ]
-    return {
-        "findings": records(findings),
+    changes = zip(others.worst.tolist(), others.farthest, strict=True)
+    figures = {
         "settings": vars(found.settings),
         "targets": targets,
-        "changes": changes,
-        "recovery": planes,
+        "changes": [{"spectral_radius": radius, "steady_error": _named(outputs, error)} for radius, error in changes],
+        "recovery": [
+            {"states": plane.names, "share": plane.share, "steady_error": _named(outputs, plane.steady_error)}
+            for plane in found.planes
+        ],
     }
+    return {"findings": records(findings), **_finite(figures)}
 
 
-def _plain_number(value: float) -> float | None:
-    """Return a number as JSON can hold it: None for what is not finite."""
-    return float(value) if math.isfinite(value) else None
+def _named(names: Sequence[str], values: Any) -> dict[str, Any]:
+    return dict(zip(names, values if isinstance(values, list) else values.tolist(), strict=True))
 
 
-def _named(names: Any, values: Any) -> dict[str, float | None]:
-    return {name: _plain_number(float(value)) for name, value in zip(names, values, strict=True)}
-
-
-def _margin_record(names: Sequence[str], margins: Sequence[Margins]) -> dict[str, dict[str, float | None]]:
-    return {name: _named(vars(each), vars(each).values()) for name, each in zip(names, margins, strict=False)}
+def _finite(value: Any) -> Any:
+    """Return a record with None for numbers that are not finite, for which JSON has no word."""
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def unstable_targets(found: Check, thresholds: Thresholds | None = None) -> torch.Tensor:
@@ -125,7 +115,7 @@ def main_figures(found: Check, findings: Sequence[Finding]) -> dict[str, Any]:
         if margins := [each[i] for each in (*found.margins, *found.smooth) if each]:
             worst = {key: min(getattr(m, key) for m in margins) for key in ("gain", "phase", "delay", "disk")}
             worst["lower"] = max(m.lower for m in margins)
-            least[name] = _named(worst, worst.values())
+            least[name] = _finite(worst)
     return {
         "stable": bool(found.stable.all()),
         "findings": records(findings),
@@ -206,8 +196,8 @@ def _stability(found: Check, limits: Thresholds) -> Finding:
 
 
 def _time_constant(radius: float, dt: float) -> float:
-    """Return in which time the slowest part of a stable loop dies out to a share of 1/e [s]."""
-    return -dt / math.log(radius) if radius else 0.0
+    """Return in which time the slowest part of a loop dies out to a share of 1/e [s]."""
+    return -dt / math.log(radius) if 0 < radius < 1 else 0.0 if radius < 1 else math.inf
 
 
 def _margins(found: Check, limits: Thresholds) -> list[Finding]:
@@ -246,15 +236,20 @@ def _noise(found: Check, limits: Thresholds) -> Finding:
 
 def _steps(found: Check, limits: Thresholds) -> list[Finding]:
     names, steps = found.loop.signature.input_names, found.steps
-    error = largest_error(found, steps.steady_error, limits)
+    error, begin = largest_error(found, steps.steady_error, limits), found.beginning()
     slew, saturated = steps.slew.nan_to_num(torch.inf).amax(0), steps.saturated.amax(0)
-    i, j, begin = int(slew.argmax()), int(saturated.argmax()), found.beginning()
-    change, share = float(slew[i]), float(saturated[j])
-    at_limit = {"input": names[j], "value": share, "limit": limits.saturated, "seconds": found.seconds}
+    i, j = int(slew.argmax()), int(saturated.argmax())
+    moved: dict[str, Any] = {"input": names[i], "value": float(slew[i]), "limit": limits.slew}
+    full: dict[str, Any] = {
+        "input": names[j],
+        "value": float(saturated[j]),
+        "limit": limits.saturated,
+        "seconds": found.seconds,
+    }
     return [
         _judged("steady_error", error["share"] <= limits.error, begin=begin, **error),
-        _judged("slew", change <= limits.slew, begin=begin, input=names[i], value=change, limit=limits.slew),
-        _judged("saturation", share <= limits.saturated, begin=begin, **at_limit),
+        _judged("slew", moved["value"] <= limits.slew, begin=begin, **moved),
+        _judged("saturation", full["value"] <= limits.saturated, begin=begin, **full),
     ]
 
 
@@ -262,14 +257,11 @@ def _coefficients(found: Check, limits: Thresholds) -> list[Finding]:
     others, held = found.spread, len(found.spread.radius)
     if not len(others.worst) or not held:
         return []
-    rests, away = others.worst < 1, found.ran_away
-    unstable, some = int((~rests).sum()), others.farthest[rests]
-    error = largest_error(found, some if len(some) else 0 * found.targets[:1], limits)
-    facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": unstable}
-    radius = float(others.worst.max())
-    slowest = _time_constant(radius, found.loop.dt) if radius < 1 else math.inf
-    facts |= {"radius": radius, "slowest": slowest, "ran_away": away}
-    keeps = not (unstable or away) and error["share"] <= limits.error
+    rests, radius = others.worst < 1, float(others.worst.max())
+    error = largest_error(found, others.farthest[rests] if rests.any() else 0 * found.targets[:1], limits)
+    facts = {"plants": len(rests), "held": held, "how": others.how, "unstable": int((~rests).sum())}
+    facts |= {"radius": radius, "slowest": _time_constant(radius, found.loop.dt), "ran_away": found.ran_away}
+    keeps = not (facts["unstable"] or found.ran_away) and error["share"] <= limits.error
     return [_judged("coefficients", keeps, **facts, **error)]
 
 

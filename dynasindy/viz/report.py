@@ -21,13 +21,14 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from dynasindy.evaluation.ablation import Level
-from dynasindy.evaluation.statistics import interquartile_mean
-from dynasindy.safe_io import escape_markdown, file_name, read_json, read_rows, reading, write_text
+from dynasindy.evaluation.ablation import CURVES, TABLE, Level, read_ablation
+from dynasindy.evaluation.statistics import interquartile_mean, markdown
+from dynasindy.safe_io import escape_markdown, file_name, read_json, reading, write_text
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.world_model import open_loop
 from dynasindy.systems.transitions import Transitions
 from dynasindy.systems.twin_rotor import SIGNATURE
+from dynasindy.systems.xi import Xi
 from dynasindy.viz.controllers import controller_name
 from dynasindy.viz.identification import BEYOND, prediction, training_data
 from dynasindy.viz.learning import average_rewards
@@ -95,32 +96,8 @@ HYPERPARAMETERS: tuple[tuple[str, str, float, str], ...] = (
 )
 """Rows of the paper's table "Agent Training Hyperparameters": words, symbol, value, our key."""
 
-XI: Mapping[str, Mapping[str, float]] = {
-    "alpha_a": {"Omega_a": 1.0},
-    "alpha_p": {"Omega_p": 1.0},
-    "Omega_a": {
-        "Omega_a": -10.0573,
-        "omega_a cos(alpha_p)": 9.8316e-4,
-        "u_p cos(alpha_p)": -0.7025,
-        "cos(alpha_p)": 0.9479,
-    },
-    "Omega_p": {
-        "1": 0.5961,
-        "Omega_p": -0.414,
-        "omega_p": 0.0013,
-        "u_a": 0.1303,
-        "Omega_a^2 sin(alpha_p)": -16.3547,
-        "sin(alpha_p)": -3.54373,
-        "cos(alpha_p)": -1.7473,
-    },
-    "omega_a": {"1": 262.7, "omega_a": -5.2281, "u_a": 3.7e4},
-    "omega_p": {"1": -8.54, "omega_p": -1.4193, "u_p": 6.1e3},
-}
-"""Non-zero coefficients of the paper's table "SINDY model Xi matrix", by equation and function."""
-
 Coefficients = Mapping[str, Mapping[str, float]]
 Score = Mapping[str, float | None]
-Row = Mapping[str, str]
 
 
 class Verdict(Enum):
@@ -228,9 +205,7 @@ def _markdown(part: Part, sources: dict[str, int]) -> str:
     if isinstance(part, Picture):
         image = f"![{part.name.replace('_', ' ')}](figures/{part.name}.svg)"
         return f"{image}\n\n{_markdown(f'{part.caption} {source}'.strip(), sources)}"
-    rows = (part.header, ["---"] * len(part.header), *part.rows)
-    lines = [" | ".join(escape_markdown(cell).replace("|", r"\|") for cell in row) for row in rows]
-    return "\n".join(f"| {line} |" for line in lines) + f"\n\n{source}" * bool(source)
+    return "\n\n".join(filter(None, [markdown(part.header, part.rows), source]))
 
 
 @dataclass(frozen=True)
@@ -286,18 +261,6 @@ class Results:
             raise FileNotFoundError(f"there is no saved run {_path(folder)}")
         return Run(folder, self.settings[name])
 
-    def rows(self, name: str, system: str, experiment: str) -> list[dict[str, str]]:
-        """Read the rows of a case from a table of the ablation, cell by cell as it stands.
-
-        Raises:
-            FileNotFoundError: There is none.
-        """
-        file = self.folder / name
-        found = [row for row in read_rows(file) if (row["system"], row["experiment"]) == (system, experiment)]
-        if not found:
-            raise FileNotFoundError(f"{_path(file)} has no row of {system}, {experiment}")
-        return found
-
 
 def _path(path: Path) -> str:
     """Return a path as a reader of the repository knows it, which may itself lie below a folder `docs`."""
@@ -318,9 +281,8 @@ def build(results: Results, folder: Path) -> list[Path]:
     """
     page = pages(results)
     files = {folder / "report.md": render_markdown(TITLE, page)}
-    for part in (part for section in page for part in section.parts):
-        if isinstance(part, Picture):
-            files[folder / "figures" / f"{part.name}.svg"] = part.svg() + "\n"
+    pictures = [part for section in page for part in section.parts if isinstance(part, Picture)]
+    files |= {folder / "figures" / f"{part.name}.svg": part.svg() + "\n" for part in pictures}
     for file, text in files.items():
         write_text(file, text)
     return [*files]
@@ -334,7 +296,7 @@ def pages(results: Results) -> list[Section]:
 
 
 def build_section(
-    results: Results, title: str, words: str, builder: Builder | None = None, cases: Sequence[tuple[str, ...]] = ()
+    results: Results, title: str, words: str, builder: Builder, cases: Sequence[tuple[str, ...]]
 ) -> Section:
     """Build a section from what is saved of each case; where something is missing, a line says so.
 
@@ -343,17 +305,13 @@ def build_section(
     """
     section = Section(title, words)
     for case in cases:
-        name = " ".join(case)
-        with reading(f"what is saved of {name}"):
+        with reading(f"what is saved of {' '.join(case)}"):
             try:
-                made = list(builder(results, *case)) if builder is not None else []
+                made = list(builder(results, *case))
             except FileNotFoundError as missing:
                 made = [f"Not measured: {missing}."]
-        for part in made:
-            if isinstance(part, Judgement):
-                section.judged.append((_case(*case), part))
-            else:
-                section.parts.append(part)
+        section.judged.extend((_case(*case), part) for part in made if isinstance(part, Judgement))
+        section.parts.extend(part for part in made if not isinstance(part, Judgement))
     return section
 
 
@@ -376,17 +334,14 @@ def _claims(sections: Sequence[Section]) -> Section:
         rows.append([claim, *cells])
     about = (
         "The paper, Dyna-Style Reinforcement Learning Modeling and Control of Non-linear Dynamics, identifies a "
-        "twin-rotor rig by SINDy and trains TD3 on the real rig and on imagined rollouts of the model. What "
-        "follows is built by `python scripts/report.py` from the results saved in the repository: `xi` is the paper's "
-        "published model taken as a plant, `tras` the physics of its laboratory rig; `dyna` are our settings, `paper` "
-        "the paper's. Numbers decide what holds, and stand beside each figure. The paper's controllers with a model "
-        f"have learnt for {EPISODES} episodes, ours for as many as the captions say."
+        "twin-rotor rig by SINDy and trains TD3 on the real rig and on imagined rollouts of the model. Here `xi` is "
+        "the paper's published model taken as a plant, `tras` the physics of its laboratory rig; `dyna` are our "
+        "settings, `paper` the paper's. Numbers decide what holds, and stand beside each figure. The paper's "
+        f"controllers with a model have learnt for {EPISODES} episodes, ours for as many as the captions say. "
+        "`python scripts/report.py` builds this page from the results saved in the repository."
     )
     held = [one.verdict for _, one in judged].count(Verdict.HOLDS)
-    words = (
-        f"The paper makes {len(CLAIMS)} claims. Each cell says how many of the statements behind one hold here; of "
-        f"{len(judged)} in all {held} do."
-    )
+    words = f"How many of the statements behind each claim hold; of {len(judged)} in all {held} do."
     header = ["what the paper claims, in our words", *(_case(*case) for case in CASES)]
     return Section("The verdict", about, [words, TextTable(header, rows)])
 
@@ -422,34 +377,28 @@ def _model_learning(results: Results, plant: str, experiment: str) -> Made:
     yield Picture(f"model_learning_{plant}_{experiment}", figure, caption, [run.source])
 
 
-def _first_states(results: Results, plant: str, experiment: str) -> Made:
-    errors, picture = _states(results, plant, experiment, "first", "before")
-    rotors = {name: error for name, error in errors.items() if name.startswith("omega_")}
-    yield from (judge_model("the rotor speeds are predicted well", rotors), picture)
-
-
-def _last_states(results: Results, plant: str, experiment: str) -> Made:
-    errors, picture = _states(results, plant, experiment, "last", "after")
-    yield from (judge_model("all six states are predicted closely", errors), picture)
-    # The excitation applied to the final model, as the paper does.
+def _states(results: Results, plant: str, experiment: str, episode: str) -> Made:
+    """Judge the open-loop prediction of the first or the last real episode, and draw it."""
     run = results.run(plant, experiment)
+    table = run.table(f"data/prediction_{episode}_episode.csv")
+    real, model = stacked(table, STATES), stacked(table, [f"predicted_{name}" for name in STATES])
+    errors, when = _state_errors(real, model), "before" if episode == "first" else "after"
+    title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
+    figure = prediction(table["time"], real, model, SIGNATURE, title)
+    caption = f"Open-loop prediction of an episode on `{plant}`, `{experiment}`."
+    yield Picture(f"states_{when}_{plant}_{experiment}", figure, caption, [run.source])
+    if episode == "first":
+        rotors = {name: error for name, error in errors.items() if name.startswith("omega_")}
+        yield judge_model("the rotor speeds are predicted well", rotors)
+        return
+    yield judge_model("all six states are predicted closely", errors)
+    # The excitation applied to the final model, as the paper does.
     table = run.table("data/excitation.csv")
     x, u = (torch.as_tensor(stacked(table, names)) for names in (STATES, INPUTS))
     dt = float(table["time"][1] - table["time"][0])
     data = Transitions(x[:-1], u[:-1], x[1:], dt, torch.zeros(len(x) - 1, dtype=torch.int64))
     predicted = open_loop(SindyModel.load(run.folder / "model.json"), data, int(run.setting("env.substeps") or 1))
     yield judge_model("so they are when the chirp is applied again", _state_errors(x[1:].numpy(), predicted.numpy()))
-
-
-def _states(results: Results, plant: str, experiment: str, episode: str, when: str) -> tuple[dict[str, float], Picture]:
-    """Return the errors of an episode's open-loop prediction [% of each state's range], and its figure."""
-    run = results.run(plant, experiment)
-    table = run.table(f"data/prediction_{episode}_episode.csv")
-    real, model = stacked(table, STATES), stacked(table, [f"predicted_{name}" for name in STATES])
-    title = f"Predicted and real states {when} learning: plant {plant}, experiment {experiment}"
-    figure = prediction(table["time"], real, model, SIGNATURE, title)
-    caption = f"Open-loop prediction of an episode on `{plant}`, `{experiment}`."
-    return _state_errors(real, model), Picture(f"states_{when}_{plant}_{experiment}", figure, caption, [run.source])
 
 
 def _state_errors(real: Array, model: Array) -> dict[str, float]:
@@ -459,8 +408,8 @@ def _state_errors(real: Array, model: Array) -> dict[str, float]:
     return dict(zip(STATES, np.nan_to_num(error, nan=np.inf).tolist(), strict=True))
 
 
-def _coefficients(results: Results, plant: str, experiment: str, true: Coefficients = XI) -> Made:
-    run = results.run(plant, experiment)
+def _coefficients(results: Results, plant: str, experiment: str) -> Made:
+    run, true = results.run(plant, experiment), published_coefficients()
     model: Coefficients = run.record("model.json")["coefficients"]
     yield judge_coefficients(model, true)
     yield f"**Plant `{plant}`, `experiment={experiment}`**: as identified, the published coefficient in brackets."
@@ -479,32 +428,34 @@ def _cell(ours: float | None, true: float | None) -> str:
 
 
 def _rewards(results: Results, plant: str, experiment: str) -> Made:
-    rows, runs = (results.rows(name, plant, experiment) for name in ("ablation_curves.csv", "ablation.csv"))
-    seeds: dict[str, dict[str, dict[float, Row]]] = {name: {} for name in SETTINGS}
-    for row in rows:
-        if row["setting"] in SETTINGS and row["evaluated_return"]:
-            seeds[row["setting"]].setdefault(row["seed"], {})[float(row["episode"])] = row
-    seeds = {name: of for name, of in seeds.items() if of}
-    # What not every seed of every setting was evaluated after is not comparable.
-    episodes = sorted(set.intersection(*(set(seed) for of in seeds.values() for seed in of.values())))
-    curves = {
-        SETTINGS[name]: np.array([[float(seed[k]["evaluated_return"]) for k in episodes] for seed in of.values()])
-        for name, of in seeds.items()
+    rows, runs = (
+        table[(table["system"] == plant) & (table["experiment"] == experiment)]
+        for table in (read_ablation(results.folder / name) for name in (CURVES, TABLE))
+    )
+    rows = rows[rows["setting"].isin([*SETTINGS])]
+    if rows.empty or runs.empty:
+        raise FileNotFoundError(f"{_path(results.folder / CURVES)} has no row of {plant}, {experiment}")
+    seeds = {
+        name: rows[rows["setting"] == name].pivot(index="seed", columns="episode", values="evaluated_return")
+        for name in rows["setting"].unique()
     }
-    to_level: dict[str, list[float]] = {}
-    for name in (*seeds, *MODEL_FREE):
-        own = [row for row in runs if row["setting"] == name]
-        lengths = " or ".join(dict.fromkeys(f"{float(row['episodes']):g}" for row in own))
+    # What not every seed of every setting was evaluated after is not comparable.
+    episodes = sorted(set.intersection(*(set(each.dropna(axis=1)) for each in seeds.values())))
+    curves = {SETTINGS[name]: each[episodes].to_numpy(copy=True) for name, each in seeds.items()}
+    to_level = {}
+    for name in (*seeds, *(each for each in MODEL_FREE if each in runs["setting"].unique())):
+        own = runs[runs["setting"] == name]
+        lengths = " or ".join(f"{length:g}" for length in own["episodes"].unique())
         words = SETTINGS.get(name) or f"{controller_name(name)} ({lengths} episodes)"
-        if own or name in seeds:
-            to_level[words] = [float(row["episodes_to_level"] or np.inf) for row in own]
+        to_level[words] = own["episodes_to_level"].fillna(np.inf).tolist()
     yield from judge_rewards(curves, to_level)
     caption = f"Returns on `{plant}`, `{experiment}`, up to {episodes[-1]:g} real episodes."
     title = f"Dyna-style vs. direct TD3, average rewards: plant {plant}, experiment {experiment}"
     figure = average_rewards(curves, episodes, title)
-    commits = ", ".join(dict.fromkeys(row["commit"] for row in runs if row["setting"] in seeds))
-    where = f"Table `{_path(results.folder / 'ablation_curves.csv')}`"
-    source = f"{where}, made by `{ABLATION.format(plant, experiment)}` at commit {commits}."
+    commits = ", ".join(runs[runs["setting"].isin([*seeds])]["commit"].unique())
+    source = (
+        f"Table `{_path(results.folder / CURVES)}`, made by `{ABLATION.format(plant, experiment)}` at commit {commits}."
+    )
     yield Picture(f"average_rewards_{plant}_{experiment}", figure, caption, [source])
 
 
@@ -570,14 +521,29 @@ def judge_model(statement: str, errors: Mapping[str, float]) -> Judgement:
     return _judge(statement, MODEL, f"RMSE in % of range: {words}", max(errors.values()) < CLOSE)
 
 
+def published_coefficients() -> Coefficients:
+    """Return the paper's table "SINDY model Xi matrix", by equation and function, as the plant `xi` computes it."""
+    generator, size = torch.Generator().manual_seed(0), torch.tensor(SIGNATURE.x_scale, dtype=torch.float64)
+    x, u = (torch.randn(200, width, generator=generator, dtype=torch.float64) for width in (len(STATES), len(INPUTS)))
+    library = SindyModel(SIGNATURE, "paper_table").library
+    theta, rates = library(x * size, u), Xi()(x * size, u)
+    units = theta.norm(dim=0)
+    xi = torch.linalg.lstsq(theta / units, rates).solution / units.unsqueeze(-1)
+    shares = (xi * units.unsqueeze(-1)).abs() / rates.norm(dim=0)
+    return {
+        state: {name: float(f"{xi[i, k]:.9g}") for i, name in enumerate(library.names) if shares[i, k] > 1e-9}
+        for k, state in enumerate(STATES)
+    }
+
+
 def judge_coefficients(model: Coefficients, truth: Coefficients) -> Judgement:
     """Judge identified coefficients, by equation and function, against published ones."""
     true, ours = (
         {(state, name): value for state, row in one.items() for name, value in row.items()} for one in (truth, model)
     )
-    hit, false = [key for key in true if key in ours], [key for key in ours if key not in true]
+    hit, false = true.keys() & ours, ours.keys() - true
     worst = 100 * max((abs(ours[key] / true[key] - 1) for key in hit), default=np.inf)
-    small = max((abs(model[s][name]) / max(map(abs, model[s].values())) for s, name in false), default=0.0)
+    small = max((abs(ours[key]) / max(map(abs, model[key[0]].values())) for key in false), default=0.0)
     words = f"{len(hit)} of them found, the worst {worst:.2g} % off; {len(false)} functions besides"
     words += f", the largest {small:.1g} of the largest in its equation" if false else ""
     statement = f"{len(true)} coefficients are not zero"
@@ -602,9 +568,8 @@ def judge_rewards(curves: Mapping[str, Array], to_level: Mapping[str, Sequence[f
         yield _judge("planning reaches the required level sooner", SOONER, words, sooner)
     if len(planned) == 2:
         words = f"real episodes to the level: {_listed({name: level[name] for name in planned})}"
-        first, soon = level[MANY] < level[SOME], max(level[name] for name in planned) <= SOON
         statement = f"800 rollouts converge sooner than 400, there in about {SOON} episodes"
-        yield _judge(statement, SOONER, words, first, soon)
+        yield _judge(statement, SOONER, words, level[MANY] < level[SOME], max(level[SOME], level[MANY]) <= SOON)
 
 
 def judge_steps(scores: Mapping[str, Score]) -> Iterator[Judgement]:
@@ -665,17 +630,11 @@ OPEN_LOOP = (
 )
 SECTIONS: Sequence[tuple[Any, ...]] = (
     (
-        "Figures 1 to 4: framework, control loop, rig, schematic",
-        "Drawings without data: the framework, the control loop, the rig and its schematic. The framework as it is "
-        "here is drawn in `docs/idea.md`; Algorithm 1 stands line by line beside the code in `docs/algorithm.md`, and "
-        "the rig moves in `docs/figures/tras_sine.gif`.",
-    ),
-    (
         "Figures 5 to 7: chirp input and training data",
         "The paper drives both inputs with one chirp over 10 s (figure 5). Its printed formula stays within [0.707, 1] "
         "and does not sweep, so the sweep that is meant is used here, with inputs of different phase, around the hover "
-        "point. It plots rotor speeds (figure 6) and angles with their rates (figure 7) during the chirp: 1000 samples "
-        "0.01 s apart. Inputs and all six states are drawn here in one figure.",
+        "point. It plots rotor speeds (figure 6) and angles with their rates (figure 7); inputs and all six states are "
+        "drawn here in one figure.",
         _training,
         OURS,
     ),
@@ -687,12 +646,11 @@ SECTIONS: Sequence[tuple[Any, ...]] = (
     ),
     (
         "Figure 8: SINDy model learning progress",
-        "The paper plots the difference between the rewards of model and plant over training episodes: high while the "
-        "model is untrained, then falling as it is refitted to real episodes. The upper panel has this difference per "
-        "control period, of whole episodes replayed through a model that had not seen them, and of held-out windows, "
-        "by which the gate decides whether the model is used for planning. The lower panel has the error of the states "
-        f"before and after each refit. It has fallen if the last error is less than {FALL:g} of the first and than "
-        "`gate.open_below`, or if each is less than that.",
+        "The paper plots the difference between the rewards of model and plant over training episodes: high at first, "
+        "then falling. The upper panel has it per control period, of whole episodes replayed through a model that had "
+        "not seen them, and of held-out windows, by which the gate decides whether the model is used for planning. The "
+        "lower panel has the error of the states before and after each refit. It has fallen if the last error is less "
+        f"than {FALL:g} of the first and than `gate.open_below`, or if each is less than that.",
         _model_learning,
         CASES,
     ),
@@ -700,14 +658,14 @@ SECTIONS: Sequence[tuple[Any, ...]] = (
         "Figure 9: predicted and real states before reinforcement learning",
         "The paper's model, fitted to 10 s of chirp alone, predicts the rotor speeds with small errors and has "
         "difficulty with angles and their rates." + OPEN_LOOP.format("first"),
-        _first_states,
+        partial(_states, episode="first"),
         CASES,
     ),
     (
         "Figure 10: predicted and real states after reinforcement learning",
         "After training the paper applies the chirp again: the model's states lie almost on those of the plant."
         + OPEN_LOOP.format("last"),
-        _last_states,
+        partial(_states, episode="last"),
         CASES,
     ),
     (
@@ -720,13 +678,13 @@ SECTIONS: Sequence[tuple[Any, ...]] = (
     (
         "Figure 11: Dyna-Style vs. Direct TD3 average rewards",
         "The paper plots the average reward over training episodes without planning, with 400 and with 800 rollouts: "
-        "very low at first, higher and rising sooner with planning, soonest with 800 (about 180 episodes), all three "
-        "nearly the same at the end. In `experiment=dyna` the runs without planning make as many gradient updates as "
-        "the others; in `experiment=paper` they are direct TD3. Where the level is compared, other agents without a "
-        "model stand beside them, as far as the ablation has them. A return is that of the policy without noise "
-        "over 64 fixed steps: interquartile mean and 95 % bootstrap interval over seeds, or a line for each seed "
-        f"where there are fewer than three. Early is the first {100 * EARLY:g} % of the evaluations. Where 800 "
-        f"rollouts are at the level no sooner than 400, but both within {SOON} episodes, there is no difference.",
+        "rising sooner with planning, soonest with 800 (about 180 episodes), nearly the same at the end. Without "
+        "planning, runs of `experiment=dyna` make as many gradient updates as the others, and those of "
+        "`experiment=paper` are direct TD3; where the level is compared, agents without a model stand beside them. A "
+        "return is that of the policy without noise over 64 fixed steps: interquartile mean and 95 % bootstrap "
+        "interval over seeds, or a line for each where there are fewer than three. Early is the first "
+        f"{100 * EARLY:g} % of the evaluations. Where 800 rollouts are at the level no sooner than 400, but both "
+        f"within {SOON} episodes, there is no difference.",
         _rewards,
         CASES,
     ),
@@ -758,10 +716,8 @@ SECTIONS: Sequence[tuple[Any, ...]] = (
     ),
     (
         "Beyond the paper: planning by gradient",
-        "The main job follows the gradient of the reward through the identified model instead of sampling imagined "
-        "transitions: the policy is trained on the model, and judged on the plant. `docs/results/README.md` has its "
-        "errors over seeds and cases and those of other controllers, `docs/identification.md` what identification "
-        "reaches beside PySINDy.",
+        "The main job trains the policy by the gradient of the reward through the identified model, and judges it on "
+        "the plant. `docs/results/README.md` has its errors over seeds and cases and those of other controllers.",
         _gradient_run,
         [(plant, scenario) for plant in PLANTS for scenario in ("step", "sine", "square")],
     ),

@@ -9,7 +9,7 @@ import pytest
 
 from dynasindy.sindy import SindyModel
 from dynasindy.systems.twin_rotor import SIGNATURE
-from dynasindy.viz.report import XI, Results
+from dynasindy.viz.report import Results, published_coefficients
 
 STATES, INPUTS = SIGNATURE.state_names, SIGNATURE.input_names
 ERRORS = {"rollouts_0": 0.2, "rollouts_400": 0.05, "rollouts_800": 0.01}
@@ -57,7 +57,7 @@ def write_run(folder: Path, error: float) -> None:
     }
     (folder / "metrics.json").write_text(json.dumps({"evaluation": scores, "cost": {"plant_seconds": 30.0}}))
     model = SindyModel(SIGNATURE, "paper_table")
-    for state, row in XI.items():
+    for state, row in published_coefficients().items():
         for name, value in row.items():
             model.coefficients[model.library.names.index(name), STATES.index(state)] = value
     model.save(folder / "model.json")
