@@ -627,8 +627,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "them; the coefficients were fitted on all rows",
     "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches} stretches spread evenly "
     "over them",
-    "fit.no_delay": "no delay of the inputs was looked for, as it would stand for the rate of {states:and}, which "
-    "the log lacks",
     "fit.longest_delay": lambda seconds: (
         f"the best delay of the inputs is the longest that was tried, {seconds:g} s: give "
         f"{setting('longest_delay', float(f'{2 * seconds:g}'))}, or 0 where it stands for what the equations lack. "
@@ -642,10 +640,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
     "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
     "determine it",
-    "fit.rates_added": "what {known:and} will do depends on rates that the log lacks, which are estimated with the "
-    "model, as by {known:plant.known}; <plant.known={{}}> leaves them out",
-    "fit.rates_missing": "what {states:and} will do depends on rates that are no states yet. Give {known:plant.known}: "
-    "a column of that name is read as the rate; without one, the rate is estimated",
     "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
     "training data that the fit had not seen: {what}",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "

@@ -46,7 +46,7 @@ from dynasindy.identification.forecast_errors import forecast_errors
 from dynasindy.identification.recording_diagnostics import (
     low_signal_states,
     resolution,
-    resolutions_by,
+    resolutions,
     samples_of,
     sensor_resolution,
 )
@@ -309,7 +309,8 @@ def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     """
     data, names = log.training, log.signature.state_names
     channels, exact, columns = {}, True, samples_of(data)
-    told = map(resolution, columns) if model.step is None else resolutions_by(model, data).tolist()
+    # Of what jumps from sample to sample no cubic tells the noise.
+    told = map(resolution, columns) if model.step is None else resolutions(data).tolist()
     for name, column, finest in zip(names, columns, told, strict=True):
         step = sensor_resolution(column)
         seen = not math.isnan(finest)

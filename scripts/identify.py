@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cli import command
 
 if TYPE_CHECKING:
-    from dynasindy.findings import Finding
     from dynasindy.identification.identify import Identified
     from dynasindy.identification.source import Source
 
@@ -24,7 +22,6 @@ def main(cfg: Any) -> None:
     from dynasindy.identification.identify import (
         before_fit,
         identify_source,
-        lacking_rates,
         to_words,
         write_identification,
     )
@@ -40,9 +37,9 @@ def main(cfg: Any) -> None:
         # refuses functions before the plant moves
         instantiate(cfg.world_model, _convert_="all")(signature=system.signature)
     report_progress("data")
-    source, added = load_data(cfg)
+    source = load_data(cfg)
     model, folder = instantiate(cfg.world_model, _convert_="all")(signature=source.signature), Path(cfg.folder)
-    findings, rates = [*added, *before_fit(model, source)], lacking_rates(model, source)
+    findings = before_fit(model, source)
     say(*lines(findings))
     found = identify_source(model, source)
     source = found.source
@@ -50,37 +47,29 @@ def main(cfg: Any) -> None:
     if cfg.formats:
         draw(found, source, folder, list(cfg.formats))
     # Of a log that tells too little to plan on, the findings say how to log anew.
-    steps = [] if found.quiet and not found.predicts else [next_steps(next_command(cfg, found, rates))]
+    steps = [] if found.quiet and not found.predicts else [next_steps(next_command(cfg, found))]
     say(to_words(found, source, width()), f"written to {folder}", *steps)
 
 
-def load_data(cfg: Any) -> tuple[Source, list[Finding]]:
-    """Return the data of a config, and what was added to them.
-
-    Where nobody knows the equations, rates that a log lacks become states, and `plant.known` is written into `cfg`.
-    """
+def load_data(cfg: Any) -> Source:
+    """Return the data of a config."""
     from hydra.utils import instantiate
 
-    from dynasindy.identification.identify import LoggedData, with_missing_rates
+    from dynasindy.identification.identify import LoggedData
 
     data, system = (instantiate(cfg[name], _convert_="all") for name in ("data", "system"))
     excitation = None if isinstance(data, LoggedData) else instantiate(cfg.excitation, _convert_="all")
-    source = data.load(system, excitation)
-    named = system is not None and system.known
-    if named or cfg.get("model") is not None or cfg.plant.get("known") is not None:
-        return source, []
-    build = instantiate(cfg.world_model, _convert_="all")
-    source, cfg.plant.known, added = with_missing_rates(build, source, None)
-    return source, added
+    source: Source = data.load(system, excitation)
+    return source
 
 
-def next_command(cfg: Any, found: Identified, rates: Mapping[str, str]) -> str:
+def next_command(cfg: Any, found: Identified) -> str:
     """Return the command that plans, with all that was given, and what comes of it."""
     from hydra.core.hydra_config import HydraConfig
     from next_steps import command_line, without
     from omegaconf import OmegaConf
 
-    from dynasindy.identification.source import closest_period
+    from dynasindy.identification.source import closest_period, rates_of
     from dynasindy.identification.targets import targets_like
     from dynasindy.sentences import command_word
 
@@ -88,7 +77,7 @@ def next_command(cfg: Any, found: Identified, rates: Mapping[str, str]) -> str:
     does = "plans a controller on the log" if source.logged else "excites, identifies and plans in one go"
     keys = ("outputs", "low", "high")
     given = {key: None if OmegaConf.is_missing(cfg.plant, key) else cfg.plant[key] for key in keys}
-    targets = targets_like(source, rates.values(), given, found.model, closest_period(source))
+    targets = targets_like(source, rates_of(found.model).values(), given, found.model, closest_period(source))
     if targets:
         does += "; put in its targets what you want to hold, within which limits, in the units of the states"
     if found.forecasts is not None and not found.predicts:

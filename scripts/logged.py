@@ -43,26 +43,23 @@ def prepare(cfg: DictConfig) -> Prepared:
     """Read the log of a config and build the parts of a plan; what cannot be is refused before the fit.
 
     Args:
-        cfg: The settings. `plant.known` and `plant.rates` are written into them where nobody gave them.
+        cfg: The settings.
     """
     if (device := cfg.get("device", "cpu")) != "cpu":
         raise ValueError(f"device is {device}; allowed is cpu where a log or a model is planned on: leave it out")
     planning = _planning_settings(cfg)
-    source, findings = load_data(cfg) if cfg.get("data") is not None else (None, [])
+    source = load_data(cfg) if cfg.get("data") is not None else None
     given = None if cfg.model is None else SindyModel.load(str(cfg.model))
-    if "rates" not in cfg.plant:  # nor where they are to be given
-        rates = damped(cfg.plant.outputs, rates_of(given) if given else cfg.plant.get("known") or {})
-        OmegaConf.update(cfg, "plant.rates", rates, force_add=True)
     names = ("task", "sensors", "world_model", "scenario")
     parts = {name: instantiate(cfg.get(name), _convert_="all") for name in names}
     if source is None:
-        return planning, None, parts, findings
+        return planning, None, parts, []
     targets = {name: ends for name, *ends in zip(cfg.plant.outputs, cfg.plant.low, cfg.plant.high, strict=False)}
     parts["task"](signature=given.signature if given else source.signature)
     if given is None:  # one that is given has its own library
         parts["world_model"](signature=source.signature)
     others = [i for i, name in enumerate(source.signature.state_names) if name not in targets]
-    findings = [*findings, *low_signal_findings(source.training, source.signature, others)]
+    findings = low_signal_findings(source.training, source.signature, others)
     require_radians(source, targets)
     return planning, source, parts, findings
 
@@ -84,7 +81,9 @@ def plan_from_log(cfg: DictConfig) -> bool:
             why = [note("control.sampled", seconds=dt, wanted=cfg.env.dt, step=source.training.dt)]
     say(f"Run folder: {folder}", *lines([*findings, *why]))
     model = model_of(source, parts["world_model"], cfg.model)
-    task = parts["task"](signature=model.signature)
+    if "rates" not in cfg.plant:  # nor where they are to be given
+        OmegaConf.update(cfg, "plant.rates", damped(cfg.plant.outputs, rates_of(model)), force_add=True)
+    task = instantiate(cfg.task, _convert_="all")(signature=model.signature)
     (folder / "metrics.json").unlink(missing_ok=True)  # of other settings
     write_text(folder / "config.yaml", settings)  # before the plan, which may fail
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
@@ -152,7 +151,7 @@ def _planning_settings(cfg: DictConfig) -> dict[str, object]:
     if None in given.values():
         like: dict[str, list[str]] = {"outputs": ["angle"], "low": ["-0.5"], "high": ["0.5"]}
         if cfg.get("data") is not None and given["outputs"] is not None:  # where most of its samples lie
-            source, _ = load_data(cfg)
+            source = load_data(cfg)
             for name in given["outputs"]:
                 source.signature.state_index(str(name))  # which says what there is instead of an unknown one
             like = targets_like(source, (), given) or like

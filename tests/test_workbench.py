@@ -17,7 +17,7 @@ from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.evaluation.scenarios import Scenario
 from dynasindy.excitation import Multisine
-from dynasindy.findings import FindingError, note, weak, wrong
+from dynasindy.findings import FindingError, note, wrong
 from dynasindy.identification.source import Source
 from dynasindy.progress import listening
 from dynasindy.systems import Pendulum, Signature
@@ -297,19 +297,9 @@ def angle_alone(source):
 def test_a_rate_that_a_log_lacks_is_added_and_estimated(exact):
     """theta'' = 12 u - 9.81 sin(theta) - 0.5 theta', as the pendulum's constants say, out of theta alone."""
     model = dynasindy.identify(angle_alone(exact))
-    assert model.findings[0] == note("fit.rates_added", known={"theta": "theta_rate"})
     assert model.signature.state_names == ("theta", "theta_rate")
     theta, rate, u = (exact.training.x[:, 0], exact.training.x[:, 1], exact.training.u[:, 0])
     with torch.no_grad():
         found = model(exact.training.x, exact.training.u)
     wanted = torch.stack([rate, 12 * u - 9.81 * theta.sin() - 0.5 * rate], 1)
     torch.testing.assert_close(found, wanted.double(), rtol=0, atol=1e-4)  # rad/s and rad/s^2, of 2 and 7
-
-
-def test_a_warning_says_which_state_misses_its_rate_where_none_may_be_added(exact):
-    alone, told = angle_alone(exact), weak("fit.rates_missing", states=["theta"], known={"theta": "theta_rate"})
-    for words in ({"known": {}}, {"library": ["1", "theta", "u", "sin(theta)"]}):
-        with pytest.warns(UserWarning, match=f"^{re.escape(str(told))}$") as warned:
-            model = dynasindy.identify(alone, **words, method="one_step")
-        assert [warning.filename for warning in warned] == [__file__]  # where the user called it
-        assert "theta_rate" not in model.signature.state_names and model.findings[0] == told

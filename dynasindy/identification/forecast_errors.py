@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dynasindy.identification.recording_diagnostics import resolutions, resolutions_by
+from dynasindy.identification.recording_diagnostics import resolutions
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.reconstruction import rate_states, reconstruct, settle_lag_states
@@ -241,7 +241,7 @@ def forecast_errors(
         ours,
         simple,
         last,
-        resolutions(training) if model.step is None else resolutions_by(model, training),
+        resolutions(training),
         linear.order,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,7 +16,7 @@ from torch import Tensor
 from dynasindy.data.columns import Column
 from dynasindy.data.rates import check_rates, require_consistent_rates
 from dynasindy.data.recording import LogReader
-from dynasindy.findings import Finding, note, records, weak
+from dynasindy.findings import Finding, records, weak
 from dynasindy.identification import verdict
 from dynasindy.identification.forecast_errors import (
     LOST,
@@ -27,15 +27,15 @@ from dynasindy.identification.forecast_errors import (
 )
 from dynasindy.identification.log_fit import LogFit, fit_log
 from dynasindy.identification.recording_diagnostics import low_signal_findings, low_signal_states
-from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rate_name, rates_of
+from dynasindy.identification.source import VALIDATION_SHARE, DataSource, Source, rates_of
 from dynasindy.progress import report_progress
 from dynasindy.safe_io import write_json, write_text
 from dynasindy.sentences import error_of, line, lines, setting, verdict_lines
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.delay import delay_inputs
 from dynasindy.sindy.equations import coefficient_lines, coefficient_tables
-from dynasindy.sindy.named_libraries import LibraryBuilder, auto, auto_rig
-from dynasindy.sindy.reconstruction import find_missing_rates, rate_states
+from dynasindy.sindy.named_libraries import LibraryBuilder
+from dynasindy.sindy.reconstruction import rate_states
 from dynasindy.sindy.world_model import nrmse, one_step_error, open_loop
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.transitions import Transitions
@@ -184,8 +184,8 @@ def identify(
             `auto_rig` is quadratic polynomials and sines of states in rad, or for angles in rad and their rates in
             rad/s the functions of mechanics, and dry friction of every rate.
         known: Equations that are known, such as `{"angle": "rate"}`: the state's rate is that function. A rate that
-            the log does not have is estimated with the model. If omitted, rates that the log shows to be missing are
-            added as `angle_rate`; `{}` adds none.
+            the log does not have is estimated with the model. If omitted, the fit may add rates, as `angle_rate`, where
+            it predicts better with them; `{}` adds none.
         method: How the fit is refined; `auto` chooses by the noise of the data.
         longest_delay: Longest delay of the inputs that is looked for [s]; None where the data are to tell.
         time: `continuous` identifies differential equations, `discrete` difference equations whose step is the sampling
@@ -204,12 +204,12 @@ def identify(
     refinement = Refinement(method, longest_delay=longest_delay, seconds=seconds)
     regression = Regression("bic", tolerance=1e-4)
     build = partial(SindyModel, library=library, regression=regression, refinement=refinement, time=time)
-    source, rates, added = with_missing_rates(build, log, known)
-    source = source.with_rates(rates)
+    rates = dict(known or {})
+    source = log.with_rates(rates)
     columns = {name: Column(name) for name in log.signature.state_names}
     require_consistent_rates(source.training, source.signature, rates, columns)
     model = build(signature=source.signature, known=rates)
-    before = (*added, *check_rates(source.training, source.signature, rates), *_missing_rates(model, source))
+    before = tuple(check_rates(source.training, source.signature, rates))
     for each in before:
         warnings.warn(str(each), stacklevel=2)
     found = fit_log(model, source, known is None)
@@ -265,54 +265,7 @@ def before_fit(model: SindyModel, source: Source) -> list[Finding]:
         TypeError: The model is not sparse.
     """
     _require_sparse(model)
-    rates = check_rates(source.training, source.signature, rates_of(model))
-    return [*rates, *source.findings, *_missing_rates(model, source)]
-
-
-def _missing_rates(model: SindyModel, source: Source) -> list[Finding]:
-    """Return that a log clearly lacks rates, and the equations that give them, where nobody has added them."""
-    known = lacking_rates(model, source)
-    new = [name for name in known if name not in rates_of(model)]
-    return [weak("fit.rates_missing", states=new, known=known)] if new else []
-
-
-def with_missing_rates(
-    build: Callable[..., SindyModel], source: Source, known: Mapping[str, str] | None
-) -> tuple[Source, dict[str, str], list[Finding]]:
-    """Add the rates of states that a log shows to be missing, so that they are estimated with the model.
-
-    Nothing is added where equations are known or where somebody chose the functions: these may not have the rates.
-
-    Args:
-        build: Makes a model from a signature.
-        source: The log.
-        known: The rate of each state as it was given; None where the log has to tell, and then it may be empty.
-
-    Returns:
-        The log with the rates that it lacks; the rate of each state, given or found; and what was found, if
-        anything.
-    """
-    if known is not None or not source.logged:
-        return source, dict(known or {}), []
-    model = build(signature=source.signature)
-    general = (set(each(source.signature).names) for each in (auto, auto_rig))  # others somebody chose
-    found = lacking_rates(model, source) if set(model.library.names) in general else {}
-    if not found:
-        return source, {}, []
-    return replace(source.with_rates(found), findings=source.findings), found, [note("fit.rates_added", known=found)]
-
-
-def lacking_rates(model: SindyModel, source: Source) -> dict[str, str]:
-    """Return the rate of each state, by its name: those that are known, and those that the log shows to be missing.
-
-    Args:
-        model: A model of the log, not fitted yet.
-        source: The log; of others nothing is missing. To find it takes a regression of each state.
-    """
-    if not source.logged:
-        return {}
-    missing = find_missing_rates(model.library, source.training)
-    return rates_of(model) | {n: rate_name(n, source.signature) for n in missing if n not in rates_of(model)}
+    return [*check_rates(source.training, source.signature, rates_of(model)), *source.findings]
 
 
 def to_words(found: Identified, source: Source, columns: int | None = None) -> str:

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.findings import Finding, weak
-from dynasindy.sindy import SindyModel
-from dynasindy.sindy.delay import delay_and_trim
-from dynasindy.sindy.noise import sensor_noise
 from dynasindy.sindy.reconstruction import interpolate_gaps
 from dynasindy.sindy.regression import least_squares
 from dynasindy.systems.base import WHOLE, Signature
@@ -115,18 +112,6 @@ def resolution(column: Array) -> float:
         column: samples, `(n,)`; NaN if there are none.
     """
     return sensor_resolution(column) or _noise(column)
-
-
-def resolutions_by(model: SindyModel, data: Transitions) -> Tensor:
-    """Return what sensors can tell by the errors of a difference equation, `(n_x,)`.
-
-    It may jump from sample to sample, which no cubic follows.
-
-    Args:
-        model: a fitted model in discrete time.
-        data: the recording.
-    """
-    return sensor_noise(model.library, model.coefficients, delay_and_trim(data, model.delay))[0].sqrt()
 
 
 def sensor_resolution(column: Array, noise: float | None = None) -> float:

@@ -15,17 +15,12 @@ from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
-from dynasindy.sindy.delay import (
-    delay_and_trim,
-    refine_delay,
-    search_range,
-    unexplained,
-)
+from dynasindy.sindy.delay import refine_delay, search_range, unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
 from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.reconstruction import RegressionData, find_missing_rates, has_gaps, rate_states
-from dynasindy.sindy.regression import Regression, Rows, RunningSums, means, needed_at_edge
+from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states
+from dynasindy.sindy.regression import Regression, Rows, RunningSums, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
 from dynasindy.sindy.trajectory_fit import refine_trajectory
@@ -41,8 +36,6 @@ FARTHER = 2
 """Delays of a first estimate within which a delay is looked for."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
-SEVERAL = 10
-"""Steps of a difference equation over whose mean samples are searched for a delay that single ones do not tell."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("simulation", "prediction", "innovation")
 OBSERVED = 500
@@ -124,28 +117,18 @@ class Refinement:
                 all states were measured.
         """
         guess = data if guess is None else guess
-        first, longest, rough = (library, coefficients), self.longest_delay, late or 0.0
+        first, longest = (library, coefficients), self.longest_delay
         if longest is not None and longest >= (seconds := len(data) * data.dt):
             raise ValueError(
                 f"longest_delay is {longest:g} s, and the data last {seconds:g} s; give a delay that they can show, or "
                 "null, where they are to tell"
             )
         if longest is None:
-            longest, rough = self._reach(first, constraints, data, guess)
-            late = late if late is not None else rough or None
-            longest, rough = max(longest, FARTHER * (late or 0.0)), late or 0.0
+            longest, told = self._reach(first, constraints, data, guess)
+            late = late if late is not None else told or None
+            longest = max(longest, FARTHER * (late or 0.0))
         rates = rate_states(library, constraints)
-
-        def _fit(longest: float) -> _Fit:
-            return _Fit(self, constraints, RegressionData(data, guess, rates, longest), general)
-
-        # A delay that a regression tells may explain how states go on, where nobody says how long it may be.
-        lacking = find_missing_rates(library, delay_and_trim(data, rough)) if longest else []
-        if not lacking:
-            return _fit(longest).run(first, late)
-        # A delay would stand for the rate that is missing.
-        alone = _fit(0.0).run(first)
-        return alone._replace(findings=(*alone.findings, weak("fit.no_delay", states=lacking)))
+        return _Fit(self, constraints, RegressionData(data, guess, rates, longest), general).run(first, late)
 
     def _reach(
         self, found: Model, constraints: Constraints, data: Transitions, guess: Transitions
@@ -156,18 +139,17 @@ class Refinement:
         if not noisy and self.method == "auto":
             noisy = looks_noisy(*found, guess)
 
-        def _rows(late: int, farthest: int, read: RegressionData, several: int = 1) -> Rows:
+        def _rows(late: int, farthest: int, read: RegressionData) -> Rows:
             recording = replace(read, longest=farthest * data.dt).brief()
-            return means(recording.delayed(late * data.dt).rows(found[0], field), several)
+            return recording.delayed(late * data.dt).rows(found[0], field)
 
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
         recording = RegressionData(data, guess, rates)
         farthest, best = search_range(constraints.free, partial(_rows, read=recording), least)
-        step = found[0].step
-        if (noisy or step is not None) and not best and not has_gaps(data):
-            # Most of single steps may be noise, which no delay explains: averages tell it, or means over jumps.
-            read, several = recording.smoothed(step), 1 if step is None else SEVERAL
-            farthest, best = search_range(constraints.free, partial(_rows, read=read, several=several), least)
+        if noisy and not best and not has_gaps(data):
+            # Most of single steps may be noise, which no delay explains: averages tell it.
+            read = recording.smoothed(found[0].step)
+            farthest, best = search_range(constraints.free, partial(_rows, read=read), least)
         return farthest * data.dt, best * data.dt
 
 

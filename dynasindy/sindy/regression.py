@@ -282,18 +282,6 @@ def simpson_form(library: Theta, field: Theta, data: Transitions) -> Rows:
     return (ends + 4 * library(middle, data.mean_inputs)) / 6, (data.x_next - data.x) / data.dt
 
 
-def means(rows: Rows, count: int) -> Rows:
-    """Return the means over so many rows that follow each other, for which equations hold as for single rows.
-
-    Noise of samples all but cancels in rates of change that are averaged: its part in them falls as 1 / count.
-    """
-    if count == 1:
-        return rows
-    sums = (torch.cat([torch.zeros_like(part[:1]), part.cumsum(0)]) for part in rows)
-    theta, dx = ((total[count:] - total[:-count]) / count for total in sums)
-    return theta, dx
-
-
 class RunningSums:
     """Hold the triangular factor R of all samples seen, so that new data cost the new data only.
 

@@ -155,7 +155,8 @@ def test_an_input_that_acts_late_and_through_a_lag_is_found():
         x.append(a @ x[-1] + b[:, 0] * u[max(k - late, 0)])
     y = np.stack(x)[:, 0] + np.random.default_rng(1).normal(0, 0.003, len(x))
     model = fitted(source_of(y, u, dt), ["1", "y", "u"]).model
-    assert model.followed == {"u_lagging": "u"} and model.delay == pytest.approx(late * dt, abs=dt / 2)
+    ahead = 0.5 * dt * len(model.linear_inputs)  # of an input that moves evenly the steps come half a sample sooner
+    assert model.followed == {"u_lagging": "u"} and model.delay == pytest.approx(late * dt + ahead, abs=dt / 4)
     rates = sorted([float(model.coefficients[-1, -1]), -coefficient(model, "y", "y")])
     assert rates == pytest.approx([1.0, 2.0], rel=0.1), "which of both is the lag no output tells"
 

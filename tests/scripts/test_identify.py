@@ -17,6 +17,7 @@ import yaml
 
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs
+from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum, Tras
 
 REPOSITORY = Path(__file__).parents[2]
@@ -81,31 +82,23 @@ def next_command(done):
 
 @pytest.mark.slow
 def test_what_is_said_to_come_next_runs_as_it_stands_and_has_all_that_was_given(tmp_path, write_log):
-    """The angle of a pendulum alone: its rate is lacking if nobody may add it, then a plan is to be made."""
+    """The angle of a pendulum alone, whose rate is estimated with the model, whether it was named or not."""
     data = record_plant(Pendulum(), Aprbs(1, 6.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     log = write_log(tmp_path / "my log.csv", ["theta [rad]", "u"], data.x[:, :1], data.u)
-    given = [
-        "data=csv",
-        f"data.path='{log}'",
-        "plant.start={theta: [-0.1, 0.1]}",
-        "world_model.refinement.method=trajectory",
-    ]
-    first = _run(tmp_path / "first", *given, "plant.known={}")
-    (hint,) = [line for line in first.stdout.splitlines() if line.startswith("warning: what theta will do")]
-    assert "'plant.known={theta: theta_rate}'" in hint
+    given = ["data=csv", f"data.path='{log}'", "plant.start={theta: [-0.1, 0.1]}"]
     words = [*given, "plant.known={theta: theta_rate}"]
     second = _run(tmp_path / "second", *words)
-    alone = _run(tmp_path / "alone", *given)  # the rate is added, and said to be
-    metrics = [json.loads((tmp_path / name / "metrics.json").read_text()) for name in ("first", "second", "alone")]
+    alone = _run(tmp_path / "alone", *given)
+    metrics = [json.loads((tmp_path / name / "metrics.json").read_text()) for name in ("second", "alone")]
     codes = [[each["code"] for each in found.pop("findings")] for found in metrics]
-    assert "fit.rates_missing" in codes[0] and "fit.rates_missing" not in codes[1] + codes[2]
-    assert codes[1][-1] == codes[2][-1] == "model.predicts" and "fit.rates_added" in codes[2]
-    assert metrics[1] == metrics[2]
-    assert (tmp_path / "alone" / "model.json").read_text() == (tmp_path / "second" / "model.json").read_text()
+    assert codes[0][-1] == codes[1][-1] == "model.predicts"
+    assert metrics[0].keys() == metrics[1].keys()
+    models = [SindyModel.load(tmp_path / name / "model.json") for name in ("second", "alone")]
+    assert [model.signature.state_names for model in models] == [("theta", "theta_rate")] * 2
     assert next_command(alone)[2 : 2 + len(given)] == given
     _, script, *words = next_command(second)
-    assert script == "scripts/train.py" and words[:5] == [*given, "plant.known={theta: theta_rate}"]
-    assert words[5] == "plant.outputs=[theta]" and len(words) == 8
+    assert script == "scripts/train.py" and words[:4] == [*given, "plant.known={theta: theta_rate}"]
+    assert words[4] == "plant.outputs=[theta]" and len(words) == 7
     more = ["planning.updates=1", "planning.rollouts=4", "evaluation.must_control=false", f"folder={tmp_path}/run"]
     command = [sys.executable, script, *words, *more]
     done = forked.run(command, cwd=REPOSITORY, timeout=300)

@@ -126,7 +126,7 @@ def test_the_log_of_a_rig_that_is_known_by_names_is_identified_with_its_ends_and
     assert model.signature.input_ends == ((-12.0, 12.0),) and model.signature.input_units == ("V",)
     column = [float(model.coefficients[model.library.index(name), 1]) for name in ("u", "sin(theta)", "theta_rate")]
     assert column == pytest.approx([12.0, -9.81, -0.5], rel=0.02)
-    assert OmegaConf.load(tmp_path / "run" / "config.yaml").plant.rates == ["theta_rate"]
+    assert json.loads((tmp_path / "run" / "controller.json").read_text())["task"]["rates"] == ["theta_rate"]
 
 
 def test_a_job_of_a_sweep_is_done_again_if_its_log_is_another_one(tmp_path, monkeypatch):

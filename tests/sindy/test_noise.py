@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.noise import looks_noisy, sensor_noise
+from dynasindy.sindy.noise import looks_noisy
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature
@@ -63,21 +63,3 @@ def test_a_clean_log_with_long_steps_and_an_input_that_jumps_at_each_is_not_nois
     found = model.fit(Transitions.from_trajectory(torch.from_numpy(np.array(x)), torch.from_numpy(u)[:, None], dt))
     assert model.delay == 0 and "fit.single_steps" in [each.code for each in found.findings]
     assert model.coefficients[:, 1].tolist() == pytest.approx([-(w**2), -2 * damping * w, w**2], rel=1e-5)
-
-
-@pytest.mark.parametrize("own", [-0.6, 0.5, 0.95])
-@pytest.mark.parametrize(("sensor_part", "told"), [(1.0, True), (0.0, False)])
-def test_the_noise_of_a_difference_equation_is_told_from_pushes(own, sensor_part, told):
-    """x+ = own x + u + w, seen through noise n: R is the variance of n, and 0 where pushes are all there is."""
-    rng, n, size = np.random.default_rng(5), 4000, 0.1
-    u, x = rng.standard_normal(n), np.zeros(n + 1)
-    for k in range(n):
-        x[k + 1] = own * x[k] + u[k] + (1 - sensor_part) * size * rng.standard_normal()
-    seen = torch.from_numpy(x + sensor_part * size * rng.standard_normal(n + 1)).unsqueeze(-1)
-    data = Transitions.from_trajectory(seen, torch.from_numpy(u).unsqueeze(-1), 0.2)
-    signature = Signature(("x",), ("-",), ("u",), (1.0,))
-    library = Library(signature, [variable("x"), variable("u")], step=0.2)
-    xi = torch.tensor([[(own - 1) / 0.2], [1 / 0.2]], dtype=torch.float64)
-    noise, share = sensor_noise(library, xi, data)
-    assert float(noise) == pytest.approx(0.01 * sensor_part, abs=0.001)
-    assert looks_noisy(library, xi, data) == told == (float(share) > 0.6)

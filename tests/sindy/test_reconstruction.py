@@ -12,9 +12,7 @@ from scipy.integrate import solve_ivp
 from dynasindy.findings import weak
 from dynasindy.sindy import Refinement, Regression, SindyModel
 from dynasindy.sindy.library import CONSTANT, Constraints, Library, variable
-from dynasindy.sindy.named_libraries import polynomial
 from dynasindy.sindy.reconstruction import (
-    find_missing_rates,
     rate_states,
     reconstruct,
     simulate_hidden_states,
@@ -136,37 +134,6 @@ def recorded(rate, size, columns, late=0, noise=0.0):
     return Transitions.from_trajectory(torch.from_numpy(x), torch.from_numpy(u[:-1, None]), PERIOD)
 
 
-def swing(x, u):
-    return np.array([x[1], 12 * u - 9.81 * np.sin(x[0]) - 0.5 * x[1]])
-
-
-def lag(x, u):
-    return np.array([3 * u - 2 * np.sqrt(np.abs(x[0])) * np.sign(x[0])])
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_an_angle_alone_misses_its_rate(noise):
-    assert find_missing_rates(polynomial(ONE), recorded(swing, 2, [0], noise=noise)) == ["y"]
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.003])
-def test_an_angle_with_its_rate_misses_nothing(noise):
-    assert find_missing_rates(polynomial(TWO), recorded(swing, 2, [0, 1], noise=noise)) == []
-
-
-@pytest.mark.parametrize("late", [0, 1])
-def test_a_first_order_plant_misses_nothing_though_its_root_is_no_polynomial(late):
-    assert find_missing_rates(polynomial(ONE), recorded(lag, 1, [0], late=late)) == []
-
-
-def test_a_delay_is_not_made_up_where_a_rate_is_missing():
-    """The inputs act at once; a delay of the first-order model would be the best that stands for its rate."""
-    model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=0.1))
-    report = model.fit(recorded(swing, 2, [0]))
-    assert model.delay == 0
-    assert weak("fit.no_delay", states=["y"]) in report.findings
-
-
 def test_a_delay_at_the_end_of_what_was_looked_for_is_said_to_be_one():
     """The inputs act 0.06 s late; 0.04 s at most are looked for."""
     data = recorded(lambda x, u: np.array([3 * u - 2 * x[0]]), 1, [0], late=3)
@@ -186,17 +153,3 @@ def test_without_a_time_a_delay_beyond_two_control_periods_is_found_where_a_regr
     model = SindyModel(ONE, "polynomial", Regression("bic"), Refinement("auto", longest_delay=None))
     model.fit(data)
     assert model.delay == pytest.approx(0.06)
-
-
-def lossy(data: Transitions, kept: np.ndarray, column: int = 0) -> Transitions:
-    """Lose the samples of a state that are not kept, bool `(N + 1,)`."""
-    x = torch.cat([data.x, data.x_next[-1:]])
-    x[torch.from_numpy(~kept), column] = torch.nan
-    return Transitions.from_trajectory(x, data.u, data.dt)
-
-
-@pytest.mark.parametrize("kept", [np.random.default_rng(1).random(N) > 0.1, np.arange(N) % 3 == 0])
-def test_lost_samples_hide_neither_a_missing_rate_nor_one_that_is_there(kept):
-    assert find_missing_rates(polynomial(ONE), lossy(recorded(swing, 2, [0]), kept)) == ["y"]
-    assert find_missing_rates(polynomial(TWO), lossy(recorded(swing, 2, [0, 1]), kept)) == []
-    assert find_missing_rates(polynomial(ONE), lossy(recorded(lag, 1, [0]), kept)) == []

@@ -1,4 +1,4 @@
-"""What is found before a fit: wrong units first, then what was read, and rates that are missing."""
+"""What is found before a fit: wrong units first, then what was read."""
 
 from functools import cache, partial
 
@@ -7,8 +7,8 @@ import pytest
 from dynasindy.dyna.simulated import Simulated
 from dynasindy.envs.rollout_data import record_plant
 from dynasindy.excitation import Aprbs, Chirp
-from dynasindy.findings import note, weak
-from dynasindy.identification.identify import LoggedData, before_fit, lacking_rates, with_missing_rates
+from dynasindy.findings import note
+from dynasindy.identification.identify import LoggedData, before_fit
 from dynasindy.sindy import SindyModel
 from dynasindy.systems import Pendulum
 
@@ -18,10 +18,6 @@ EXCITATION = partial(Chirp, duration=5.0)
 @cache
 def simulated():
     return Simulated(validation_seconds=2.0).load(Pendulum(), EXCITATION)
-
-
-def told(source, library="auto"):
-    return [each for each in before_fit(SindyModel(source.signature, library), source) if each.code != "log.time"]
 
 
 def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
@@ -37,20 +33,11 @@ def test_a_log_with_an_angle_in_degrees_and_a_rate_in_rad_is_told(tmp_path):
     assert not before_fit(SindyModel(simulated().signature, "auto"), simulated())
 
 
-def test_a_rate_that_is_missing_is_told_once_and_not_once_it_is_given(tmp_path, write_log):
+def test_a_rate_that_is_known_and_was_not_logged_is_a_state_and_said_to_be(tmp_path, write_log):
     """The pendulum's angle, read by an encoder alone."""
     data = record_plant(Pendulum(), Aprbs(1, 8.0, amplitude=0.4, seed=0).samples(0.01), 0.01)
     path = str(write_log(tmp_path / "log.csv", ["a [rad]", "u"], data.x[:, :1], data.u))
-    source = LoggedData(path).load(None, EXCITATION)
-    assert told(source) == [weak("fit.rates_missing", states=["a"], known={"a": "a_rate"})]
     known = LoggedData(path, known={"a": "a_rate"}).load(None, EXCITATION)
-    found, rates, said = with_missing_rates(partial(SindyModel, library="auto"), source, None)
-    assert rates == {"a": "a_rate"} and found.signature == known.signature
-    assert said == [note("fit.rates_added", known={"a": "a_rate"})]
-    for library, given in (("auto", {}), (["1", "a", "u"], None)):  # nobody wants it, or the functions are chosen
-        assert with_missing_rates(partial(SindyModel, library=library), source, given) == (source, {}, [])
-    model = SindyModel(known.signature, "auto", known={"a": "a_rate"})
-    clock, unseen = before_fit(model, known)
+    clock, unseen = before_fit(SindyModel(known.signature, "auto", known={"a": "a_rate"}), known)
     assert clock.code == "log.time" and clock.values["dt"] == pytest.approx(0.01)
     assert unseen == note("log.unmeasured", state="a_rate")
-    assert lacking_rates(model, known) == {"a": "a_rate"}
