@@ -23,8 +23,8 @@ from dynasindy.limits import Count, check_memory
 from dynasindy.planning.imagined_replay import Planned, Planner
 from dynasindy.planning.imitation import Imitation, arrives, hold, imagined_rewards, improve
 from dynasindy.planning.plan_settings import LONGEST, UNTOLD, PlanSettings, choose_plan_settings, find_task_equilibria
-from dynasindy.planning.randomization import InputStrength, ModelEnsemble, draw_delays
-from dynasindy.planning.rollout import Network, Rows, backward, imagine
+from dynasindy.planning.randomization import InputStrength, draw_delays
+from dynasindy.planning.rollout import Network, Rows, Window, backward, imagine
 from dynasindy.progress import report_progress
 from dynasindy.sentences import setting
 from dynasindy.systems import Diverged, System
@@ -45,18 +45,18 @@ class _Episodes:
 
     Args:
         planner: Whose episodes they are.
+        model: What moves them; the model that is planned on if omitted.
+        number: How many there are; all if omitted.
     """
 
-    def __init__(self, planner: GradientPlanning) -> None:
-        self.planner = planner
-        self.rows = references(planner.env, planner.rollouts, planner.rng)
+    def __init__(self, planner: GradientPlanning, model: System | None = None, number: int | None = None) -> None:
+        self.planner, self.env = planner, planner.env if model is None else planner.env.with_system(model)
+        self.number = number or planner.rollouts
+        self.rows = references(planner.env, self.number, planner.rng)
         self.rows.kept = True
-        self.system: System = planner.env.system
-        if planner.others:
-            self.system = ModelEnsemble([self.system, *planner.others])
         self.diverged = 0
         self.length = planner.env.task.max_steps * planner.env.dt
-        self.end = torch.rand(planner.rollouts, 1, generator=planner.rng) * self.length
+        self.end = torch.rand(self.number, 1, generator=planner.rng) * self.length
         self.real_states = self.rows.x
         if planner.replay is not None and len(real := planner.replay.real):
             self.real_states = real[:]["state"].to(self.rows.x)
@@ -70,14 +70,15 @@ class _Episodes:
     def vary(self, strength: InputStrength | None) -> None:
         """Let the inputs of every episode be late, and of a strength of their own, from now on."""
         planner, rows = self.planner, self.rows
-        rows.late = draw_delays(planner.input_delay, planner.rollouts, planner.rng)
-        rows.strength = None if strength is None else strength.draw(planner.rollouts, planner.rng)
+        rows.late = draw_delays(planner.input_delay, self.number, planner.rng)
+        rows.strength = None if strength is None else strength.draw(self.number, planner.rng)
 
-    def carry_on(self, x: Tensor, held: Tensor, alive: Tensor) -> None:
+    def carry_on(self, window: Window) -> None:
         """Go on from the end of a window; episodes that are over, or that diverged, begin anew."""
-        planner, rows = self.planner, self.rows
+        planner, rows, x, held = self.planner, self.rows, window.states[-1], window.actions[-1]
         rows.t = rows.t + planner.pace.window * planner.env.dt
-        lost = ~alive
+        lost = ~window.alive[-1]
+        self.diverged += int(lost.sum())
         new = (rows.t >= self.end - 1e-6).squeeze(-1) | lost
         rows.x = torch.where(new.unsqueeze(-1), self._starts(x, lost), x)
         rows.held = torch.where(lost.unsqueeze(-1), torch.zeros_like(held), held)
@@ -236,9 +237,11 @@ class GradientPlanning(Planner):
         self.pace = pace = dataclasses.replace(choose_plan_settings(self.env, rests, self.finest), **self.given)
         self.env.substeps = pace.substeps
         updates, lr = (pace.updates, pace.lr) if first else (self.more_updates, 0.3 * pace.lr)
-        episodes = _Episodes(self)
+        models = [None, *self.others]  # each moves an equal share, so that no policy can exploit the errors of one
+        shares = torch.arange(self.rollouts).tensor_split(len(models))
+        episodes = [_Episodes(self, model, len(share)) for model, share in zip(models, shares, strict=True)]
         rows = self.held_out
-        rows.reach, rows.strength, rows.late = episodes.rows.reach, None, None
+        rows.reach, rows.strength, rows.late = episodes[0].rows.reach, None, None
         if rests is not None and self.input_delay:  # three episodes in time and three that are late, in turn
             rows.late = self.input_delay * (torch.arange(len(rows.x)) // 3 % 2).unsqueeze(-1).float()
         begun, held = Imitation(-math.inf), rests is not None and pace.warm_start
@@ -256,7 +259,9 @@ class GradientPlanning(Planner):
             rows.late = None
             best = begun.score if begun.afar else self.test()
         elif rests is not None:
-            episodes.vary(strength := InputStrength.of(self.env, rests, pace.gain_range))
+            strength = InputStrength.of(self.env, rests, pace.gain_range)
+            for each in episodes:
+                each.vary(strength)
             if strength is not None:
                 rows.strength = strength.ends(len(rows.x))
                 best = self.test() if best > -math.inf else best
@@ -303,7 +308,7 @@ class GradientPlanning(Planner):
     def test(self, network: Network | None = None) -> float:
         """Return the policy's mean reward per control period over held-out imagined references, its inputs limited."""
         rows, task = self.held_out, self.env.task
-        whole = imagine(self.env, self.env.system, self._limited(network or self.network), rows, task.max_steps)
+        whole = imagine(self.env, self._limited(network or self.network), rows, task.max_steps)
         return imagined_rewards(self.env, rows, whole).mean().item()
 
     def steady_state_error(self) -> float | None:
@@ -319,7 +324,7 @@ class GradientPlanning(Planner):
         rests = (reference == reference[-1]).all(-1).all(0)
         if not bool(rests.any()):
             return None
-        whole = imagine(env, env.system, self._limited(self.network), rows, task.max_steps)
+        whole = imagine(env, self._limited(self.network), rows, task.max_steps)
         error = (whole.states[-last - 1 :][..., task.outputs] - reference).abs() / task.boxes()
         error = error.where(whole.alive[-1, :, None], torch.inf)
         return min(float(error[:, rests].mean((0, 1)).amax()), LARGEST_ERROR)
@@ -329,7 +334,7 @@ class GradientPlanning(Planner):
         task = self.env.task
         return (lambda observation: task.limit(network(observation))) if task.limited else network
 
-    def _descend(self, episodes: _Episodes, best: float, updates: int, lr: float, held: bool) -> Imitation:
+    def _descend(self, episodes: Sequence[_Episodes], best: float, updates: int, lr: float, held: bool) -> Imitation:
         """Follow the gradient, leave the best policy that was tested, and return its score and what it cost.
 
         `best` is the score of the policy as it is, -inf if it was not tested; `held` says that it holds the plant.
@@ -356,23 +361,24 @@ class GradientPlanning(Planner):
         finite = all(bool(weight.isfinite().all()) for weight in self.network.parameters())
         self.network.load_state_dict(best_weights)
         if best == -math.inf:
-            raise self._diverged(done, made, episodes.diverged, finite, rate)
+            raise self._diverged(done, made, sum(each.diverged for each in episodes), finite, rate)
         return Imitation(best, done * self.rollouts * self.pace.window, made)
 
-    def _update(self, episodes: _Episodes, optimizer: torch.optim.Adam) -> bool:
+    def _update(self, episodes: Sequence[_Episodes], optimizer: torch.optim.Adam) -> bool:
         """Take a gradient step, and return whether it was one: an explosion in the model is no direction."""
-        rows, system = episodes.rows, episodes.system
-        window = imagine(self.env, system, self.network, rows, self.pace.window)
         optimizer.zero_grad()
-        backward(self.env, system, self.network, rows, window)
-        norm = nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
-        alive = window.alive[-1]
-        episodes.diverged += len(alive) - int(alive.sum())
+        alive = False
+        for each in episodes:
+            window = imagine(each.env, self.network, each.rows, self.pace.window)
+            backward(each.env, self.network, each.rows, window)
+            alive |= bool(window.alive[-1].any())
+            each.carry_on(window)
+        # The sum of the models' gradients; for Adam, which takes no account of their size, it is their mean.
+        norm = nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT * len(episodes))
         finite = bool(norm.isfinite())
         if finite:
             optimizer.step()
-        episodes.carry_on(window.states[-1], window.actions[-1], alive)
-        return finite and bool(alive.any())
+        return finite and alive
 
     def _weights(self) -> dict[str, Tensor]:
         return copy.deepcopy(self.network.state_dict())

@@ -136,7 +136,7 @@ def arrives(pilot: Network, env: ControlEnv, rests: Equilibria, rng: torch.Gener
     x = task.initial_state(batch, rng).float()
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, torch.zeros(ROWS, 1))
     rows.reach = _reach(task, x)
-    whole = imagine(env, env.system, pilot, rows, task.max_steps)
+    whole = imagine(env, pilot, rows, task.max_steps)
     return bool((regulator.home(whole.states[-STILL:], reference, NEAR) & whole.alive[-1]).all())
 
 
@@ -175,7 +175,7 @@ def _visited(pilot: Network, law: _Law, env: ControlEnv, rng: torch.Generator) -
     x[::2] = law.near(other, rng)[::2]
     rows = Rows(x, torch.zeros(ROWS, env.system.signature.n_u), params, zero)
     rows.reach = _reach(task, x)
-    whole = imagine(env, env.system, pilot, rows, min(PERIODS, task.max_steps))
+    whole = imagine(env, pilot, rows, min(PERIODS, task.max_steps))
     alive = whole.alive[:-1]
     observed = task.observation(whole.states[:-1], params.expand(len(alive), *params.shape), whole.times[:-1])
     return observed[alive].float()
@@ -234,7 +234,7 @@ def improve(
         if failures >= PATIENCE:
             break
         begun = starts(network, env, rows, rng, periods)
-        flown = imagine(env, env.system, network, begun, periods)
+        flown = imagine(env, network, begun, periods)
         earned = imagined_rewards(env, begun, flown)
         way = _better(network, env, begun, rng, periods, least := float(earned.amin()))
         # The way to the starts, that of the policy, those of all signals, and the best one once more.
@@ -266,7 +266,7 @@ def starts(network: Network, env: ControlEnv, rows: Rows, rng: torch.Generator, 
     x, params = task.initial_state(batch, rng).float(), task.sample(batch, rng)
     # A way is timed for inputs that act at once, as those of the model do.
     begun = replace(rows, x=x, held=nothing, params=params, t=zero, kept=False, late=None)
-    flown = imagine(env, env.system, network, begun, periods)
+    flown = imagine(env, network, begun, periods)
     moment = torch.randint(periods + 1, (STARTS,), generator=rng)
     moment[::2] = 0
     each = torch.arange(STARTS)
@@ -289,12 +289,12 @@ def _better(
     )
 
     def _earned(drawn: Tensor) -> Tensor:
-        flown = imagine(env, env.system, _on_top(network, drawn, acting, env.task.limit), many, periods)
+        flown = imagine(env, _on_top(network, drawn, acting, env.task.limit), many, periods)
         return imagined_rewards(env, many, flown, least).sum(0)
 
     nothing = torch.zeros(n, max(2, acting // KNOT), n_u)  # the policy itself is among the ways
     best = cross_entropy(_earned, nothing, POPULATION, range(DRAWS), MOST, rng)
-    return imagine(env, env.system, _on_top(network, best, acting, env.task.limit), begun, periods)
+    return imagine(env, _on_top(network, best, acting, env.task.limit), begun, periods)
 
 
 def _on_top(network: Network, knots: Tensor, acting: int, limit: Callable[[Tensor], Tensor]) -> Network:

@@ -15,7 +15,7 @@ pump that cannot draw, no strength takes an input beyond that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -23,9 +23,7 @@ from torch import Tensor
 
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.regulator import Regulator, Weights
-from dynasindy.systems import Stops, System
 from dynasindy.systems.equilibria import Equilibria
-from dynasindy.systems.machine import Machine
 from dynasindy.tasks import Tracking
 
 
@@ -97,56 +95,3 @@ def draw_delays(most: float, rows: int, rng: torch.Generator) -> Tensor | None:
         rng: Source of the delays.
     """
     return most * (torch.rand(rows, 1, generator=rng) < 0.5).float() if most else None
-
-
-class ModelEnsemble(System):
-    """Several models of one plant, each for an equal share of the rows: no policy can exploit the errors of one.
-
-    Args:
-        models: Models with one signature; states and inputs are `(*batch, rows, n)`, each at least a row.
-    """
-
-    def __init__(self, models: Sequence[System]) -> None:
-        super().__init__(models[0].signature, models[0].stops)
-        self.models = list(models)
-
-    @property
-    def step(self) -> float | None:
-        """Step of the difference equation that it is [s]; None of a differential equation."""
-        return self.models[0].step
-
-    def forward(self, x: Tensor, u: Tensor) -> Tensor:
-        """Return dx/dt, `(*batch, rows, n_x)`, of states `(*batch, rows, n_x)` under inputs `(*batch, rows, n_u)`."""
-        return torch.cat([model(*share) for model, share in zip(self.models, _shares(x, u, len(self.models)))], -2)
-
-    def compiled(self, x: Tensor, u: Tensor) -> Machine | None:
-        """Return machine code that moves each share of the rows by its model's; None where a model has none."""
-        codes = [model.compiled(*share) for model, share in zip(self.models, _shares(x, u, len(self.models)))]
-        found = [code for code in codes if code is not None]
-        return _EnsembleCode(found) if len(found) == len(codes) else None
-
-
-class _EnsembleCode(Machine):
-    """The machine code of several models, each of which moves an equal share of the rows."""
-
-    def __init__(self, codes: Sequence[Machine]) -> None:
-        self.codes = codes
-
-    def flight(
-        self, x: Tensor, u: Tensor, dt: float, substeps: int, stops: Stops | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Advance states over control periods that follow each other."""
-        shares = zip(self.codes, _shares(x, u, len(self.codes)))
-        samples, touched = zip(*(code.flight(*share, dt, substeps, stops) for code, share in shares), strict=True)
-        return torch.cat(samples, -3), torch.cat(touched, -1)
-
-    def sensitivities(self, x: Tensor, u: Tensor, dt: float, substeps: int) -> tuple[Tensor, Tensor]:
-        """Return the derivatives of a period by state and input."""
-        shares = zip(self.codes, _shares(x, u, len(self.codes)))
-        a, b = zip(*(code.sensitivities(*share, dt, substeps) for code, share in shares), strict=True)
-        return torch.cat(a, -3), torch.cat(b, -3)
-
-
-def _shares(x: Tensor, u: Tensor, number: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """Split states and inputs, `(*batch, rows, n)`, into so many equal shares of the rows."""
-    return zip(x.tensor_split(number, -2), u.tensor_split(number, -2))

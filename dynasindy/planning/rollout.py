@@ -37,7 +37,7 @@ from dynasindy.agents.machine import LINE, line_of, network_pointers, source
 from dynasindy.agents.networks import MLP, Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.randomization import InputStrength
-from dynasindy.systems import System, integrate
+from dynasindy.systems import integrate
 from dynasindy.systems.compiler import load_library
 from dynasindy.systems.machine import Machine
 
@@ -97,31 +97,24 @@ class Window:
 
 
 @torch.no_grad()
-def imagine(
-    env: ControlEnv,
-    system: System,
-    network: Network,
-    rows: Rows,
-    steps: int,
-) -> Window:
+def imagine(env: ControlEnv, network: Network, rows: Rows, steps: int) -> Window:
     """Roll the policy out in the model.
 
     Args:
-        env: Imagined environment: its task, period, sub-steps and stops.
-        system: Vector field; the environment's own, or a variation of it with a row per rollout.
+        env: Imagined environment.
         network: Policy.
         rows: Where the rollouts begin; not changed.
         steps: Control periods T of the window.
     """
     times = rows.t + env.dt * torch.arange(steps + 1, dtype=rows.x.dtype).reshape(-1, 1, 1)
     rest = None if rows.strength is None else rows.strength.rest(rows.params, times[:-1])
-    machine = _machine(env, system, network, rows, steps, rest)
+    machine = _machine(env, network, rows, steps, rest)
     if machine is not None:
         still = rows.x.new_zeros(steps, *rows.x.shape)
         free = env.task.observation(still, rows.params.expand(steps, *rows.params.shape), times[:-1])
         whole, entered, actions = machine.imagine(rows.x, rows.held, free, rows.kept)
     else:
-        whole, entered, actions = _imagine(env, system, network, rows, times[:-1], rest)
+        whole, entered, actions = _imagine(env, network, rows, times[:-1], rest)
     believed = whole.isfinite() & (whole.abs() <= (torch.inf if rows.reach is None else rows.reach))
     alive = believed.all(-1).int().cummin(0).values.bool()
     kept = alive.unsqueeze(-1)
@@ -137,7 +130,7 @@ def imagine(
 
 
 def _imagine(
-    env: ControlEnv, system: System, network: Network, rows: Rows, times: Tensor, rest: Tensor | None
+    env: ControlEnv, network: Network, rows: Rows, times: Tensor, rest: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return states, inputs that acted and actions of a window, period by period."""
     x, held, states, applied, actions = rows.x, rows.held, [rows.x], [], []
@@ -146,7 +139,7 @@ def _imagine(
         entering, held = u if rows.late is None else torch.lerp(u, held, rows.late), u
         if rows.strength is not None and rest is not None:
             entering = rows.strength.acting(entering, rest[k % len(rest)])
-        samples, _ = integrate(system, x, entering, env.dt, env.substeps, env.stops)
+        samples, _ = integrate(env.system, x, entering, env.dt, env.substeps, env.stops)
         x = samples[..., -1, :]
         states.append(x)
         applied.append(entering)
@@ -154,13 +147,7 @@ def _imagine(
     return torch.stack(states), torch.stack(applied), torch.stack(actions)
 
 
-def backward(
-    env: ControlEnv,
-    system: System,
-    network: Network,
-    rows: Rows,
-    window: Window,
-) -> Tensor:
+def backward(env: ControlEnv, network: Network, rows: Rows, window: Window) -> Tensor:
     """Add the gradient of the window's mean cost, the negative reward, to the policy's parameters.
 
     A row that diverges does not count: its slopes point wherever the model explodes, and would drown the others'. Up to
@@ -168,7 +155,6 @@ def backward(
 
     Args:
         env: Imagined environment.
-        system: Vector field of the window.
         network: Policy.
         rows: Where the window began.
         window: What `imagine` returned.
@@ -177,7 +163,7 @@ def backward(
         The mean reward of the window's periods, a scalar; a row that diverged earns zero.
     """
     with torch.enable_grad():
-        a, b = sensitivities(env, system, window.states[:-1], window.applied)
+        a, b = sensitivities(env, window.states[:-1], window.applied)
         if rows.strength is not None:
             b = b * rows.strength.slope(window.applied).unsqueeze(-2)
         # A period that ends in divergence has derivatives without bounds; times zero they would not be zero.
@@ -194,15 +180,15 @@ def backward(
     return reward
 
 
-def sensitivities(env: ControlEnv, system: System, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+def sensitivities(env: ControlEnv, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Return dx_next/dx, `(*batch, n_x, n_x)`, and dx_next/du, `(*batch, n_x, n_u)`, of a control period.
 
     The mechanical stops are left out: a beam that lies at a stop would have no gradient that leads away.
     """
-    if (code := system.compiled(x, u)) is not None:
+    if (code := env.system.compiled(x, u)) is not None:
         return code.sensitivities(x, u, env.dt, env.substeps)
     x, u = x.detach().requires_grad_(), u.detach().requires_grad_()
-    samples, _ = integrate(system, x, u, env.dt, env.substeps)
+    samples, _ = integrate(env.system, x, u, env.dt, env.substeps)
     columns = samples[..., -1, :].unbind(-1)
     rows = [torch.autograd.grad(column.sum(), (x, u), retain_graph=True) for column in columns]
     return torch.stack([row[0] for row in rows], -2), torch.stack([row[1] for row in rows], -2)
@@ -282,16 +268,14 @@ def _library() -> ctypes.CDLL | None:
     return code
 
 
-def _machine(
-    env: ControlEnv, system: System, network: object, rows: Rows, steps: int, rest: Tensor | None
-) -> _MachineRollout | None:
+def _machine(env: ControlEnv, network: object, rows: Rows, steps: int, rest: Tensor | None) -> _MachineRollout | None:
     """Return the machine code of a window, None where it cannot be; `rest` are the inputs about which strengths act."""
     if not (isinstance(network, MLP) and network.squash and env.task.linear and rows.x.dim() == 2 and len(rows.x)):
         return None
     if any(p.dtype != torch.float32 or not p.is_cpu for p in network.parameters()):
         return None
-    code = system.compiled(rows.x, rows.held)
-    if type(code) is not Machine or code.dtype != torch.float32 or (library := _library()) is None:
+    code = env.system.compiled(rows.x, rows.held)
+    if code is None or code.dtype != torch.float32 or (library := _library()) is None:
         return None
     return _MachineRollout(library, env, code, network, rows, steps, rest)
 

@@ -172,7 +172,7 @@ def _along(
     gains, values = [gain], [value]
     weight = regulator.weights.inputs * torch.eye(gain.shape[0])
     if len(way.inputs):
-        a, b = sensitivities(env, env.system, way.states[:-1], way.inputs)
+        a, b = sensitivities(env, way.states[:-1], way.inputs)
     for k in range(len(way.inputs) - 1, -1, -1):
         gain = torch.linalg.solve(weight + b[k].mT @ value @ b[k], b[k].mT @ value @ a[k])
         value = regulator.squares + a[k].mT @ value @ (a[k] - b[k] @ gain)

@@ -107,7 +107,7 @@ def test_a_model_that_explodes_elsewhere_is_still_planned_with(setting, small):
     replay.extend_real(flown(env, agent))
     before = total(env, agent)
     planner = GradientPlanning(env.with_system(Runaway()), agent, replay, updates=40, lr=1e-2, **small)
-    whole = imagine(planner.env, planner.env.system, planner.network, _Episodes(planner).rows, 60)
+    whole = imagine(planner.env, planner.network, _Episodes(planner).rows, 60)
     assert not whole.alive[-1].all()  # the untrained policy does run it backwards
     planner.plan()
     assert total(env, agent) > 0.5 * before

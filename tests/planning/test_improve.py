@@ -50,7 +50,7 @@ def lazy():
 def earned(env, network):
     x = torch.tensor([[HERE]])
     rows = Rows(x, torch.zeros(1, 1), torch.zeros(1, 0), torch.zeros(1, 1))
-    return float(imagined_rewards(env, rows, imagine(env, env.system, network, rows, PERIODS)).sum())
+    return float(imagined_rewards(env, rows, imagine(env, network, rows, PERIODS)).sum())
 
 
 STAYED = 0.5 * PERIODS
@@ -86,14 +86,14 @@ def test_what_comes_after_divergence_earns_as_little_as_the_worst_before():
     env, rows = setting()
     rows = Rows(torch.tensor([[0.95], [0.0]]), torch.zeros(2, 1), torch.zeros(2, 0), torch.zeros(2, 1))
     rows.reach = torch.tensor([1.02])
-    window = imagine(env, env.system, lambda o: torch.ones(2, 1), rows, 2)
+    window = imagine(env, lambda o: torch.ones(2, 1), rows, 2)
     found = imagined_rewards(env, rows, window)
     p = torch.tensor([[0.1], [0.2]])
     wanted = two_hills(None, None, p)
     torch.testing.assert_close(found[:, 1], wanted)
     assert found[:, 0].tolist() == pytest.approx([float(wanted.min())] * 2)
     rows.reach = torch.tensor([1e-9])
-    window = imagine(env, env.system, lambda o: torch.ones(2, 1), rows, 2)
+    window = imagine(env, lambda o: torch.ones(2, 1), rows, 2)
     assert imagined_rewards(env, rows, window).isneginf().all()
 
 

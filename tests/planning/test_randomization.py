@@ -5,42 +5,8 @@ import math
 import pytest
 import torch
 
-from dynasindy.planning.randomization import InputStrength, ModelEnsemble, draw_delays
+from dynasindy.planning.randomization import InputStrength, draw_delays
 from dynasindy.planning.rollout import Rows, imagine
-from dynasindy.sindy import SindyModel
-from dynasindy.systems import Signature, Tras, Xi, integrate
-
-
-def states(rows):
-    rng = torch.Generator().manual_seed(1)
-    return torch.randn(rows, 6, generator=rng), torch.rand(rows, 2, generator=rng)
-
-
-def test_machine_code_of_an_ensemble_does_what_each_member_does_with_its_share(monkeypatch):
-    members, (x, u) = [Xi(), Tras(), Tras(azimuth_stop=1.0)], [values.double() for values in states(8)]
-    ensemble, parts = ModelEnsemble(members), ((0, 3), (3, 6), (6, 8))
-    moved, touched = integrate(ensemble, x, u, 0.05, 3, members[2].stops)
-    code = ensemble.compiled(x, u)
-    assert code is not None and touched.any() and not touched.all()
-    slopes = code.sensitivities(x, u, 0.05, 3)
-    monkeypatch.setattr(ModelEnsemble, "compiled", lambda *_: None)
-    expected = integrate(ensemble, x, u, 0.05, 3, members[2].stops)
-    torch.testing.assert_close((moved, touched), expected, rtol=1e-12, atol=1e-12)
-    for member, (first, last) in zip(members, parts, strict=True):
-        own = member.compiled(x, u).sensitivities(x[first:last], u[first:last], 0.05, 3)
-        torch.testing.assert_close([slope[first:last] for slope in slopes], [*own], rtol=0, atol=0)
-
-
-def test_members_of_a_difference_equation_move_by_its_steps():
-    """x[k+1] = a x[k] + u[k] with a of -0.6 and -0.4, each two rows, over two steps: a^2 x + (1 + a) u."""
-    models = []
-    for a in (-0.6, -0.4):
-        models.append(SindyModel(Signature(("x",), ("-",), ("u",), (1.0,)), ["x", "u"], time="discrete"))
-        models[-1].library = models[-1].library.with_step(0.5)
-        models[-1].set_coefficients(torch.tensor([[a - 1], [1.0]], dtype=torch.float64) / 0.5)
-    x, u = torch.tensor([[1.0], [-2.0]] * 2).double(), torch.tensor([[0.5], [0.0]] * 2).double()
-    found = integrate(ModelEnsemble(models), x, u, 1.0, 1)[0]
-    assert found.flatten().tolist() == pytest.approx([0.56, -0.72, 0.46, -0.32])
 
 
 def test_one_episode_of_two_is_late_by_as_much_as_may_be():
@@ -77,7 +43,7 @@ def test_what_holds_a_reference_that_jumps_holds_it_after_the_jump_too(inverted)
         return -4.0 / 6.0 * torch.sin(env.task.seen(observation)[1])
 
     rows = Rows(torch.zeros(6, 2), torch.zeros(6, 1), moving, torch.zeros(6, 1), strength=strength)
-    flown = imagine(env, env.system, hold, rows, 8)
+    flown = imagine(env, hold, rows, 8)
     targets = torch.tensor([0.3, 0.1] * 3).expand(8, 6).clone()
     targets[4:, ::2] = -0.1
     wanted = -4.0 / 6.0 * torch.sin(targets)

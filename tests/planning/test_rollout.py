@@ -65,12 +65,12 @@ def test_gradient_equals_back_propagation_through_time(late, strong, limits, per
     rows.strength = InputStrength(0.3, lambda *_: rest.unsqueeze(0), ends, factor) if strong else None
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    window = imagine(env, env.system, network, rows, STEPS)
+    window = imagine(env, network, rows, STEPS)
     assert (window.machine is not None) == (perceptron and compiler() is not None)
     if limits is not None:
         clamped = (window.applied == ends[0]) | (window.applied == ends[1])
         assert 0.1 < clamped.float().mean() < 0.9
-    reward = backward(env, env.system, network, rows, window)
+    reward = backward(env, network, rows, window)
     torch.testing.assert_close(reward, expected, rtol=1e-5, atol=1e-6)
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
@@ -90,8 +90,8 @@ def test_machine_code_writes_within_the_room_that_it_has(monkeypatch):
     env, network, rows, _ = setting(perceptron=True)
     rows.kept = True
     monkeypatch.setattr("dynasindy.planning.rollout.torch.empty", _empty)
-    window = imagine(env, env.system, network, rows, STEPS)
-    backward(env, env.system, network, rows, window)
+    window = imagine(env, network, rows, STEPS)
+    backward(env, network, rows, window)
     assert (window.machine is not None) == (compiler() is not None)
     assert len(guarded) > 1 or window.machine is None
     assert all(bool((beyond == 1234.5).all()) for beyond in guarded)
@@ -109,7 +109,7 @@ def test_gradient_of_what_inputs_cost_is_that_of_back_propagation_through_time(s
     unrolled(env, network, rows, 0.0 if late is None else late)
     wanted = [p.grad.clone() for p in network.parameters()]
     network.zero_grad()
-    backward(env, env.system, network, rows, imagine(env, env.system, network, rows, STEPS))
+    backward(env, network, rows, imagine(env, network, rows, STEPS))
     for parameter, gradient in zip(network.parameters(), wanted, strict=True):
         torch.testing.assert_close(parameter.grad, gradient, rtol=2e-3, atol=1e-5 * float(gradient.abs().max()))
 
@@ -118,7 +118,7 @@ def test_gradient_at_a_stop_leads_away_from_it():
     env, *_ = setting()
     x = torch.zeros(8, 6)
     x[:, 1] = torch.pi / 2
-    a, _ = sensitivities(env, env.system, x, torch.ones(8, 2))
+    a, _ = sensitivities(env, x, torch.ones(8, 2))
     assert bool((a[:, 1, 3] > 0).all())
 
 
@@ -171,11 +171,11 @@ def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late, 
     (-total).backward()
     wanted = torch.cat([p.grad.flatten() for p in network.parameters()])
     network.zero_grad()
-    window = imagine(env, env.system, network, rows, STEPS)
+    window = imagine(env, network, rows, STEPS)
     torch.testing.assert_close(window.states, states.detach(), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(window.actions, actions.detach(), rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(window.times[:, :, 0], rows.t[:, 0] + 0.05 * torch.arange(STEPS + 1.0).unsqueeze(-1))
-    reward = backward(env, env.system, network, rows, window)
+    reward = backward(env, network, rows, window)
     torch.testing.assert_close(reward, total.detach(), rtol=1e-4, atol=1e-6)
     found = torch.cat([p.grad.flatten() for p in network.parameters()])
     torch.testing.assert_close(found, wanted, rtol=2e-3, atol=1e-4 * float(wanted.abs().max()))
@@ -184,9 +184,9 @@ def test_a_window_under_moving_references_is_a_loop_over_rows_and_periods(late, 
 def test_what_diverged_holds_the_first_state_and_no_input_from_there_on():
     env, network, rows, _ = setting()
     rows.reach = torch.full((6,), torch.inf)
-    free = imagine(env, env.system, network, rows, STEPS)
+    free = imagine(env, network, rows, STEPS)
     rows.reach[0] = free.states[:, :, 0].abs().amax().item() / 2
-    bound = imagine(env, env.system, network, rows, STEPS)
+    bound = imagine(env, network, rows, STEPS)
     for i in range(8):
         out = [k for k in range(STEPS + 1) if free.states[k, i, 0].abs() > rows.reach[0]]
         first = min(out, default=STEPS + 1)  # the first state that is out of reach
@@ -206,12 +206,12 @@ def test_a_row_that_diverged_does_not_count():
     rows.x[:3, 5], rows.x[3:, 5] = 1500.0, -500.0
     rows.reach = torch.tensor([6.0, 6.0, 50.0, 50.0, 1e5, 1e5])
     five = Rows(*(getattr(rows, name)[3:] for name in ("x", "held", "params", "t")), reach=rows.reach)
-    sick, rewards, gradients = Explosion(), [], []
+    sick, rewards, gradients = env.with_system(Explosion()), [], []
     for some in (rows, five):
         network.zero_grad()
-        window = imagine(env, sick, network, some, STEPS)
+        window = imagine(sick, network, some, STEPS)
         assert int((~window.alive[-1]).sum()) == (3 if some is rows else 0)
-        rewards.append(backward(env, sick, network, some, window))
+        rewards.append(backward(sick, network, some, window))
         gradients.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
     torch.testing.assert_close(rewards[0], 5 / 8 * rewards[1])
     torch.testing.assert_close(gradients[0], 5 / 8 * gradients[1])
@@ -224,10 +224,10 @@ def test_a_perceptron_that_keeps_its_layers_gets_the_same_gradient():
     found = {}
     for keep in (True, False):
         rows.kept = keep
-        window = imagine(env, env.system, network, rows, STEPS)
+        window = imagine(env, network, rows, STEPS)
         assert (window.machine is not None) == keep
         network.zero_grad()
-        backward(env, env.system, network, rows, window)
+        backward(env, network, rows, window)
         found[keep] = [p.grad.clone() for p in network.parameters()]
     # By autograd through the rollout.
     x, total = rows.x, 0.0
