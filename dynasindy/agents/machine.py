@@ -8,7 +8,6 @@ Adam and the smoothing noise are torch's and stay where they are. A step equals 
 from __future__ import annotations
 
 import ctypes
-import warnings
 from collections.abc import Sequence
 from importlib import resources
 from itertools import chain
@@ -20,11 +19,10 @@ from torch.optim import Adam
 
 from dynasindy.agents.loss import Check, GradientSteps, TD3Loss
 from dynasindy.agents.networks import Layer
-from dynasindy.systems.compiler import load_library
+from dynasindy.systems.compiler import find_library
 
 LINE = 64
 """Bytes at whose multiples the room for a batch begins, as the widest numbers of a processor do."""
-FUNCTIONS = ("learn_values", "learn_policy", "descend", "room")
 Pointers = ctypes.POINTER(ctypes.c_void_p)
 
 
@@ -49,12 +47,9 @@ def best_steps(loss: TD3Loss, critics: Adam, actor: Adam, machine_code: bool = T
         machine_code: whether machine code is wanted.
     """
     if machine_code and _readable(loss) and all(map(_usual, (critics, actor))):
-        try:
-            return _MachineSteps(loss, critics, actor)
-        except FileNotFoundError:
-            pass  # there is no compiler
-        except (ValueError, OSError) as error:
-            warnings.warn(f"TD3 learns by torch code, which is slower: {error}", stacklevel=3)
+        code = find_library(source("perceptron.c", "td3.c"), "TD3 learns", fast=True)
+        if code is not None:
+            return _MachineSteps(code, loss, critics, actor)
     return GradientSteps(loss, critics, actor)
 
 
@@ -80,9 +75,9 @@ class _MachineSteps(GradientSteps):
     longer stand, and others take their place.
     """
 
-    def __init__(self, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
+    def __init__(self, code: ctypes.CDLL, loss: TD3Loss, critics: Adam, actor: Adam) -> None:
         super().__init__(loss, critics, actor)
-        self._code = load_library(source("perceptron.c", "td3.c"), FUNCTIONS, fast=True, cached=True)
+        self._code = code
         self._code.room.restype = ctypes.c_long
         learning = loss.actor_layers, loss.critic_layers
         gradients = [[Layer(*map(torch.zeros_like, layer)) for layer in layers] for layers in learning]

@@ -265,7 +265,7 @@ void many({name}_state *s, const double *y, const double *r, const double *rate,
 }}
 """
         text = sources.header + sources.source.replace(f'#include "{name}.h"\n', "") + more
-        code = load_library(text, (f"{name}_act", "many", "size"), fast=False, cached=True)
+        code = load_library(text, fast=False)
         n_x, n_u, n_r = sources.shape
         self.state, self._u = np.zeros(code.size()), np.zeros(n_u)
         self._given = np.zeros(n_x), np.zeros(n_r), np.zeros(n_r)

@@ -24,7 +24,6 @@ It keeps the layers of the perceptron, and K_k' dJ/du_k comes out of the backwar
 from __future__ import annotations
 
 import ctypes
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -38,7 +37,7 @@ from dynasindy.agents.networks import MLP, Layer
 from dynasindy.envs import ControlEnv
 from dynasindy.planning.randomization import InputStrength
 from dynasindy.systems import integrate
-from dynasindy.systems.compiler import load_library
+from dynasindy.systems.compiler import find_library
 from dynasindy.systems.machine import Machine
 
 Network = Callable[[Tensor], Tensor]
@@ -249,22 +248,13 @@ def _adjoint(a: Tensor, b: Tensor, cost: Tensor, effort: Tensor | None, late: Te
     return torch.stack(slopes[::-1])
 
 
-FUNCTIONS = ("imagine", "adjoint", "layers_size", "room_size")
-
-
 @cache
 def _library() -> ctypes.CDLL | None:
-    """Return the code of windows, None where there is no compiler or one that refuses it, which is tried once."""
-    own = resources.files("dynasindy.planning").joinpath("c", "rollout.c")
-    try:
-        text = source("perceptron.c") + own.read_text(encoding="utf-8")
-        code = load_library(text, FUNCTIONS, fast=True, cached=True)
-    except FileNotFoundError:
-        return None
-    except (ValueError, OSError) as error:
-        warnings.warn(f"windows are imagined by torch code, which is slower: {error}", stacklevel=4)
-        return None
-    code.layers_size.restype = code.room_size.restype = ctypes.c_long
+    """Return the code of windows, None where there is none, which is tried once."""
+    own = resources.files("dynasindy.planning").joinpath("c", "rollout.c").read_text(encoding="utf-8")
+    code = find_library(source("perceptron.c") + own, "windows are imagined", fast=True)
+    if code is not None:
+        code.layers_size.restype = code.room_size.restype = ctypes.c_long
     return code
 
 

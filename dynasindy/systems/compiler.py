@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
@@ -67,30 +68,27 @@ def _build_fast(source: Path, library: Path) -> Path:
 
 
 @cache
-def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached: bool = False) -> ctypes.CDLL:
-    """Compile a C text for this process; the same text is compiled once.
+def load_library(source: str, *, fast: bool) -> ctypes.CDLL:
+    """Compile a C text, once on this computer: the library stays in the user's cache.
 
     Args:
         source: The text.
-        functions: Names of what it has to show.
         fast: Arithmetic for many numbers at once, in place of operation by operation as it is written.
-        cached: Whether the library stays in the user's cache, for later processes on this computer.
 
     Raises:
         FileNotFoundError: There is no compiler.
         ValueError: The compiler refuses the text.
-        OSError: What the compiler wrote cannot be loaded, or lacks a function.
+        OSError: What the compiler wrote cannot be loaded.
     """
     if compiler() is None:
         raise FileNotFoundError("no C compiler was found; install gcc or clang, or do without machine code")
-    file = _cache_file(source, fast) if cached else None
+    file = _cache_file(source, fast)
     if file is not None:
         with suppress(OSError):  # it may be missing or damaged, and is then compiled anew
             code = ctypes.CDLL(str(file))
-            if all(hasattr(code, name) for name in functions):
-                with suppress(OSError):  # it may be another user's
-                    file.touch()
-                return code
+            with suppress(OSError):  # it may be another user's
+                file.touch()
+            return code
     # Each call has a folder of its own, as threads may compile the same text at the same time. What is loaded needs
     # its file no more; where it cannot be removed then, as on Windows, it is left to the system.
     with tempfile.TemporaryDirectory(prefix="dynasindy_", ignore_cleanup_errors=True) as folder:
@@ -105,9 +103,24 @@ def load_library(source: str, functions: tuple[str, ...], *, fast: bool, cached:
                 kept = sorted(file.parent.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime, reverse=True)
                 for old in kept[KEPT:]:
                     old.unlink(missing_ok=True)
-    if not all(hasattr(code, name) for name in functions):
-        raise OSError("the compiler wrote a library that shows none of its functions; name another one by CC")
     return code
+
+
+def find_library(source: str, without: str, *, fast: bool) -> ctypes.CDLL | None:
+    """Return what `load_library` does; None where there is no compiler or, with a warning, one that refuses the text.
+
+    Args:
+        source: The text.
+        without: What is slower then, in words.
+        fast: See `load_library`.
+    """
+    try:
+        return load_library(source, fast=fast)
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError) as error:
+        warnings.warn(f"{without} by torch code, which is slower: {error}", stacklevel=2)
+        return None
 
 
 def _cache_file(source: str, fast: bool) -> Path | None:

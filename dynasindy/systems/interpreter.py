@@ -179,7 +179,7 @@ def _summed(xi: Tensor, slopes: Tensor, width: int) -> tuple[tuple[Tensor, Tenso
 @cache
 def _library() -> ctypes.CDLL:
     text = resources.files("dynasindy.systems").joinpath("c", "interpreter.c").read_text(encoding="utf-8")
-    return load_library(text.replace("@width@", str(WIDTH)), ("simulate",), fast=True, cached=True)
+    return load_library(text.replace("@width@", str(WIDTH)), fast=True)
 
 
 @lru_cache(maxsize=512)

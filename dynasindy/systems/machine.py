@@ -98,7 +98,7 @@ class Machine:
         self._constants = self._reals(program.constants)
         single = dtype == torch.float32
         source = _source(replace(program, constants=()), WIDTH if single else 1, single)
-        self._code = load_library(source, ("advance", "sensitivities"), fast=single)
+        self._code = load_library(source, fast=single)
         n_x, n_u = program.n_x, program.n_u
         self._size = (6 * n_x + n_u + 5 * n_x * (n_x + n_u)) * _rows(n_x, n_u, WIDTH if single else 1)
         self._room = torch.empty(self._size, dtype=dtype)

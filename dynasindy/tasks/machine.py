@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import resources
@@ -13,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dynasindy.systems.compiler import load_library
+from dynasindy.systems.compiler import find_library
 from dynasindy.tasks.base import Task
 from dynasindy.tasks.references import N_PARAMS
 from dynasindy.tasks.reward import ERROR_SHAPES, TrackingReward
@@ -120,13 +119,7 @@ def _library(dtype: torch.dtype) -> ctypes.CDLL | None:
     single = dtype == torch.float32
     words = {"real": "float" if single else "double"}
     text = re.sub(r"@(\w+)@", lambda gap: words.get(gap[1], gap[1] + "f" * single), text)
-    try:
-        return load_library(text, ("judge",), fast=False, cached=True)
-    except FileNotFoundError:
-        return None
-    except (ValueError, OSError) as error:
-        warnings.warn(f"a tracking task stays torch code, which is slower: {error}", stacklevel=4)
-        return None
+    return find_library(text, "a tracking task is judged", fast=False)
 
 
 def _at(*tensors: Tensor | None) -> list[ctypes.c_void_p | None]:

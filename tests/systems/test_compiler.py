@@ -47,7 +47,7 @@ def test_a_cached_library_is_compiled_once_and_anew_where_it_is_damaged(tmp_path
     def _file(place):
         monkeypatch.setenv("XDG_CACHE_HOME", str(place))
         load_library.cache_clear()
-        code = load_library(source, ("thrice",), fast=True, cached=True)
+        code = load_library(source, fast=True)
         code.thrice.argtypes, code.thrice.restype = [ctypes.c_double], ctypes.c_double
         assert code.thrice(1.5) == 4.5
         (file,) = (place / "dynasindy").iterdir()
@@ -73,7 +73,7 @@ def test_the_libraries_that_were_used_last_stay_in_the_cache(tmp_path, monkeypat
     for name, age in (("one", 300), ("two", 200), ("one", 100), ("three", 0)):
         source = f"double {name}(void) {{ return 1; }}\n"
         load_library.cache_clear()
-        load_library(source, (name,), fast=True, cached=True)
+        load_library(source, fast=True)
         names[name] = file = module._cache_file(source, True)
         os.utime(file, (file.stat().st_mtime - age,) * 2)
     assert {*(tmp_path / "dynasindy").iterdir()} == {names["one"], names["three"]}
