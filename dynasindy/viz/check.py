@@ -29,8 +29,7 @@ from dynasindy.viz.style import (
     array,
     input_axis,
     label,
-    legend_above,
-    legend_beside,
+    legend,
     panels,
     styled,
     symbol,
@@ -106,7 +105,7 @@ def _nyquist(found: Check, limits: Thresholds) -> Figure:
         axis.set_aspect("equal")
         axis.set_xlabel(f"real part, {label(name)}")
         axis.set_ylabel("imaginary part")
-    legend_beside(axes[-1])
+    legend(axes[-1])
     return figure
 
 
@@ -140,7 +139,7 @@ def _steps(found: Check, limits: Thresholds) -> Figure:
         for row, look in zip(inputs, looks, strict=True):
             axis.step(*zero_order_hold(seconds[:-1], row[:, i]), where="post", **{"linewidth": 1.0, **look})
         input_axis(axis, signature, i)
-    legend_above(axes[0])
+    legend(axes[0], "above")
     time_axis(axes[-1], seconds)
     axes[-1].set_xlim(0, float(seconds[-1]))
     return figure

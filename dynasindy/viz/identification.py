@@ -18,7 +18,7 @@ from dynasindy.viz.style import (
     array,
     input_axis,
     label,
-    legend_below,
+    legend,
     panels,
     styled,
     time_axis,
@@ -78,7 +78,7 @@ def training_data(
     shown = axes[: len(names)]
     _mark_restarts(shown, seconds, moving)
     _mark_gaps(shown, seconds, segment)
-    legend_below(figure, axes[0])
+    legend(axes[0], "below")
     _finish(axes, columns, seconds, segment)
     return figure
 
@@ -130,7 +130,7 @@ def prediction(
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             axes[i].set_ylim(*_limits(known, ended, wide))
     _mark_gaps(axes[: len(names)], seconds, segment)
-    legend_below(figure, axes[0])
+    legend(axes[0], "below")
     _finish(axes, columns, seconds, segment)
     return figure
 

@@ -19,7 +19,7 @@ from dynasindy.evaluation.ablation import SHARE, Level, read_ablation, worst_err
 from dynasindy.evaluation.statistics import FEWEST, bootstrap_interval, interquartile_mean
 from dynasindy.safe_io import file_name
 from dynasindy.viz.controllers import controller_name, line_styles
-from dynasindy.viz.style import BLACK, GREY, Array, array, legend_beside, panels, save_figures, styled
+from dynasindy.viz.style import BLACK, GREY, Array, array, legend, panels, save_figures, styled
 
 Curves = Mapping[str, ArrayLike]
 """`(n_seeds, n_episodes)` values after each episode, per setting."""
@@ -61,7 +61,7 @@ def average_rewards(
     if logarithmic and sum(low <= tick <= high for tick in axis.get_yticks()) < FEWEST_TICKS:
         axis.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=LINEAR, subs=[1.0, 2.0, 5.0]))
         axis.yaxis.set_major_formatter("{x:g}")
-    legend_beside(axis)
+    legend(axis)
     axis.set_ylabel(f"return, logarithmic beyond {LINEAR:g} [-]" if logarithmic else "return [-]")
     return figure
 
@@ -112,7 +112,7 @@ def _draw_errors(curves: Curves, episode: ArrayLike, level: float, unit: str, ti
     _draw_bands(axis, curves, episode)
     axis.axhline(level, color=BLACK, linestyle="--", linewidth=0.9, label=f"required: at most {level:g} {unit}")
     axis.set_yscale("log")
-    legend_beside(axis)
+    legend(axis)
     short = "% of range" if unit == OF_RANGE else unit
     when = "of the last 5 s" if unit == "rad" else "at the end"  # a slow plant's end is longer
     axis.set_ylabel(f"mean abs error {when}, worse axis [{short}]")

@@ -30,7 +30,7 @@ from dynasindy.viz.style import (
     array,
     input_axis,
     label,
-    legend_above,
+    legend,
     panels,
     save_figures,
     spell_names,
@@ -94,7 +94,7 @@ def tracking(
             own = signature.in_own_units(array(u))[:, i]
             axis.step(*zero_order_hold(seconds, own), where="post", linewidth=1.0, label=of, **look)
         input_axis(axis, signature, i)
-    legend_above(axes[0])
+    legend(axes[0], "above")
     time_axis(axes[-1], time_span(seconds))
     axes[-1].set_xlim(*time_span(seconds))
     return figure
@@ -142,7 +142,7 @@ def error_fan(
         least = min(least, float(np.quantile(outer, 0.1))) if len(outer) else least
         axis.set_ylim(bottom=0.5 * max(least, LEAST * float(bands[i])))
         axis.set_ylabel(f"|error| of {label(name, unit)}")
-    legend_above(axes[0])
+    legend(axes[0], "above")
     time_axis(axes[-1], time_span(seconds))
     axes[-1].set_xlim(*time_span(seconds))
     return figure
@@ -245,7 +245,7 @@ def _draw_flight(shown: FlightRecord, wiring: Wiring, guard: Guard, name: str) -
             axis.axvline(ended, color=RED, linewidth=1.0, label="ended, safe input")
     time_axis(figure.axes[-1], (0.0, planned))
     figure.axes[-1].set_xlim(0.0, planned * (1 + LATE * bool(shown.fault)))
-    legend_above(figure.axes[0])
+    legend(figure.axes[0], "above")
     return figure
 
 
@@ -257,7 +257,7 @@ def _draw_excitation(found: tuple[Array, Array, Array], wiring: Wiring, guard: G
     seen = [i for i in range(states.shape[1]) if not np.isnan(states[:, i]).all()]
     for axis, place in zip(figure.axes, seen, strict=False):
         _draw_range(figure, axis, guard.ranges.get(wiring.signature.state_names[place], ()))
-    legend_above(figure.axes[0])
+    legend(figure.axes[0], "above")
     return figure
 
 
@@ -282,7 +282,7 @@ def _shade_disturbances(figure: Figure, windows: Sequence[tuple[float, float]]) 
         for axis in figure.axes:
             axis.axvspan(start, end, color=ORANGE, alpha=0.2, lw=0, label="disturbed")
     if windows:
-        legend_above(figure.axes[0])
+        legend(figure.axes[0], "above")
 
 
 def _draw_range(figure: Figure, axis: Axes, ends: Sequence[float]) -> None:

@@ -24,8 +24,7 @@ from dynasindy.viz.style import (
     RED,
     Array,
     array,
-    label_decades,
-    legend_beside,
+    legend,
     panels,
     save_figures,
     styled,
@@ -33,8 +32,6 @@ from dynasindy.viz.style import (
 )
 
 Table = dict[str, Array]
-CLEAR = 1.1
-"""An end of an axis lies beyond every value by this factor at least: what lies on the frame is not seen."""
 TYPICAL = "typical ranges"
 """Unit of an error of all states together, each of which counts by its typical range, `Signature.x_scale`."""
 DOTS: Mapping[str, Any] = {"marker": "o", "markersize": 3, "clip_on": False}
@@ -202,8 +199,9 @@ def gate(
     ring: dict[str, Any] = {"marker": "o", "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
     if back.any():
         lower.plot(x[back], after[back], color=RED, label="rolled back", clip_on=False, **ring)
-    _limit(upper, np.concatenate([whole, judged, columns["open_below"], columns["close_above"]]))
-    _limit(lower, np.concatenate([before, after]))
+    upper.set_yscale("log")
+    if bool(((before > 0) | (after > 0)).any()):
+        lower.set_yscale("log")
     _mark_divergence(upper, x[~np.isfinite(whole)], GREY)
     _mark_divergence(upper, x[np.isinf(judged)], BLUE)
     lower.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
@@ -212,7 +210,7 @@ def gate(
     upper.set_ylabel(f"reward error\n[{unit}]")
     lower.set_ylabel(f"held-out state error\n[{TYPICAL}]")
     for axis in (upper, lower):
-        legend_beside(axis)
+        legend(axis)
     return figure
 
 
@@ -227,7 +225,7 @@ def _growing_error(time: Array, error: Array) -> Figure:
         look: dict[str, Any] = {"color": RED, "marker": "v", "markersize": 4, "linestyle": "none"}
         axis.plot(time[zero], below, label="exactly 0, below the axis", **look)
     axis.set_yscale("log")
-    legend_beside(axis)
+    legend(axis)
     axis.set_xlim(0.0, time.max(initial=0.0) or 1.0)
     time_axis(axis, time)
     axis.set_ylabel(f"RMS error of the states\n[{TYPICAL}]")
@@ -236,21 +234,7 @@ def _growing_error(time: Array, error: Array) -> Figure:
 
 def _mark_divergence(axis: Axes, x: Array, color: str) -> None:
     """Mark at the upper edge of an axis, whose limits end with this, where an error was not finite."""
-    low, top = axis.get_ylim()
-    axis.set_ylim(low, top)
+    _, top = axis.set_ylim(axis.get_ylim())
     if len(x):
         look: dict[str, Any] = {"marker": "^", "markersize": 6, "linestyle": "none", "clip_on": False, "zorder": 3}
         axis.plot(x, np.full(len(x), top), color=color, label="ran away, above the axis", **look)
-
-
-def _limit(axis: Axes, values: Array) -> None:
-    """End a logarithmic axis at the next of 1, 2, 5, 10, 20, ... clearly below and above positive values."""
-    seen = values[np.isfinite(values) & (values > 0)]
-    if len(seen):
-        powers = 10.0 ** np.arange(np.floor(np.log10(seen.min())) - 1, np.ceil(np.log10(seen.max())) + 2)
-        steps = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
-        # The factors of the powers of ten are not exact in the last digits.
-        low = float(steps[steps <= seen.min() / CLEAR * (1 + 1e-9)][-1])
-        axis.set_yscale("log")
-        axis.set_ylim(low, float(max(steps[steps >= seen.max() * CLEAR * (1 - 1e-9)][0], 5 * low)))
-        label_decades(axis.yaxis)

@@ -5,15 +5,14 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import matplotlib
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, ScalarFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from dynasindy.data.headings import RATE_NAMES
@@ -38,8 +37,6 @@ BLACK, ORANGE, SKY, GREEN, BLUE, RED, PURPLE = (
 """Colour-blind safe palette (Okabe and Ito 2008); black is always the reference or the real plant."""
 CYCLE = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 GREY = "#7f7f7f"
-FEW_DECADES = 1000.0
-"""Ends of an axis nearer to each other than this factor have few powers of ten between them."""
 ROW = 95
 """Letters that a row of a legend above an axis holds."""
 LEGEND = 60
@@ -212,37 +209,25 @@ def zero_order_hold(seconds: Array, values: Array) -> tuple[Array, Array]:
     return np.append(seconds, time_span(seconds)[1]), np.concatenate([values, values[-1:]])
 
 
-def label_decades(axis: Axis) -> None:
-    """Give a logarithmic axis of few decades ticks at 1, 2 and 5 times the powers of ten; these alone give no scale."""
-    low, high = axis.get_view_interval()
-    if high / low < FEW_DECADES:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+def legend(axis: Axes, place: Literal["above", "beside", "below"] = "beside") -> None:
+    """Put the legend where no line can run through it: above an axis, to its right, or below its figure.
 
-
-def legend_above(axis: Axes) -> None:
-    """Put the legend above an axis: what moves leaves no corner free; what is drawn twice is named once."""
+    What is drawn twice is named once.
+    """
     named = _named(axis)
-    # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
-    rows = -(-sum(len(label) + 6 for label in named) // ROW)
-    columns = max(1, -(-len(named) // max(1, rows)))
-    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": columns}
-    if named:
-        axis.legend(list(named.values()), list(named), **place, columnspacing=1.2, handlelength=1.6)
-
-
-def legend_beside(axis: Axes) -> None:
-    """Put the legend to the right of an axis, where no line can run through it; what is drawn twice is named once."""
-    if named := _named(axis):
-        words = [textwrap.fill(name, LEGEND) for name in named]
-        axis.legend(list(named.values()), words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
-def legend_below(figure: Figure, axis: Axes) -> None:
-    """Put what the first panel explains below all of them, each of it once."""
-    if named := _named(axis):
-        figure.legend(list(named.values()), list(named), loc="outside lower center", ncols=len(named))
+    handles, words = list(named.values()), list(named)
+    if not named:
+        return
+    if place == "below":
+        axis.figure.legend(handles, words, loc="outside lower center", ncols=len(words))
+    elif place == "beside":
+        words = [textwrap.fill(name, LEGEND) for name in words]
+        axis.legend(handles, words, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    else:
+        # An entry takes its letters and a sample of its line; more than a row holds would press the axis together.
+        rows = -(-sum(len(name) + 6 for name in words) // ROW)
+        look: dict[str, Any] = {"columnspacing": 1.2, "handlelength": 1.6, "ncols": max(1, -(-len(words) // rows))}
+        axis.legend(handles, words, loc="lower right", bbox_to_anchor=(1.0, 1.0), **look)
 
 
 def _named(axis: Axes) -> dict[str, Any]:
