@@ -43,10 +43,7 @@ def check_memory(size: float, what: str) -> None:
         ValueError: It is more than this process may have.
     """
     if size > memory():
-        raise ValueError(
-            f"{what} would take {size / 1e9:.3g} GB; allowed is what this process may have, "
-            f"{memory() / 1e9:.3g} GB: lower them"
-        )
+        raise ValueError(f"{what} would take {size / 1e9:.3g} GB of {memory() / 1e9:.3g} GB: lower them")
 
 
 EXHAUSTED = re.compile(

@@ -78,15 +78,10 @@ class Settings:
     def __post_init__(self) -> None:
         ends = list(zip(self.low, self.high, strict=False))
         if len(self.low) != len(self.high) or not all(-math.inf < a <= b < math.inf for a, b in ends):
-            raise ValueError(
-                f"low is {list(self.low)}, high is {list(self.high)}; give one number per output in each, low <= high"
-            )
+            raise ValueError(f"low={self.low}, high={self.high}; give one number per output in each, low <= high")
         length = 1.0 if self.seconds is None else self.seconds
         if self.points < 1 or self.grid < 2 or self.draws < 0 or not (0 < length < math.inf and self.reach > 0):
-            raise ValueError(
-                f"points={self.points}, grid={self.grid}, draws={self.draws}, seconds={self.seconds}, "
-                f"reach={self.reach}; give points >= 1, grid >= 2, draws >= 0, seconds > 0 and reach > 0"
-            )
+            raise ValueError(f"{self}: give points >= 1, grid >= 2, draws >= 0, seconds > 0 and reach > 0")
 
     @property
     def middle(self) -> Tensor:
@@ -346,9 +341,7 @@ def check(loop: ClosedLoop, settings: Settings) -> Check:
         ValueError: The target range has another number of outputs than the controller.
     """
     if len(settings.low) != loop.task.n_r:
-        raise ValueError(
-            f"low and high have {len(settings.low)} numbers; give one for each of {', '.join(loop.task.output_names)}"
-        )
+        raise ValueError(f"give low and high a number for each of {', '.join(loop.task.output_names)}")
     seconds = settings.seconds or PERIODS * loop.dt
     settings, targets = replace(settings, seconds=seconds), settings.targets
     rest, begin = find_rest(loop, targets, seconds=seconds), _begin(loop, settings)

@@ -134,9 +134,7 @@ class ClosedLoop:
 
     def __init__(self, controller: Controller, plant: Plant) -> None:
         if not plant.model.signature.alike(controller.signature):
-            raise ValueError(
-                "the model has other states, units or inputs than the controller; give the model of its run"
-            )
+            raise ValueError("the model has other states, units or inputs than the controller; give that of its run")
         self.controller, self.plant, self.task = controller, plant, controller.setup.task
         # Differences of a step in single precision would be rounding, and little else.
         policy = copy.deepcopy(controller.policy)

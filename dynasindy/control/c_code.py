@@ -205,9 +205,7 @@ def _observer_words(controller: Controller, observer: Observer) -> dict[str, Any
     """
     model, (whole, part), dt, size = require_sparse(observer), observer.late(), observer.dt, observer.scale
     if (n := observer.n_x + model.signature.n_u) > MANY:
-        raise ValueError(
-            f"an observer of {n} states and inputs overflows the stack in C; allowed are {MANY}: identify fewer states"
-        )
+        raise ValueError(f"an observer of {n} states and inputs is too large for the stack of C, {MANY} at most")
     late = observer.sensors.delay + whole
     sensed = [controller.signature.state_index(state) for state in controller.measured]
 

@@ -101,7 +101,7 @@ def load(path: str | Path) -> Controller:
     file = Path(path) / NAME if Path(path).is_dir() else Path(path)
     if not file.is_file():
         raise FileNotFoundError(
-            f"{file} does not exist; give a controller that was saved, or the folder of a run that has ended"
+            f"{file} does not exist; give a saved controller, or the folder of a run that has ended"
         )
     record = read_json(file)
     if record.get("format") != FORMAT:
@@ -124,9 +124,7 @@ def network(controller: Controller) -> MLP:
     """
     module = getattr(controller.policy, "module", controller.policy)
     if not isinstance(module, MLP) or not module.squash:
-        raise ValueError(
-            f"the policy is a {type(module).__name__}, which no file holds; allowed is the actor of one of our agents"
-        )
+        raise ValueError(f"no file holds a policy that is a {type(module).__name__}; allowed is the actor of an agent")
     return module
 
 
@@ -137,9 +135,7 @@ def require_sparse(observer: Observer) -> SindyModel:
         ValueError: It is of another kind.
     """
     if not isinstance(observer.model, SindyModel):
-        raise ValueError(
-            f"the observer works on a {type(observer.model).__name__}, which no file holds; fit a SindyModel"
-        )
+        raise ValueError(f"no file holds an observer on a {type(observer.model).__name__}; fit a SindyModel")
     return observer.model
 
 
@@ -147,7 +143,7 @@ def _network(layers: list[dict[str, Any]], task: Tracking) -> MLP:
     widths = [int(layers[0]["in"]), *(int(layer["out"]) for layer in layers)]
     if (widths[0], widths[-1]) != (task.n_o, task.signature.n_u):
         raise ValueError(
-            f"its policy maps {widths[0]} numbers to {widths[-1]}, its task {task.n_o} to {task.signature.n_u}"
+            f"its policy has {widths[0]} inputs and {widths[-1]} outputs, its task {task.n_o} and {task.signature.n_u}"
         )
     values = [
         (_unpacked(layer["weight"], n_out, n_in), _unpacked(layer["bias"], n_out))

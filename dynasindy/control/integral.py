@@ -44,8 +44,7 @@ class IntegralAction:
             raise TypeError(f"task {type(env.task).__name__} has no error to integrate; use a tracking task")
         if not all(number > 0 for number in (gain, band, limit, rate)):
             raise ValueError(
-                f"integral action needs positive numbers, got gain={gain}, band={band}, limit={limit}, rate={rate}; "
-                "mend them, or leave integral action out"
+                f"integral action needs gain, band, limit and rate > 0, not {gain}, {band}, {limit}, {rate}"
             )
         self.policy, self.task, self.dt = policy, env.task, env.dt
         self.gain, self.band, self.limit, self.rate = gain, band, limit, rate

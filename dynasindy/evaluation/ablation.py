@@ -55,10 +55,7 @@ class Level:
 
     def __post_init__(self) -> None:
         if not self.error > 0 or self.consecutive < 1 or not self.share > 0:
-            raise ValueError(
-                f"level has error={self.error}, consecutive={self.consecutive}, share={self.share}; give an error > 0 "
-                "rad and a count >= 1, and a share of the target range > 0"
-            )
+            raise ValueError(f"a level needs numbers > 0; its error, consecutive and share are {self}")
 
     def reached(self, errors: Sequence[float], shares: bool = False) -> int | None:
         """Return the place in `errors` at which the level is reached, or None.

@@ -70,16 +70,12 @@ class Scenario:
     def __post_init__(self) -> None:
         file_name(self.name, "scenario")
         if self.episodes < 1 or (self.seconds is not None and not self.seconds > 0) or not self.lengths > 0:
-            raise ValueError(
-                f"scenario '{self.name}' has episodes={self.episodes}, seconds={self.seconds}, lengths={self.lengths}; "
-                "all must be positive"
-            )
+            raise ValueError(f"episodes, seconds and lengths of scenario '{self.name}' must be positive")
         end = math.inf if self.seconds is None else self.seconds
         edges = [0.0, *(edge for window in self.windows or () for edge in window), end]
         if any(start > end for start, end in pairwise(edges)):
             raise ValueError(
-                f"windows {list(self.windows or ())} of scenario '{self.name}' must be (start, end) pairs "
-                f"in order within 0 and {end} s; sort or shorten them"
+                f"windows of scenario '{self.name}' must be (start, end) pairs in order within 0 and {end} s"
             )
 
     def length(self, place: Sampled) -> float:
@@ -90,9 +86,7 @@ class Scenario:
         """
         seconds = self.seconds or self.lengths * place.task.max_steps * place.dt
         if round(seconds / place.dt) < 1:
-            raise ValueError(
-                f"scenario.seconds is {seconds} s, less than a control period of {place.dt} s; give one or more"
-            )
+            raise ValueError(f"scenario.seconds is {seconds} s; give a control period of {place.dt} s or more")
         return seconds
 
 
@@ -223,9 +217,7 @@ def step_references(low: Sequence[float], high: Sequence[float], number: Count =
     if number < 1:
         raise ValueError(f"scenario.reference.number is {number}; give 1 or more")
     if len(low) != len(high):
-        raise ValueError(
-            f"plant.low={list(low)} and plant.high={list(high)} differ in length; give one end per output in each"
-        )
+        raise ValueError(f"plant.low={list(low)} and plant.high={list(high)} differ in length; give one end per output")
     points = torch.quasirandom.SobolEngine(len(low), scramble=True, seed=seed).draw(number)
     lower, upper = (torch.tensor([float(end) for end in ends]) for ends in (low, high))
     targets, worth_a_figure = torch.lerp(lower, upper, points), 0.75 * upper
@@ -345,10 +337,7 @@ def _check_action(policy: Policy, start: TensorDictBase, n_u: int, name: str) ->
         n_o, first = start["observation"].shape[-1], str(error).splitlines()[0]
         given = f"no action for an observation of {n_o} numbers ({first})"
     if given != f"an action of shape {wanted}":
-        raise ValueError(
-            f"the policy gave {given} in scenario '{name}', the plant takes {wanted}; "
-            "load the policy that was trained on this plant"
-        )
+        raise ValueError(f"the policy gave {given} in scenario '{name}', the plant takes {wanted}; load its own policy")
 
 
 def _measure(env: ControlEnv, task: Task, scenario: Scenario, trajectory: TensorDictBase) -> Evaluation:

@@ -215,9 +215,7 @@ def _save(
     try:
         import onnx
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "ONNX needs the package onnx, which is not installed; install it by pip install 'dynasindy[export]'"
-        ) from error
+        raise ModuleNotFoundError("ONNX needs the package onnx: pip install 'dynasindy[export]'") from error
     module.eval()
     written: Any = io.BytesIO()
     before = torch.get_default_dtype()

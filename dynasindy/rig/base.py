@@ -57,8 +57,7 @@ class Wiring:
         object.__setattr__(self, "seen", tuple(bool(known) for known in self.seen))
         if len(self.seen) != self.signature.n_x or not any(self.seen) or not self.dt > 0:
             raise ValueError(
-                f"a rig has seen={list(self.seen)}, dt={self.dt} s; give one bool for each of "
-                f"{', '.join(self.signature.state_names)}, one of them true, and a positive time"
+                f"seen={self.seen}, dt={self.dt}; give a bool per state, one of them true, and a time > 0 s"
             )
 
     @property

@@ -82,10 +82,7 @@ class Guard:
             ValueError: It is not.
         """
         if unknown := [name for name in self.ranges if name not in wiring.measured]:
-            raise ValueError(
-                f"a guard has a range of '{unknown[0]}', which is not measured; allowed are "
-                f"{', '.join(wiring.measured)}"
-            )
+            raise ValueError(f"a guard has a range of '{unknown[0]}'; measured are {', '.join(wiring.measured)}")
 
     def summary(self, wiring: Wiring) -> str:
         """Say within which ranges a flight goes on."""

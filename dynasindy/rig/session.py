@@ -256,9 +256,7 @@ class Session:
         wanted = set(sensors) if sensors else set(theirs.state_names)
         if theirs.input_names != mine.input_names:
             raise ValueError(
-                f"the controller is one for states {', '.join(theirs.state_names)} and inputs "
-                f"{', '.join(theirs.input_names)}, the rig has {', '.join(mine.state_names)} and "
-                f"{', '.join(mine.input_names)}; give another"
+                f"the controller sets {', '.join(theirs.input_names)}, the rig has {', '.join(mine.input_names)}"
             )
         if abs(controller.dt - self.wiring.dt) > 1e-9 * self.wiring.dt:
             raise ValueError(

@@ -124,10 +124,7 @@ def rehearsal(
             no state or is no range.
     """
     if not system.known:
-        raise ValueError(
-            "rig=simulated moves a plant by its equations, which nobody knows of this one; give rig=udp and the "
-            "address of the rig, rig.host"
-        )
+        raise ValueError("nobody knows the equations of this plant, so none is simulated; give rig=udp and rig.host")
     ends = start_ranges(system.signature, start or {}).double()
 
     def _begins(batch: torch.Size) -> torch.Tensor:

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 
 from dynasindy.checking.check import Settings, check
 from dynasindy.checking.closed_loop import ClosedLoop, Plant
-from dynasindy.checking.verdict import _plain_number, check_record
+from dynasindy.checking.verdict import check_record
 from dynasindy.control import Controller
 from dynasindy.control.controller import ControlSetup
 from dynasindy.progress import listening
@@ -92,7 +92,7 @@ def test_a_loop_that_is_not_stable_has_no_margins(loops, law):
     assert not found.stable.any() and not any(found.margins) and found.noise == [None] * 3
     held = check_record(found)
     assert held["targets"][0]["noise_to_input"] is None and held["targets"][0]["spectral_radius"] > 1
-    assert held["targets"][0]["steady_error"]["p"] > 1 and _plain_number(torch.inf) is None
+    assert held["targets"][0]["steady_error"]["p"] > 1
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ def damaged(tmp_path, change):
         (lambda r: r["policy"][1].update(bias="§"), "damaged"),
         (lambda r: r["policy"][0].update(weight="!!!" + r["policy"][0]["weight"]), "damaged"),
         (lambda r: r["policy"][0].update(out=10**9), "4000000000"),
-        (lambda r: r["policy"].pop(), "4 numbers"),
+        (lambda r: r["policy"].pop(), "4 inputs"),
         (lambda r: r["observer"]["model"].update(format="x"), "format"),
         (
             lambda r: r["observer"]["model"]["signature"].update(state_units=["m", "m/s"]),

@@ -1,7 +1,6 @@
 """The error of the model over episodes, and what the gate decides by it."""
 
 import numpy as np
-import pytest
 
 from dynasindy.viz.run import _growing_error, gate
 
