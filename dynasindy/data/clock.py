@@ -258,7 +258,7 @@ def _unwrap_counter(values: Array, table: Table, unit: float, dt: float | None) 
     if not len(drops) or len(drops) > 1 + len(values) // FEWEST:
         return values, []
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else (dt or 1.0) / unit
-    starts, lines = drops + 1, table.lines[drops + 1].tolist()
+    starts, lines = drops + 1, table.frame.index[drops + 1].tolist()
     for size in (2.0**16, 2.0**32, 2.0**24, 86400.0 / unit):
         if np.ptp(values) < size and bool(((steps[drops] + size > 0) & (steps[drops] + size <= LATE * usual)).all()):
             found, lifts = note("log.overflow", size=size, lines=lines), np.full(len(drops), size)
@@ -285,7 +285,8 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     Raises:
         ValueError: The unit is not one of time, or the times do not tell that between two rows.
     """
-    values, heading, name = table.values[:, 0], table.headings[0], split_unit(table.headings[0])[0]
+    heading, name = table.headings[0], split_unit(table.headings[0])[0]
+    values = table.column(heading)
     unit = "" if table.dated else unit or _size_unit(values)
     if unit and unit.lower() not in SECONDS:
         raise LogError("log.time_unit", file=path, column=heading, unit=unit, units=[*SECONDS])

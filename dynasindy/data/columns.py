@@ -24,7 +24,7 @@ from dynasindy.data.headings import (
     split_unit,
     units_of,
 )
-from dynasindy.data.table import REGULAR, ColumnSummary, read_columns, summarise_columns
+from dynasindy.data.table import COUNTED, REGULAR, Table, grows, read_columns
 from dynasindy.findings import Finding, LogError, note, weak
 
 Array = NDArray[np.float64]
@@ -111,18 +111,18 @@ def _is_followed(column: Array, others: Iterable[Array]) -> bool:
     of the same is there from the beginning.
     """
     steps = np.flatnonzero(np.diff(column)) + 1
-    if _standing(column) <= HELD or len(steps) < LEADS:
+    if _standing(column) <= HELD or len(steps) < 4:
         return False
-    steps, ends = steps[:-1], steps[1:] - 1
-    size = np.abs(column[steps] - column[steps - 1])
-    before, after = ([np.abs(x[rows] - column[steps]) / size for x in others] for rows in (steps, ends))
-    pairs = zip(before, after, strict=True)
-    return any(np.median(first) > AWAY and np.median(last) < 1 - AWAY for first, last in pairs)
+    rows, level = np.stack([steps[:-1], steps[1:] - 1]), column[steps[:-1]]
+    size = np.abs(level - column[steps[:-1] - 1])
+    left = (np.median(np.abs(x[rows] - level) / size, axis=1) for x in others)
+    return any(first > 0.7 and last < 0.3 for first, last in left)
 
 
-def _stem(name: str) -> str:
-    """Return what `Heater 1` and `Heater 2` have in common."""
-    return re.sub(r"[\W_]*\d+$", "", name)
+def _alike(name: str, names: Iterable[str]) -> list[str]:
+    """Return the names that differ from one in the number at their end alone, as `Heater 2` does from `Heater 1`."""
+    number = re.compile(r"[\W_]*\d+$")
+    return [other for other in names if number.sub("", other) == number.sub("", name)]
 
 
 def _stepping(columns: Mapping[str, Array]) -> list[str]:
@@ -131,15 +131,16 @@ def _stepping(columns: Mapping[str, Array]) -> list[str]:
     There is none where one may be a label, several are no array of the same, or what would be a state stands, too.
     """
     standing = {name: _standing(column) for name, column in columns.items()}
-    steady = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}  # labels
-    found = [name for name, share in standing.items() if share > HELD and name not in steady]
+    labels = {name for name, share in standing.items() if share > 1 - RARE and not (columns[name] % 1).any()}
+    found = [name for name, share in standing.items() if share > HELD and name not in labels]
     most = 0.5 * min((standing[name] for name in found), default=0.0)
-    smooth = all(standing[name] < most for name in columns if name not in found)
-    if not smooth or len(set(map(_stem, found))) != 1:
+    if not found or any(share >= most for name, share in standing.items() if name not in found):
         return []
-    pair = [name for name in columns if _stem(name) == _stem(found[0])]
-    alone = found if len(found) < len(columns) else []
-    return pair if len(pair) < len(columns) else alone  # columns of one matrix are no pair
+    pair = _alike(found[0], columns)
+    if not {*found} <= {*pair}:
+        return []
+    found = pair if len(pair) < len(columns) else found  # columns of one matrix are no pair
+    return found if len(found) < len(columns) else []
 
 
 def infer(
@@ -170,112 +171,117 @@ def infer(
         ValueError: no heading is that of a state, none that of an input, one that is named does not exist, or an input
             holds words.
     """
-    look = summarise_columns(Path(path))
-    clock, _ = clock_of(look.headings, time)
-    timed = clock in look.headings
-    names = {h: name for h in look.headings if h and clock not in (h, name := split_unit(h)[0])}
-    words = {names[h]: text for h, text in look.worded.items() if h in names}
-    dates = [names[h] for h in look.dated if h in names]
-    empty = [name for h, name in names.items() if h not in {*look.numeric, *look.worded}]
-    named = {found for name in (*(inputs or ()), *(states or ())) for found in find_names(name, names.values())}
-    driving = [found for name in inputs or () for found in find_names(name, words)]
-    if worded := [name for name in words if name in driving or (inputs is None and INPUT.fullmatch(name))]:
-        raise LogError("log.worded_input", file=path, column=worded[0], text=words[worded[0]])
+    table = read_columns(Path(path))
+    names = [split_unit(heading)[0] for heading in table.headings]
+    if double := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
+        )
+    clock, _ = clock_of(table.headings, time)
+    timed = clock in table.headings
+    own = ("reference_", "predicted_")  # in logs of ours
+    columns = {name: Column(h) for name, h in zip(names, table.headings) if clock not in (h, name)}
+    columns = {name: column for name, column in columns.items() if not name.startswith(own)}
+    named = {found for name in (*(inputs or ()), *(states or ())) for found in find_names(name, columns)}
+    driving = {found for name in inputs or () for found in find_names(name, columns)}
+    kinds = {name: table.kinds[column.name] for name, column in columns.items()}
+    moves = {name: moves for h, moves in table.moving().items() if (name := split_unit(h)[0]) in columns}
+    if timed:
+        t = table.column(clock)
+        kinds |= {name: "counter" for name in moves if keeps_time(table.column(columns[name].name), t)}
+    for name, kind in kinds.items():
+        if kind in ("words", "dates") and (name in driving or (inputs is None and INPUT.fullmatch(name))):
+            raise LogError("log.worded_input", file=path, column=name, text=table.words[columns[name].name].text)
+        if kind == "empty" and name in named:
+            raise LogError("log.column_without_numbers", file=path, column=name)
     if dt is not None and not timed:  # even rows, unless a column may be a time by another name
-        timed = not any(names[heading] not in named for heading in look.growing)
-    if blank := [name for name in empty if name in named]:
-        raise LogError("log.column_without_numbers", file=path, column=blank[0])
-    others = {
-        name: Column(h)
-        for h, name in names.items()
-        if h in look.numeric and not name.startswith(("reference_", "predicted_"))
-    }
-    counting = {*look.counting, *look.clocks(clock)}
-    targets = [
-        name
-        for name in others
-        if name not in named and REFERENCE.fullmatch(name) and not (INPUT.fullmatch(name) or COMMAND.fullmatch(name))
-    ]
-    free = {name: column.name for name, column in others.items() if name not in named}
-    still = {name: look.still[h] for name, h in free.items() if h in look.still}
-    counts = [name for name, h in free.items() if h in counting]
+        timed = not any(grows(column) for name, column in moves.items() if name not in named)
+    numeric = {name: columns[name] for name, kind in kinds.items() if kind not in ("words", "dates", "empty")}
+    why = {name: kind for name, kind in kinds.items() if kind != "moving" and not (name in named and name in numeric)}
+    for name in (name for name in numeric if name not in named and REFERENCE.fullmatch(name)):
+        if not (INPUT.fullmatch(name) or COMMAND.fullmatch(name)):
+            why.setdefault(name, "reference")
     if inputs is None:
-        moving = {n: c for n, c in others.items() if n not in {*still, *counts}}
-        found = {n: c for n, c in moving.items() if INPUT.fullmatch(n)}
-        found = found or {n: c for n, c in moving.items() if COMMAND.fullmatch(n)}
-        found = {n: c for n, c in found.items() if n[0].islower()} or found  # U_left beside u may be anything
+        found = [name for name in numeric if name not in why and INPUT.fullmatch(name)]
+        found = found or [name for name in numeric if name not in why and COMMAND.fullmatch(name)]
+        found = [name for name in found if name[0].islower()] or found  # U_left beside u may be anything
     else:
-        found = _chosen(others, inputs, path, "data.inputs")
-    left = {n: c for n, c in others.items() if n not in found and n not in {*still, *counts}}
-    free = {n: c.name for n, c in left.items() if n not in {*named, *targets}}
-    labels = [n for n, h in free.items() if _is_label(look.moving[h])]
-    moves = {n: look.moving[c.name] for n, c in left.items() if n not in {*targets, *labels}}
-    led = [n for n in moves if n not in named and _is_followed(moves[n], [moves[m] for m in moves if m != n])]
+        found = _chosen(numeric, inputs, path, "data.inputs")
+
+    def left() -> dict[str, Array]:
+        return {name: column for name, column in moves.items() if name not in why and name not in found}
+
+    why |= {name: "label" for name, column in left().items() if name not in named and _is_label(column)}
+    rest = left()
+    followed = {n for n in rest if n not in named and _is_followed(rest[n], [rest[m] for m in rest if m != n])}
     guessed = not found and inputs is None and timed
     if guessed:
-        steps = _stepping(moves) or _stepping({n: x for n, x in moves.items() if n not in led})
-        found = {n: left[n] for n in steps if n not in named}
-        led = [n for n in led if n not in found]
-    left = {n: c for n, c in left.items() if n not in {*found, *targets, *led}}
-    free = {n: c.name for n, c in left.items() if n not in {*named, *labels}}
-    labels += [n for n, h in free.items() if _is_label(look.moving[h], rarely=False)]
-    columns = {n: look.moving[c.name] for n, c in left.items() if n not in labels}
-    basis = [look.moving[others[n].name] for n in (*targets, *led) if others[n].name in look.moving]
-    derived = [n for n in _derived(columns, basis) if n not in named]
+        steps = _stepping(rest) or _stepping({n: column for n, column in rest.items() if n not in followed})
+        found = [name for name in steps if name not in named]
+    led = [name for name in rest if name in followed and name not in found]
+    why |= dict.fromkeys(led, "followed")
+    two = (n for n, column in left().items() if n not in named and _is_label(column, rarely=False))
+    why |= dict.fromkeys([*two], "label")
+    basis = [moves[name] for name, reason in why.items() if reason in ("reference", "followed") and name in moves]
+    why |= {name: "derived" for name in _derived(left(), basis) if name not in named}
     if states is None:
-        left = {n: c for n, c in left.items() if n not in {*labels, *derived}}
+        chosen = [name for name in numeric if name not in why and name not in found]
     else:
-        targets, led, labels, derived = [], [], [], []
-        left = _chosen(left, states, path, "data.states")
-        still = {name: value for name, value in still.items() if INPUT.fullmatch(name)}
-        counts = [name for name in counts if INPUT.fullmatch(name)]
-    left_out: dict[str, Any] = {
-        "constant": still,
-        "counter": counts,
-        "words": [name for name in words if name not in dates],
-        "empty": empty,
-        "dates": dates if timed else dates[1:],  # the first is the time where nothing else is
-        "reference": targets,
-        "label": labels,
-        "derived": derived,
-    }
-    out = [note("log.left_out", why=why, columns=columns) for why, columns in left_out.items() if columns]
-    if not left or not found or not timed:
-        live = {*look.numeric} - {*look.still, *look.counting, clock}
+        chosen = _chosen([name for name in numeric if name not in found], states, path, "data.states")
+        why = {
+            name: kind
+            for name, kind in why.items()
+            if name not in numeric or (kind in ("constant", "counter") and INPUT.fullmatch(name))
+        }
+        led = []
+    out = list[Finding]()
+    for reason in ("constant", "counter", "words", "empty", "dates", "reference", "label", "derived"):
+        those: Any = [name for name, kind in why.items() if kind == reason]
+        if reason == "constant":
+            those = {name: float(np.nanmax(table.column(columns[name].name))) for name in those}
+        elif reason == "dates" and not timed:
+            those = those[1:]  # the first is the time where nothing else is
+        out += [note("log.left_out", why=reason, columns=those)] if those else []
+    if not chosen or not found or not timed:
+        live = {*table.of_kind("moving")} - {clock}
         lacks = "time" if not timed else "command" if len(live) < 2 else "states" if found else "inputs"
-        facts: dict[str, Any] = {"columns": [*look.headings], "numbers": [*look.numeric], "clock": clock}
-        if look.numeric and lacks != "command":
-            facts["guess"] = _guess_columns(look, clock if timed else None, [*found], dt)
+        numbers = table.of_kind("constant", "counter", "moving")
+        facts: dict[str, Any] = {"columns": table.headings, "numbers": numbers, "clock": clock}
+        if numbers and lacks != "command":
+            facts["guess"] = _guess_columns(table, clock if timed else None, found, dt)
         raise LogError("log.no_roles", path=path, lacks=lacks, left_out=out, **facts)
     if led:
-        out.append(weak("log.followed", columns=led, states=[*left, *led]))
+        out.append(weak("log.followed", columns=led, states=[*chosen, *led]))
     if guessed:
-        out.append(weak("log.guessed_inputs", inputs=[*found], states=[*left]))
+        out.append(weak("log.guessed_inputs", inputs=found, states=chosen))
     if findings is not None:
         findings += out
-    return left, found
+    return {name: numeric[name] for name in chosen}, {name: numeric[name] for name in found}
 
 
 def _is_label(column: Array, rarely: bool = True) -> bool:
     """Tell whether a column holds a few whole numbers, which change in hardly any row, or whenever they are two."""
     levels = len(np.unique(column)) if len(column) and not (column % 1).any() else 0
-    return 1 < levels <= LABELS and _standing(column) > 1 - RARE if rarely else levels == 2
+    return 1 < levels <= 10 and _standing(column) > 1 - RARE if rarely else levels == 2
 
 
 def _derived(columns: Mapping[str, Array], basis: Sequence[Array]) -> list[str]:
-    """Return the columns that are sums of multiples of those before them and of a basis, but for their last digits."""
-    every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // LOOKED_AT)
+    """Return the columns that are sums of multiples of those before them and of a basis, but for their last digits.
+
+    Some 2000 rows tell it, where there are 20 and more for each column.
+    """
+    every = slice(None, None, 1 + max(map(len, columns.values()), default=0) // 2000)
     known, found = [column[every] for column in basis], list[str]()
     for name, column in columns.items():
         values = column[every]
         table = np.stack([np.ones_like(values), *known], -1)
-        known.append(values)
-        if len(values) > SURELY * len(known):
+        if len(values) > 20 * table.shape[1]:
             factors = np.linalg.lstsq(table, values, rcond=None)[0]
-            digits = _last_digit(values) + np.abs(factors) @ [0.0, *map(_last_digit, known[:-1])]
-            if np.abs(values - table @ factors).max() <= min(digits, EXACT * np.ptp(values)):
+            digits = _last_digit(values) + np.abs(factors) @ [0.0, *map(_last_digit, known)]
+            if np.abs(values - table @ factors).max() <= min(digits, 1e-3 * np.ptp(values)):
                 found.append(name)
-                known.pop()
+                continue
+        known.append(values)
     return found
 
 
@@ -285,14 +291,6 @@ def _last_digit(column: Array) -> float:
     return float(steps[steps > 1e-12 * np.abs(column).max()].min()) if len(steps) else 0.0
 
 
-LABELS = 10
-"""Labels that there are at most; a state of fewer steps tells little."""
-LOOKED_AT = 2000
-"""Rows, about, by which it is judged whether columns are sums of others."""
-SURELY = 20
-"""Rows for each column from which on no sum of others is a column by chance."""
-EXACT = 1e-3
-"""Part of its range to which such a sum is one."""
 RARE = 0.01
 """Share of the rows in which a label changes at most."""
 INPUT = re.compile(r"(u|U|input)([_\d].*)?")
@@ -305,16 +303,14 @@ REFERENCE = re.compile(
 """What references are called, in several languages."""
 HELD = 0.5
 """Share of the rows with the same number as before beyond which a column moves in steps."""
-LEADS, AWAY = 4, 0.7
-"""Steps of a reference that are followed at least; part of a step that is left after it, and gone at its end."""
 
 
-def _chosen(columns: Mapping[str, Column], names: Collection[str], path: str, key: str) -> dict[str, Column]:
+def _chosen(columns: Collection[str], names: Collection[str], path: str, key: str) -> list[str]:
     """Return the columns of some names or headings, of which a setting names one that there may not be."""
-    named = {name: find_names(name, columns) for name in names}
-    if absent := [split_unit(name)[0] for name, found in named.items() if not found]:
+    found = {name: find_names(name, columns) for name in names}
+    if absent := [split_unit(name)[0] for name in names if not found[name]]:
         raise LogError("log.absent_column", key=key, column=absent[0], path=path, columns=[*columns])
-    return {found[0]: columns[found[0]] for found in named.values()}
+    return [first for first, *_ in found.values()]
 
 
 def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) -> str:
@@ -335,15 +331,16 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
         FileNotFoundError: There is no such file.
         ValueError: The file is no table of text.
     """
-    headings = read_columns(path).headings
-    if time != CLOCK or any(map(is_clock, headings)) or named_by(time, headings):
+    table = read_columns(path)
+    if time != CLOCK or any(map(is_clock, table.headings)) or named_by(time, table.headings):
         return time
-    look = summarise_columns(path)
-    columns = {h: look.moving[h] for h in look.growing if parts_of(h)[1].lower() in SECONDS}
-    columns |= {h: look.table.column(h) for h in look.dated if dt is None}
-    found = [h for h, column in columns.items() if split_unit(h)[0] not in named and _is_regular(column)]
-    if dt is not None and not found and not look.dated and len(look.growing) == 1:
-        found = [h for h in look.growing if split_unit(h)[0] not in named and _is_row_counter(look.moving[h])]
+    growing = {heading: column for heading, column in table.moving().items() if grows(column)}
+    columns = {h: column for h, column in growing.items() if parts_of(h)[1].lower() in SECONDS}
+    columns |= {h: table.column(h) for h in table.dated if dt is None}
+    found = [h for h, column in columns.items() if _is_regular(column)]
+    if dt is not None and not found and not table.dated and len(growing) == 1:
+        found = [h for h, column in growing.items() if _is_row_counter(column)]
+    found = [h for h in found if split_unit(h)[0] not in named]
     return found[0] if len(found) == 1 else time
 
 
@@ -360,22 +357,35 @@ def _is_regular(column: Array) -> bool:
     return bool(len(steps) and (steps > 0).all() and (np.abs(steps / np.median(steps) - 1) < 0.5).mean() > HELD)
 
 
-def _guess_columns(look: ColumnSummary, time: str | None, inputs: Sequence[str], dt: float | None) -> dict[str, Any]:
+def keeps_time(column: Array, t: Array) -> bool:
+    """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
+    rows = np.isfinite(column) & np.isfinite(t)
+    x, t = column[rows], t[rows]
+    steps = np.diff(x)
+    if len(t) < COUNTED or not (steps >= 0).all() or not grows(t):
+        return False
+    off = np.abs(x - x[0] - np.ptp(x) / (t[-1] - t[0]) * (t - t[0])).max()
+    ticks = steps.max() if (steps > 0).sum() >= 3 else 0.0
+    return bool(steps.max() > 0 and off <= max(ticks, 1e-3 * np.ptp(x)))
+
+
+def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: float | None) -> dict[str, Any]:
     """Return a first guess at what is time, what an input and what a state, as facts for a reader; given is none.
 
     Time is a column of dates, or the first column that grows all along, one that counts rows only where there is no
     other. The input is the column that is held longest, as only levels of an actuator are, or else the last one.
     """
-    columns, named = look.moving, time is not None
-    if time is None:
-        time = next(iter([*look.dated, *sorted(look.growing, key=lambda heading: is_counter(columns[heading]))]), None)
-    aside = {time, *look.clocks(time), *look.counting}
+    columns, named = table.moving(), time is not None
+    growing = sorted((h for h in columns if grows(columns[h])), key=lambda heading: is_counter(columns[heading]))
+    time = time or next(iter([*table.of_kind("dates"), *growing]), None)
+    t = table.column(time) if time else np.zeros(0)
+    aside = {time, *table.of_kind("counter"), *(h for h in columns if time and keeps_time(table.column(h), t))}
     still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
     names, held = [*still], True
-    counts = dt is None and time in look.growing and not parts_of(time)[1] and is_counter(columns[time])
+    counts = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
-        pair = [name for name in names if _stem(name) == _stem(longest)]
+        pair = _alike(longest, names)
         held = still[longest] > HELD
         inputs = (pair if len(pair) < len(names) else [longest]) if held else names[-1:]  # one matrix is no pair
     return {

@@ -1,6 +1,7 @@
 """Files of many programs as one table: text in any dialect, MATLAB, spreadsheets, and containers of channels.
 
-Each reader returns the columns below their headings, numbers or text, and the place of each row in the file.
+Each reader returns the columns by their headings, numbers or text, the line or row of each in the file as their index,
+and what was left out.
 """
 
 from __future__ import annotations
@@ -10,10 +11,9 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 import pandas as pd
@@ -27,8 +27,6 @@ SAMPLE = 400
 """Lines from which separator, headings and decimal sign are told."""
 WIDEST = 100_000
 """Letters of such a line that are looked at."""
-CUT_OFF = 5
-"""Lines in which headings are looked for where values stand above them."""
 MOST = 1000
 """Columns that are read."""
 BLANKS = r"\s+"
@@ -46,30 +44,15 @@ MEASURED = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)(?:\s+|(?![mkun]$))([^\d\
 DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}(?:[T ].*)?")
 LOST = frozenset(("nan", "-nan", "n/a", "#n/a", "na", "<na>", "null", "none", "#na", "nil"))
 """Words for a value that was not measured."""
-PLACES = 9
-"""Decimals of times that are compared."""
-EXTRA = "pip install 'dynasindy[logs]'"
+Raw = tuple[pd.DataFrame, list[Finding]]
 
 
-@dataclass(frozen=True)
-class RawTable:
-    """Columns of a file as they are in it.
-
-    Attributes:
-        headings: One for each column.
-        frame: The columns, named 0, 1, ...; numbers where all cells are numbers, otherwise text.
-        lines: Line or row of each row in the file, `(rows,)`.
-        findings: What was left out or is not in the file.
-    """
-
-    headings: tuple[str, ...]
-    frame: pd.DataFrame
-    lines: NDArray[np.int64]
-    findings: tuple[Finding, ...] = ()
-
-
-def read_file(path: Path) -> RawTable:
+def read_file(path: Path) -> Raw:
     """Read a file by its ending; text where it is no other format.
+
+    Returns:
+        The columns, numbers or text, below their headings; the index holds the line or row of each in the file. Beside
+        them stands what was left out or is not in the file.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -80,12 +63,14 @@ def read_file(path: Path) -> RawTable:
         raise FileNotFoundError(f"{path} does not exist or is no file; allowed is the file of a log: correct {key}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        return _read_text(path)
+        with path.open(encoding=_encoding(path), errors="replace", newline="") as file:
+            return _read_text(path, file)
     try:
         return reader(path)
     except ImportError as error:
         name = (error.name or str(error)).partition(".")[0]
-        raise ValueError(f"{path} needs the package {name}, which is not installed; install it: {EXTRA}") from error
+        install = "pip install 'dynasindy[logs]'"
+        raise ValueError(f"{path} needs the package {name}, which is not installed; install it: {install}") from error
     except MemoryError:
         raise
     except Exception as error:  # of some library, about a file that is damaged or none of its format
@@ -97,75 +82,73 @@ def read_file(path: Path) -> RawTable:
         ) from error
 
 
-def _is_number(text: str) -> bool:
-    """Tell whether a text is a number, with a point or a comma for decimals."""
-    text = text.translate(PLAIN).strip()
-    return bool(NUMBER.fullmatch(text) or THOUSANDS.fullmatch(text))
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """How a text file is laid out."""
+class _Layout(NamedTuple):
+    """How a text is laid out; `first` counts the lines before the first one of values."""
 
     separator: str
     decimal: str
-    headings: tuple[str, ...]
-    columns: int
-    first: int  # lines before the first one of values
-    findings: tuple[Finding, ...] = ()
-    thousands: str = ""
+    thousands: str | None
+    headings: Sequence[str]
+    width: int
+    first: int
+    findings: list[Finding]
 
 
-def _read_text(path: Path) -> RawTable:
-    encoding = _encoding(path)
-    with path.open(encoding=encoding, errors="replace") as file:
-        if re.match(r"\s*(?:[{<]|\[\s*[\[{])", file.read(WIDEST)):
-            raise ValueError(f"{path} is JSON or markup and no table; allowed are columns: write the log as CSV")
-        file.seek(0)
-        sample, plain = list[str](), 0
-        while plain < SAMPLE and (line := file.readline()):
-            sample.append(line.rstrip("\n")[:WIDEST])
-            plain += not re.match(r"\s*[#%]", line)
-        layout = _layout(path, sample)
-    settings: dict[str, Any] = {
-        "sep": layout.separator,
-        "decimal": layout.decimal,
-        "encoding": encoding,
-        "encoding_errors": "replace",
-        "header": None,
-        "skiprows": layout.first,
-        "skip_blank_lines": False,
-        "skipinitialspace": True,
-        "low_memory": False,
-        "thousands": layout.thousands or None,
-    }
+def _read_text(path: Path, file: TextIO) -> Raw:
+    if re.match(r"\s*(?:[{<]|\[\s*[\[{])", file.read(WIDEST)):
+        raise ValueError(f"{path} is JSON or markup and no table; allowed are columns: write the log as CSV")
+    file.seek(0)
+    sample, plain = list[str](), 0
+    while plain < SAMPLE and (line := file.readline()):
+        sample.append(line.rstrip("\r\n")[:WIDEST])
+        plain += not re.match(r"\s*[#%]", line)
+    file.seek(0)
+    separator, decimal, thousands, headings, width, first, findings = _layout(path, sample)
+
+    def too_wide(line: object, count: object) -> ValueError:
+        return ValueError(
+            f"{path}, line {line} has {count} values for {len(headings)} headings; allowed is one each: mend the "
+            "line; where all are so, put points into decimals, or semicolons between columns"
+        )
+
     try:
-        frame = pd.read_csv(path, names=range(layout.columns), index_col=False, **settings)
+        frame = pd.read_csv(
+            file,
+            sep=separator,
+            decimal=decimal,
+            thousands=thousands,
+            header=None,
+            names=range(width),
+            index_col=False,
+            skiprows=first,
+            skip_blank_lines=False,
+            skipinitialspace=True,
+            low_memory=False,
+        )
     except pd.errors.EmptyDataError:
-        frame = pd.DataFrame({k: pd.Series(dtype=float) for k in range(layout.columns)})
+        frame = pd.DataFrame(columns=range(width), dtype=float)
     except pd.errors.ParserError as error:
         if found := re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error)):
-            raise ValueError(_too_wide(path, found[2], found[3], layout)) from error
-        why = f"{path}: {' '.join(str(error).split())}; allowed are short values: look for an open quote"
-        raise ValueError(_open_quote(path) or why) from error
-    lines_of = layout.first + 1 + np.arange(len(frame))
-    if fault := _open_quote(path, layout.first + len(frame)):
-        raise ValueError(fault)
-    blank = frame[0].isna().to_numpy()
-    if blank.any() and (blank := frame.isna().all(axis=1).to_numpy()).any():
-        frame, lines_of = frame[~blank].reset_index(drop=True), lines_of[~blank]
-    beyond = frame.iloc[:, len(layout.headings) :].notna().any(axis=1).to_numpy()
-    if beyond.any():
-        row = int(beyond.argmax())
-        raise ValueError(_too_wide(path, lines_of[row], int(frame.loc[row].last_valid_index()) + 1, layout))
-    return RawTable(layout.headings, frame.iloc[:, : len(layout.headings)], lines_of, layout.findings)
+            raise too_wide(found[2], found[3]) from error
+        if found := re.search(r"inside string starting at row (\d+)", str(error)):
+            raise _open_quote(path, int(found[1]) + 1) from error
+        why = " ".join(str(error).split())
+        raise ValueError(f"{path}: {why}; allowed are short values: look for an open quote") from error
+    frame.index = pd.RangeIndex(first + 1, first + 1 + len(frame))
+    for _, texts in frame.select_dtypes("str").items():
+        if (broken := texts.str.contains("[\r\n]")).any():
+            raise _open_quote(path, int(broken.idxmax()))
+    if frame[0].hasnans:
+        frame = frame[~frame.isna().all(axis=1)]
+    beyond = frame.iloc[:, len(headings) :].notna()
+    if beyond.any(axis=None):
+        line = beyond.any(axis=1).idxmax()
+        raise too_wide(line, frame.loc[line].last_valid_index() + 1)
+    return frame.iloc[:, : len(headings)].set_axis(headings, axis=1), findings
 
 
-def _too_wide(path: Path, line: object, count: object, layout: _Layout) -> str:
-    return (
-        f"{path}, line {line} has {count} values for {len(layout.headings)} headings; allowed is one each: mend the "
-        "line; where all are so, put points into decimals, or semicolons between columns"
-    )
+def _open_quote(path: Path, line: int) -> ValueError:
+    return ValueError(f"{path}, line {line}: a quote opens that is not closed in its line; close or remove it")
 
 
 def _encoding(path: Path) -> str:
@@ -192,12 +175,11 @@ def _fields(line: str, separator: str) -> list[str]:
 
 
 def _is_value(text: str) -> bool:
+    """Tell whether a text is a number, with a point or a comma for decimals or with a unit, a date, or a lost value."""
     measured = MEASURED.fullmatch(text)
-    return (
-        _is_number(measured[1] if measured and measured[2].lower() in UNITS else text)
-        or text.strip().lower() in LOST
-        or bool(DATE.fullmatch(text.strip()))
-    )
+    number = (measured[1] if measured and measured[2].lower() in UNITS else text).translate(PLAIN).strip()
+    words = text.strip().lower() in LOST or DATE.fullmatch(text.strip())
+    return bool(NUMBER.fullmatch(number) or THOUSANDS.fullmatch(number) or words)
 
 
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
@@ -205,9 +187,8 @@ def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     words = [text for text in row if text]
     if not words or len(row) != len(above) or any(unit and not name for unit, name in zip(row, above, strict=True)):
         return False
-    if all(re.fullmatch(r"\[[^\]]*\]|\([^)]*\)", text) for text in words):
-        return True
-    return 2 * sum(text.strip("[]()").lower() in UNITS for text in words) >= len(words)
+    known = sum(text.strip("[]()").lower() in UNITS for text in words)
+    return 2 * known >= len(words) or all(re.fullmatch(r"\[[^\]]*\]|\([^)]*\)", text) for text in words)
 
 
 def _layout(path: Path, lines: Sequence[str]) -> _Layout:
@@ -217,59 +198,50 @@ def _layout(path: Path, lines: Sequence[str]) -> _Layout:
     if not filled:
         raise ValueError(f"{path} is empty; allowed is a log with a line of headings")
     separator = _separator([lines[k] for k in filled])
-    rows = {k: _fields(lines[k], separator) for k in filled}
-    lower = filled[len(filled) // 2 :]
-    width = max(map(len, (rows[k] for k in lower)))
-    common = Counter(len(rows[k]) for k in lower).most_common(1)[0][0]
+    rows = [_fields(lines[k], separator) for k in filled]
+    lower = rows[len(rows) // 2 :]
+    width = max(map(len, lower))
+    common = Counter(map(len, lower)).most_common(1)[0][0]
     if common > MOST:
         raise ValueError(
             f"{path} has {common} values in a line; allowed are {MOST}, one a signal: exchange rows and columns"
         )
-    counts = Counter(place for k in lower for place, text in enumerate(rows[k]) if _is_value(text))
+    counts = Counter(place for row in lower for place, text in enumerate(row) if _is_value(text))
     numeric = {place for place, count in counts.items() if 2 * count >= len(lower)}
-    leading = min(numeric, default=0)
 
-    def holds_values(k: int, whole: bool = False) -> bool:
-        cells = {place: rows[k][place] for place in numeric if place < len(rows[k]) and rows[k][place]}
-        words = [place for place, text in cells.items() if not _is_value(text)]
-        if not cells or leading in words or len(rows[k]) > common + 1:
+    def holds_values(row: Sequence[str], whole: bool = False) -> bool:
+        cells = {place: _is_value(row[place]) for place in numeric if place < len(row) and row[place]}
+        if not cells or not cells.get(min(numeric), True) or len(row) > common + 1:
             return False
-        return not words and 4 * len(cells) >= 3 * len(numeric) if whole else len(words) < len(cells)
+        return all(cells.values()) and 4 * len(cells) >= 3 * len(numeric) if whole else any(cells.values())
 
-    first = len(filled)
-    while first and (holds_values(filled[first - 1]) or (first > 1 and holds_values(filled[first - 2], True))):
-        first -= 1
+    words = (k for k, row in enumerate(rows) if not (holds_values(row) or (k and holds_values(rows[k - 1], True))))
+    first = max(words, default=-1) + 1
     if not first:  # what was cut off may stand above the headings
-        words = (_differ(rows[k], common) and not any(map(_is_value, rows[k])) for k in filled[:CUT_OFF])
-        first = next((place + 1 for place, head in enumerate(words) if head), 0)
-    if first == len(filled):  # no values at all
-        first = 1
-    head, headed = filled[:first], bool(first)
+        heads = (k for k, row in enumerate(rows[:5]) if _differ(row, common) and not any(map(_is_value, row)))
+        first = next(heads, -1) + 1
+    first = 1 if first == len(rows) else first  # no values at all
     decimal = "," if separator != "," and any(re.search(r"\d,\d", lines[k]) for k in filled[first:]) else "."
-    pointed = [text for k in filled[first:] for text in rows[k] if "." in text and _is_number(text.replace(".", ""))]
-    thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else ""
-    if not headed:
-        width = max(map(len, rows.values()))
-        trailing = not any(len(row) == width and row[-1] for row in rows.values())
-        count = width - trailing
+    pointed = [text for row in rows[first:] for text in row if "." in text and _is_value(text.replace(".", ""))]
+    thousands = "." if decimal == "," and pointed and all(map(THOUSANDS.fullmatch, pointed)) else None
+    if not first:
+        width = max(map(len, rows))
+        count = width - all(len(row) < width or not row[-1] for row in rows)  # with a trailing separator
         names = ("time", *(f"x{k}" for k in range(1, count - 1)), "u")[:count]
-        said = (note("log.no_headings", names=names),)
-        return _Layout(separator, decimal, names, width, filled[0], said, thousands)
-    cells = {k: WORD.findall(lines[k]) if separator == BLANKS and len(rows[k]) > common else rows[k] for k in head}
-    place = len(head) - 1
-    while place and (not _differ(cells[head[place]], common) or _are_units(cells[head[place]], cells[head[place - 1]])):
-        place -= 1  # a line such as `Smp, Smp, Smp` is none of headings
-    if not _differ(cells[head[place]], common):
-        place = len(head) - 1
-    headings = cells[head[place]]
-    others = (cells[k] for k in (*reversed(head[place + 1 :]), *head[:place][-1:]))
-    if units := next((row for row in others if _are_units(row, headings)), []):
+        return _Layout(separator, decimal, thousands, names, width, filled[0], [note("log.no_headings", names=names)])
+    split = separator == BLANKS
+    head = [WORD.findall(lines[k]) if split and len(row) > common else row for k, row in zip(filled, rows[:first])]
+    differ = [k for k, row in enumerate(head) if _differ(row, common) and not (k and _are_units(row, head[k - 1]))]
+    place = differ[-1] if differ and (differ[-1] or _differ(head[0], common)) else first - 1
+    headings = head[place]  # a line such as `Smp, Smp, Smp` is none of headings
+    others = (*reversed(head[place + 1 :]), *head[:place][-1:])
+    units: Sequence[str] = next((row for row in others if _are_units(row, headings)), [])
+    if units:
         bare = [re.sub(r"^[\[(]?-?[\])]?$|^[\[(]|[\])]$", "", unit) for unit in units]
         headings = [_with_unit(*pair) for pair in zip(headings, bare, strict=True)]
-    width = max(width, len(headings))
-    last = filled[first] if first < len(filled) else head[-1] + 1
-    above = (note("log.title_lines", count=head[place]),) if head[place] else ()
-    return _Layout(separator, decimal, tuple(headings), width, last, above, thousands)
+    above = [note("log.title_lines", count=filled[place])] if filled[place] else []
+    last = filled[first] if first < len(filled) else filled[first - 1] + 1
+    return _Layout(separator, decimal, thousands, headings, max(width, len(headings)), last, above)
 
 
 def _differ(row: Sequence[str], common: int) -> bool:
@@ -294,42 +266,29 @@ def _separator(lines: Sequence[str]) -> str:
         return max(SEPARATORS[:3], key=lambda separator: lines[0].count(separator))
     # "1,5;2,5" has values between commas as well, fewer of them whole; ";" then wins by its even count.
     near = [separator for separator in SEPARATORS if found[separator] > best - 0.02]
-    if "," in near and any(other in near for other in (";", "\t")):
-        near.remove(",")
-    return near[0]
+    return near[1] if near[0] == "," and near[1:] and near[1] in ";\t" else near[0]
 
 
-def _open_quote(path: Path, read: int = 0) -> str:
-    """Return at which line a quote opens that is not closed there, '' if as many lines were read as there are."""
-    line = lines = 0
-    with path.open("rb") as file:
-        if not any(b'"' in part for part in iter(lambda: file.read(1 << 20), b"")):
-            return ""
-        file.seek(0)
-        for lines, text in enumerate(file, 1):
-            line = line or lines * (text.count(b'"') % 2)
-    if not line or lines == read:
-        return ""
-    return f"{path}, line {line}: a quote opens that is not closed in its line; close or remove it"
-
-
-def _of_columns(columns: Mapping[str, Any], path: Path) -> RawTable:
-    """Return the arrays of one length, the commonest, as a table; a matrix has a column for each of its columns."""
+def _of_columns(columns: Mapping[str, Any], path: Path) -> Raw:
+    """Return the arrays of one length, the commonest; a matrix has a column for each of its columns."""
     flat = {
-        name: np.asarray(values)
+        name: values
         for key, whole in columns.items()
         for name, values in _columns_of(str(key), np.asarray(whole))
-        if np.asarray(values).dtype.kind in "biufM"
+        if values.dtype.kind in "biufM" and len(values) > 1
     }
-    lengths = Counter(len(values) for values in flat.values() if len(values) > 1)
+    lengths = Counter(map(len, flat.values()))
     if not lengths:
         raise ValueError(f"{path} holds no arrays of numbers; allowed are variables of one length: save the log so")
     length = max(lengths, key=lambda size: (lengths[size], size))
-    near = {name: _as_number(values) for name, values in flat.items() if abs(len(values) - length) <= 1 < len(values)}
-    kept = {name: np.append(values, np.nan)[:length] for name, values in near.items()}
-    other = [f"{name} ({len(values)})" for name, values in flat.items() if name not in kept and len(values) > 1]
-    out = (note("log.other_lengths", length=length, names=other),) if other else ()
-    return RawTable(tuple(kept), pd.DataFrame(dict(enumerate(kept.values()))), 1 + np.arange(length), findings=out)
+    kept = {
+        name: np.append(_as_number(values), np.nan)[:length]
+        for name, values in flat.items()
+        if abs(len(values) - length) <= 1
+    }
+    other = [f"{name} ({len(values)})" for name, values in flat.items() if name not in kept]
+    frame = pd.DataFrame(kept, index=pd.RangeIndex(1, 1 + length))
+    return frame, [note("log.other_lengths", length=length, names=other)] if other else []
 
 
 def _as_number(values: NDArray[Any]) -> NDArray[np.float64]:
@@ -344,7 +303,7 @@ def _columns_of(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[
         yield name, values
     elif values.ndim == 2:
         tall = values if len(values) >= values.shape[1] else values.T
-        yield from ((f"{name}[{k}]", tall[:, k]) for k in range(tall.shape[1]))
+        yield from ((f"{name}[{k}]", column) for k, column in enumerate(tall.T))
 
 
 def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
@@ -355,14 +314,12 @@ def _flatten(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
             if str(key).startswith("__") or key in ("label", "dimensions", "blockName", "title", "plotStyle"):
                 continue
             inner = key in ("signals", "values", "Data", "data")
-            own = str(label) if inner and isinstance(label, str) and label else ""
-            time = str(key).lower() == "time"
-            yield from _flatten(value, own or ("time" if time else name if inner and name else str(key)))
-    elif isinstance(tree, list | tuple) and tree and isinstance(tree[0], Mapping):
-        for k, value in enumerate(tree):
-            yield from _flatten(value, f"{name}[{k}]")
-    elif isinstance(tree, np.ndarray) and tree.dtype == object:
-        for k, value in enumerate(tree.ravel()):
+            own = "time" if str(key).lower() in ("time", "tout") else name if inner and name else str(key)
+            yield from _flatten(value, label if inner and label and isinstance(label, str) else own)
+    elif (isinstance(tree, list | tuple) and tree and isinstance(tree[0], Mapping)) or (
+        isinstance(tree, np.ndarray) and tree.dtype == object
+    ):
+        for k, value in enumerate(np.ravel(tree)):
             yield from _flatten(value, f"{name}[{k}]")
     else:
         yield name, np.asarray(tree)
@@ -375,20 +332,19 @@ def _put(columns: dict[str, Any], name: str, values: Any) -> None:
     columns[name if name not in columns else f"{name}_{sum(key.startswith(name) for key in columns) + 1}"] = values
 
 
-def _read_mat(path: Path) -> RawTable:
+def _read_mat(path: Path) -> Raw:
     from scipy.io import loadmat
 
     with path.open("rb") as file:
-        newer = b"MATLAB 7.3" in file.read(128)
-    if newer:
-        return _read_hdf5(path)
+        if b"MATLAB 7.3" in file.read(128):
+            return _read_hdf5(path)
     columns: dict[str, Any] = {}
     for name, values in _flatten(loadmat(str(path), simplify_cells=True)):
-        _put(columns, "time" if name == "tout" else name, values)
+        _put(columns, name, values)
     return _of_columns(columns, path)
 
 
-def _read_hdf5(path: Path) -> RawTable:
+def _read_hdf5(path: Path) -> Raw:
     h5py = import_module("h5py")
     columns: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
@@ -408,46 +364,36 @@ def _with_unit(name: str, unit: object) -> str:
     return f"{name} [{unit}]" if isinstance(unit, str) and unit else name
 
 
-def _read_npz(path: Path) -> RawTable:
+def _read_npz(path: Path) -> Raw:
     file = np.load(path, allow_pickle=False)
     if isinstance(file, np.ndarray):
-        fields = file.dtype.names
-        return _of_columns({name: file[name] for name in fields} if fields else {"data": file}, path)
+        return _of_columns({name: file[name] for name in file.dtype.names or ()} or {"data": file}, path)
     with file:
         return _of_columns(dict(file), path)
 
 
-def _of_frame(frame: pd.DataFrame) -> RawTable:
+def _of_frame(frame: pd.DataFrame) -> Raw:
     if frame.index.name or not isinstance(frame.index, pd.RangeIndex):
         frame = frame.reset_index(names=frame.index.name or ("time" if frame.index.dtype.kind in "Mm" else "index"))
-    headings = tuple(str(name) for name in frame.columns)
-    kinds = {k: frame.iloc[:, k].dtype.kind for k in range(len(headings))}
-    columns = {
-        k: pd.Series(_as_number(frame.iloc[:, k].to_numpy(f"{kind}8[ns]"))) if kind in "Mm" else frame.iloc[:, k]
-        for k, kind in kinds.items()
-    }
-    return RawTable(headings, pd.DataFrame(columns), np.arange(1, len(frame) + 1, dtype=np.int64))
+    columns = [
+        pd.Series(_as_number(column.to_numpy(f"{column.dtype.kind}8[ns]"))) if column.dtype.kind in "Mm" else column
+        for _, column in frame.items()
+    ]
+    whole = pd.concat(columns, axis=1, keys=map(str, frame.columns))
+    return whole.set_axis(pd.RangeIndex(1, 1 + len(whole))), []
 
 
-def _read_excel(path: Path) -> RawTable:
+def _read_excel(path: Path) -> Raw:
     """Read the largest sheet as text would be: headings may stand below a title."""
     sheets = pd.read_excel(path, header=None, sheet_name=None)
     sheet = max(sheets, key=lambda name: sheets[name].size)
-    said = (
-        (note("log.sheet", sheet=sheet, others=[name for name in sheets if name != sheet]),) if len(sheets) > 1 else ()
-    )
-    cells = sheets[sheet].replace(r"\s*[\r\n]+\s*", " ", regex=True)
-    buffer = io.StringIO()
-    cells.to_csv(buffer, header=False, index=False)
-    lines = buffer.getvalue().splitlines()
-    layout = _layout(path, lines[:SAMPLE])
-    body = cells.iloc[layout.first :, : len(layout.headings)]
-    body.columns = pd.RangeIndex(body.shape[1])
-    frame = body.reset_index(drop=True).infer_objects()
-    return RawTable(layout.headings, frame, layout.first + 1 + np.arange(len(frame)), (*said, *layout.findings))
+    others = [name for name in sheets if name != sheet]
+    text = sheets[sheet].replace(r"\s*[\r\n]+\s*", " ", regex=True).to_csv(header=False, index=False)
+    frame, findings = _read_text(path, io.StringIO(text))
+    return frame, [*([note("log.sheet", sheet=sheet, others=others)] if others else []), *findings]
 
 
-def _read_tdms(path: Path) -> RawTable:
+def _read_tdms(path: Path) -> Raw:
     file = import_module("nptdms").TdmsFile.read(path)
     columns: dict[str, Any] = {}
     waves: dict[str, pd.Series] = {}
@@ -456,24 +402,24 @@ def _read_tdms(path: Path) -> RawTable:
             name = _with_unit(channel.name, channel.properties.get("unit_string"))
             name = name if name not in {**columns, **waves} else f"{group.name}_{name}"
             if "wf_increment" in channel.properties:
-                waves[name] = pd.Series(channel[:], channel.time_track().round(PLACES))
+                waves[name] = pd.Series(channel[:], channel.time_track().round(9))
             else:
                 _put(columns, name, channel[:])
-    if columns or not waves:
-        lengths = {len(wave): wave.index.to_numpy() for wave in waves.values()}
-        times = {"time": lengths[max(lengths)]} if lengths else {}
-        return _of_columns(times | columns | {name: wave.to_numpy() for name, wave in waves.items()}, path)
-    return _of_frame(pd.concat(waves, axis=1).sort_index().rename_axis("time"))
+    if waves and not columns:
+        return _of_frame(pd.concat(waves, axis=1).sort_index().rename_axis("time"))
+    longest = max(waves.values(), key=len, default=None)
+    times = {} if longest is None else {"time": longest.index.to_numpy()}
+    return _of_columns(times | columns | {name: wave.to_numpy() for name, wave in waves.items()}, path)
 
 
-def _read_mdf(path: Path) -> RawTable:
+def _read_mdf(path: Path) -> Raw:
     with import_module("asammdf").MDF(path) as file:
         units = {channel.name: channel.unit for group in file.groups for channel in group.channels}
         frame = file.to_dataframe(use_interpolation=False, time_from_zero=False)
     return _of_frame(frame.rename(columns=lambda name: _with_unit(name, units.get(name))).rename_axis("time"))
 
 
-def _read_bag(path: Path) -> RawTable:
+def _read_bag(path: Path) -> Raw:
     """Read the numbers of all messages: a column each, a row for each time, empty where a topic says nothing."""
     rosbags, highlevel = import_module("rosbags.typesys"), import_module("rosbags.highlevel")
     store = rosbags.get_typestore(rosbags.Stores.LATEST)
@@ -481,11 +427,9 @@ def _read_bag(path: Path) -> RawTable:
     with highlevel.AnyReader([path], default_typestore=store) as reader:
         for connection, stamp, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
-            row = rows.setdefault(stamp, {})
-            row.update(_message_values(connection.topic, message))
+            rows.setdefault(stamp, {}).update(_message_values(connection.topic, message))
     frame = pd.DataFrame.from_dict(rows, orient="index").sort_index()
-    frame.index = pd.Index(frame.index / 1e9, name="time")
-    return _of_frame(frame)
+    return _of_frame(frame.set_axis(pd.Index(frame.index / 1e9, name="time")))
 
 
 def _message_values(name: str, message: Any) -> Iterator[tuple[str, float]]:
@@ -500,20 +444,15 @@ def _message_values(name: str, message: Any) -> Iterator[tuple[str, float]]:
                 yield from _message_values(inner, getattr(message, field))
 
 
-READERS: dict[str, Callable[[Path], RawTable]] = {
+READERS: dict[str, Callable[[Path], Raw]] = {
     ".mat": _read_mat,
-    ".h5": _read_hdf5,
-    ".hdf5": _read_hdf5,
-    ".npz": _read_npz,
-    ".npy": _read_npz,
+    **dict.fromkeys((".h5", ".hdf5"), _read_hdf5),
+    **dict.fromkeys((".npz", ".npy"), _read_npz),
     ".parquet": lambda path: _of_frame(pd.read_parquet(path)),
     ".feather": lambda path: _of_frame(pd.read_feather(path)),
     ".xlsx": _read_excel,
     ".tdms": _read_tdms,
-    ".mf4": _read_mdf,
-    ".mdf": _read_mdf,
-    ".bag": _read_bag,
-    ".mcap": _read_bag,
-    ".db3": _read_bag,
+    **dict.fromkeys((".mf4", ".mdf"), _read_mdf),
+    **dict.fromkeys((".bag", ".mcap", ".db3"), _read_bag),
 }
 """Formats by the ending of a file; all others are text."""

@@ -27,7 +27,7 @@ from dynasindy.data.columns import (
 from dynasindy.data.headings import NAME, find_names, in_radians, named_by, split_unit, units_of
 from dynasindy.data.rates import require_consistent_rates
 from dynasindy.data.resampling import EVEN, resample
-from dynasindy.data.table import Table, correct_map, read_columns, select_columns
+from dynasindy.data.table import correct_map, read_columns, select_columns
 from dynasindy.findings import Finding, LogError, note, weak
 from dynasindy.sentences import lines as lines_of
 from dynasindy.sentences import setting
@@ -39,34 +39,16 @@ from dynasindy.text import format_duration
 Array = NDArray[np.float64]
 ROUNDED = 1e-3
 """Part by which an input may leave its ends and still be meant to be within them, as rounding makes it."""
-BOTH = 0.8
-"""Ratio of the ways to both sides of zero from which on an input is taken to go as far to either."""
 WIDE = 20.0
 """Range of an actuator, as a multiple of that in its log, from which on a note asks whether it is the right one."""
 LEAST = 50
 """Fewest transitions that are worth a fit, and samples of each state."""
-TINY = 1e-19
-"""Size below which the squares of all values of a column are no float32."""
 ALONE = 0.8
 """Part of the rows with an input that are without a state, or evenly apart, where it is of another stream."""
-PASSING = 0.05
-"""Part of the samples in the middle half of the range from which on it is passed through; two levels are no angle. Of
-all samples and of the range, what single samples that fail stay below, and beyond."""
-USUAL, SPIKE = 0.9, 20
-"""Share of the samples that say how far one is off the line between its neighbours, and how many times that is none."""
-FROZEN = 20
-"""Samples with one value from which on a sensor froze whose samples change in nearly every row."""
-FAULTY, LONG_FROZEN = 0.05, 0.2
-"""Part of the range by which a spike is off at least; part of the samples that are spikes, or stand for a moment, at
-most; and part of them in which a sensor may be frozen."""
-STREAM = 0.2
-"""Part of the rows without an input from which on they are those of another stream."""
+FAULTY = 0.05
+"""Part of the samples in which a sensor fails at most, and of the range by which it is off at least."""
 LONG = 10
 """Usual distances between two samples of a state from which on what lies between them is a gap."""
-STOP = 5
-"""Samples with one value at the end of its range from which on it may be a stop."""
-SHORT = 7
-"""Samples below which nothing is told of spikes."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +203,7 @@ class LogReader:
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
         most = dict(zip(states, sizes.tolist(), strict=True))
-        if tiny := [name for name, size in most.items() if 0 < size < TINY]:
+        if tiny := [name for name, size in most.items() if 0 < size < 1e-19]:
             raise ValueError(
                 f"{self}: '{tiny[0]}' has values up to {most[tiny[0]]:.1g}, whose squares no number holds; give it a "
                 f"scale in {setting('data.states')}, or leave it out"
@@ -290,58 +272,34 @@ class LogReader:
 
     def _part(self, path: str, time: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
-        findings: list[Finding] = []
         clock, unit = clock_of(read_columns(Path(path)).headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
         table = select_columns(Path(path), names, self.dt)
-        findings += table.findings
-        states_end = len(names) - len(inputs)
-        table = _without_copies(_hold_inputs(table, states_end, findings), findings)
-        table, whole = self._complete(table, states_end, findings)
-        states = with_units(states, table.headings, True, self.known_rates([*states]))
-        inputs = with_units(inputs, table.headings, False)
-        t, of_time = in_seconds(path, table, unit, self.dt)
-        t, table = t[whole], replace(table, values=table.values[whole], lines=table.lines[whole])
+        findings, driving = [*table.findings], slice(len(names) - len(inputs), None)
+        finite = np.isfinite(table.frame)
+        frame = table.frame if finite.to_numpy().all() else table.frame.where(finite)
+        frame = _without_copies(_hold_inputs(frame, driving, findings), findings)
+        frame, whole = _with_times(frame, driving, findings)
+        states = with_units(states, frame, True, self.known_rates([*states]))
+        inputs = with_units(inputs, frame, False)
+        t, of_time = in_seconds(path, replace(table, frame=frame), unit, self.dt)
+        t, lines, values = t[whole], frame.index[whole], frame.to_numpy()[whole].T
         if len(t) < 2:
             raise LogError("log.too_few", path=path, count=0, least=LEAST, left_out=[])
         if (back := np.diff(t) <= 0).any():
             k = int(back.argmax())
-            place = {"line": int(table.lines[k + 1]), "column": clock}
+            place = {"line": int(lines[k + 1]), "column": clock}
             raise LogError("log.time_order", file=path, **place, after=float(t[k + 1]), before=float(t[k]))
-        values = dict(zip(names[1:], table.values[:, 1:].T, strict=True))
+        columns = dict(zip(names[1:], values[1:], strict=True))
         x = {
-            s: _without_spikes(s, values[c.name] * c.scale, table.lines, findings) for s, c in states.items() if c.name
+            name: unwrap_angle(
+                name, _without_spikes(name, columns[c.name] * c.scale, lines, findings), c.unit, findings
+            )
+            for name, c in states.items()
+            if c.name
         }
-        x = {s: unwrap_angle(s, samples, states[s].unit, findings) for s, samples in x.items()}
-        u = np.stack([values[c.name] * c.scale for c in inputs.values()], -1)
-        return _Part(path, table.headings, states, inputs, t, x, u, [*of_time, *findings])
-
-    def _complete(self, table: Table, states_end: int, findings: list[Finding]) -> tuple[Table, NDArray[np.bool_]]:
-        """Return the rows that have a time, NaN where a state is missing, and which have all inputs; count the others.
-
-        A clock is understood by the times of all rows: those that are skipped are none that it left out.
-        """
-        bad = ~np.isfinite(table.values)
-        lacking = np.asarray(bad.any(1))
-        if not lacking.any():
-            return table, ~lacking
-        needed = np.ones(len(table.headings), dtype=bool)
-        needed[1:states_end] = False
-        skipped = np.asarray(bad[:, needed].any(1))
-        for rows, columns in ((skipped, needed), (lacking & ~skipped, ~needed)):
-            if not rows.any():
-                continue
-            counts = (bad & rows[:, None]).sum(0)
-            facts = {
-                "rows": int(rows.sum()),
-                "total": len(table.lines),
-                "counts": {n: int(k) for n, k in zip(table.headings, counts, strict=True) if k},
-                "line": int(table.lines[np.flatnonzero(rows)[0]]),
-                "skipped": columns is needed,
-            }
-            findings.append(note("log.missing", **facts))
-        values, timed = np.where(bad, np.nan, table.values), ~bad[:, 0]
-        return replace(table, values=values[timed], lines=table.lines[timed]), ~skipped[timed]
+        u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
+        return _Part(path, [*frame], states, inputs, t, x, u, [*of_time, *findings])
 
     def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
@@ -354,48 +312,71 @@ class LogReader:
                 raise LogError("log.too_few", count=count, **facts, state=name)
 
 
-def _without_copies(table: Table, findings: list[Finding]) -> Table:
+def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> tuple[pd.DataFrame, NDArray[np.bool_]]:
+    """Return the rows that have a time, and which of them have all inputs; what others and states lack is counted.
+
+    A clock is understood by the times of all rows: those that are skipped are none that it left out.
+    """
+    bad = frame.isna().to_numpy()
+    needed = np.zeros(bad.shape[1], dtype=bool)
+    needed[0] = needed[driving] = True
+    skipped = np.asarray(bad[:, needed].any(1))
+    for rows, skips in ((skipped, True), (bad.any(1) & ~skipped, False)):
+        if rows.any():
+            counts = bad[rows].sum(0)
+            facts = {
+                "rows": int(rows.sum()),
+                "total": len(frame),
+                "counts": {heading: int(k) for heading, k in zip(frame, counts, strict=True) if k},
+                "line": int(frame.index[rows.argmax()]),
+                "skipped": skips,
+            }
+            findings.append(note("log.missing", **facts))
+    timed = ~bad[:, 0]
+    return frame if timed.all() else frame[timed], ~skipped[timed]
+
+
+def _without_copies(frame: pd.DataFrame, findings: list[Finding]) -> pd.DataFrame:
     """Return a table without rows that a logger wrote twice, where the time stands still in these alone."""
-    values = table.values
+    values = frame.to_numpy()
     again = np.append(False, ((values[1:] == values[:-1]) | np.isnan(values[1:]) & np.isnan(values[:-1])).all(1))
-    if not again.any() or again.mean() > FAULTY or (np.diff(values[:, 0][~again]) <= 0).any():
-        return table
-    findings.append(note("log.copies", count=int(again.sum()), line=int(table.lines[again.argmax()])))
-    return replace(table, values=values[~again], lines=table.lines[~again])
+    if not again.any() or again.mean() > FAULTY or (np.diff(values[~again, 0]) <= 0).any():
+        return frame
+    findings.append(note("log.copies", count=int(again.sum()), line=int(frame.index[again.argmax()])))
+    return frame[~again]
 
 
-def _hold_inputs(table: Table, states_end: int, findings: list[Finding]) -> Table:
+def _hold_inputs(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> pd.DataFrame:
     """Return a table whose inputs are held where rows of another stream have none: a command stands until the next."""
-    values = table.values
-    for k in range(states_end, values.shape[1]):
-        rows = np.flatnonzero(np.isfinite(values[:, k]))
-        if not 0 < len(rows) <= (1 - STREAM) * len(values):
+    measured = frame.iloc[:, 1 : driving.start].notna().any(axis=1).to_numpy()
+    for k in range(driving.start, frame.shape[1]):
+        column = frame.iloc[:, k]
+        rows = np.flatnonzero(column.notna())
+        if not 0 < len(rows) <= 0.8 * len(frame):  # few rows without one are lost
             continue
-        steps, alone = np.diff(rows), np.isnan(values[rows, 1:states_end]).all(1).mean()
-        if alone < ALONE and (len(steps) == 0 or (steps == np.median(steps)).mean() < ALONE):  # lost, and not unsaid
-            continue
-        if np.diff(np.append(rows, len(values))).max() > LONG * len(values) / len(rows):
-            continue
-        known = pd.Series(np.where(np.isfinite(values[:, k]), values[:, k], np.nan))
-        values = values.copy() if values is table.values else values
-        values[:, k] = np.where(np.isnan(values[:, k]), known.ffill(), values[:, k])
-        findings.append(note("log.zero_order_hold", column=table.headings[k], rows=len(rows), total=len(values)))
-    return replace(table, values=values)
+        steps = np.diff(rows)
+        evenly = len(steps) == 0 or (steps == np.median(steps)).mean() >= ALONE
+        alone = 1 - measured[rows].mean() >= ALONE
+        longest = np.diff(np.append(rows, len(frame))).max()
+        if (evenly or alone) and longest <= LONG * len(frame) / len(rows):
+            frame = frame.copy()
+            frame.isetitem(k, column.ffill())
+            findings.append(note("log.zero_order_hold", column=column.name, rows=len(rows), total=len(frame)))
+    return frame
 
 
-def _without_spikes(name: str, x: Array, lines: NDArray[np.int64], findings: list[Finding]) -> Array:
+def _without_spikes(name: str, x: Array, lines: pd.Index, findings: list[Finding]) -> Array:
     """Return samples without those at which a state leaves its course for one row, as a sensor that fails writes."""
     measured = np.isfinite(x)
-    known = x if measured.all() else x[measured]
-    if len(known) < SHORT:
+    value = x if measured.all() else x[measured]
+    if len(value) < 7:
         return x
-    value = known
     around = np.concatenate([[2 * value[1] - value[2]], value, [2 * value[-2] - value[-3]]])  # straight on at the ends
     before, after = around[:-2], around[2:]
     off = np.abs(value - 0.5 * (before + after))
-    usual, (low, high) = float(np.quantile(off, USUAL)), np.quantile(value, [1 - USUAL, USUAL])
-    far = (off > max(SPIKE * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
-    if not usual or not 0 < far.sum() <= FAULTY * len(known):
+    usual, (low, high) = float(np.quantile(off, 0.9)), np.quantile(value, [0.1, 0.9])
+    far = (off > max(20 * usual, FAULTY * (high - low))) & (np.abs(after - before) < 0.1 * off)
+    if not usual or not 0 < far.sum() <= FAULTY * len(value):
         return x
     codes, counts = np.unique(value[far], return_counts=True)
     codes = codes[(counts > 1) & ((codes < low) | (codes > high))]  # of a sensor that fails, also twice in a row
@@ -421,22 +402,21 @@ def unwrap_angle(name: str, x: Array, unit: str, findings: list[Finding]) -> Arr
     if len(values) < 2:
         return x
     width, steps = float(np.ptp(values)), np.diff(values)
-    turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,)}.get(unit, (2 * np.pi, 360.0) if unit == "-" else ())
+    turns = {"rad": (2 * np.pi,), "deg": (360.0,), "turn": (1.0,), "-": (2 * np.pi, 360.0)}.get(unit, ())
     whole = bool((values == values.round()).all()) and unit in ("-", "counts", "count", "ticks")
     counts = _counts_of_turn(steps, np.diff(np.flatnonzero(measured)), width) if whole else ()
     inside = np.abs(values - values.min() - 0.5 * width) < 0.25 * width
-    for turn in (*turns, *counts) if inside.mean() > PASSING else ():
+    for turn in (*turns, *counts) if inside.mean() > 0.05 else ():  # two levels are no angle
         jumps = np.abs(steps) > 0.5 * turn
         left = np.abs(steps - turn * np.round(steps / turn))
-        if not 0.9 * turn <= width <= 1.001 * turn or not jumps.any() or left.max() > 0.25 * turn:
-            continue
         begins = min(abs(values.min()), abs(values.min() + 0.5 * turn))  # from 0, or from minus half a turn
-        if begins > 0.05 * turn or left[jumps].max() > 3 * np.abs(steps[~jumps]).max():
+        if not jumps.any() or not 0.9 * turn <= width <= 1.001 * turn or begins > 0.05 * turn:
             continue
-        found = x.copy()
-        found[measured] = np.unwrap(values, period=turn)
-        findings.append(note("log.unwrapped", state=name, turn=turn, times=int(jumps.sum()), counts=turn in counts))
-        return found
+        if left.max() <= 0.25 * turn and left[jumps].max() <= 3 * np.abs(steps[~jumps]).max():
+            found = x.copy()
+            found[measured] = np.unwrap(values, period=turn)
+            findings.append(note("log.unwrapped", state=name, turn=turn, times=int(jumps.sum()), counts=turn in counts))
+            return found
     return x
 
 
@@ -528,14 +508,15 @@ def _stops(x: dict[str, Array], findings: list[Finding]) -> NDArray[np.bool_]:
         if not len(value) or np.ptp(value) == 0:
             continue
         for end in dict.fromkeys((value.min(), value.max(), *_frozen(value))):
-            rests = [pair for pair in _runs(value == end, STOP) if pair[0] == 0 or _is_stop(value, *pair)]
+            rests = [pair for pair in _runs(value == end, 5) if pair[0] == 0 or _is_stop(value, *pair)]
             # The start of a recording at rest is no stop, unless the state rests there again.
+            if not any(first for first, _ in rests):
+                continue
             own = np.zeros_like(mask)
-            for first, last in rests if any(first for first, _ in rests) else []:
+            for first, last in rests:
                 own[rows[first] : rows[last - 1] + 1] = True
-            if own.any():
-                findings.append(note("log.stop", count=int(own.sum()), state=name, value=float(end)))
-                mask |= own
+            findings.append(note("log.stop", count=int(own.sum()), state=name, value=float(end)))
+            mask |= own
     return mask
 
 
@@ -546,15 +527,15 @@ def _runs(where: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
 
 
 def _frozen(value: Array) -> list[float]:
-    """Return the values at which samples stand that change from row to row otherwise, and jump there and away."""
+    """Return the values at which 20 samples stand that change from row to row otherwise, and jump there and away."""
     steps = np.abs(np.diff(value))
-    runs = _runs(steps == 0, FROZEN)
+    runs = _runs(steps == 0, 20)
     long = sum(last - first for first, last in runs)
-    if not 0 < long <= LONG_FROZEN * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
+    if not 0 < long <= 0.2 * len(value) or (steps == 0).sum() - long > FAULTY * len(value):
         return []
     usual = np.median(steps[steps > 0])
-    met = [first for first, last in runs if first > 0 and last < len(steps) and steps[[first - 1, last]].min() > usual]
-    return [float(value[first]) for first in met]
+    inner = [(first, last) for first, last in runs if first > 0 and last < len(steps)]
+    return [float(value[first]) for first, last in inner if steps[[first - 1, last]].min() > usual]
 
 
 def _is_stop(value: Array, first: int, last: int) -> bool:
@@ -565,7 +546,7 @@ def _is_stop(value: Array, first: int, last: int) -> bool:
     steps, beside = np.abs(np.diff(value)), max(1, (last - first) // 10)
     step = steps[steps > 1e-9 * np.ptp(value)].min()  # others are of rounding
     neighbours = [k for k in (first - beside, last - 1 + beside) if 0 <= k < len(value)]
-    return any(abs(value[k] - value[first]) > 2.5 * step for k in neighbours)
+    return bool((np.abs(value[neighbours] - value[first]) > 2.5 * step).any())
 
 
 def _transitions(x: Array, u: Array, segment: NDArray[np.int64], usable: NDArray[np.bool_], dt: float) -> Transitions:
@@ -663,7 +644,7 @@ def _guess_range(low: float, high: float) -> ActuatorScaling:
     """
     if max(-low, high) <= 1 + ROUNDED:
         return PLAIN
-    if min(-low, high) >= BOTH * max(-low, high):
+    if min(-low, high) >= 0.8 * max(-low, high):  # as far to either side
         low, high = -max(-low, high), max(-low, high)
     return ActuatorScaling(low, high, 0.0) if max(low, -high) <= high - low else ActuatorScaling.of(low, high)
 

@@ -1,12 +1,12 @@
-"""The columns of a log as numbers: what their headings say, what is no number and where, and a summary of each."""
+"""The columns of a log as numbers: what their headings say, what is no number and where, and what each of them is."""
 
 from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -22,15 +22,6 @@ from dynasindy.text import did_you_mean
 Array = NDArray[np.float64]
 DAY_FIRST = re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}\b.*")
 """A date as it is written with points, the day first: with slashes nobody could tell the day from the month."""
-ALLOWED = "2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05"
-"""Dates that are read, for messages."""
-
-
-def correct_map() -> str:
-    """Ask for a correct column map."""
-    return f"correct the column map ({', '.join(map(setting, ('data.time', 'data.states', 'data.inputs')))})"
-
-
 THOUSANDS = r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?"
 """A number whose commas part thousands, where all commas of a column do."""
 DAY = 86400.0
@@ -39,12 +30,17 @@ HUGE = 1e30
 """What programs write where a sample was lost, of either sign."""
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
-STRAIGHT = 1e-3
-"""Part of its range by which a second clock may be off the first one."""
-TICKS = 3
-"""Steps from which on they are those of a clock."""
 REGULAR = 0.9
 """Share of the rows of a counter that follow the one before without a gap."""
+FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
+"""A heading of parts of a second, such as `nanosec`."""
+CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
+"""A heading that is the time of the columns with the same beginning, such as `left_time`."""
+
+
+def correct_map() -> str:
+    """Ask for a correct column map."""
+    return f"correct the column map ({', '.join(map(setting, ('data.time', 'data.states', 'data.inputs')))})"
 
 
 @dataclass(frozen=True)
@@ -61,32 +57,53 @@ class Table:
     """Hold columns of a file.
 
     Attributes:
-        headings: headings of the columns as the file has them.
-        values: what is no number is NaN, `(rows, columns)`.
-        lines: line of each row in the file, `(rows,)`.
-        words: cells that hold something else than a number, by heading.
-        dated: headings of columns that hold dates, in seconds.
-        findings: what was decided.
+        frame: Numbers below the headings of the file, NaN of what is none; the index holds the line of each row.
+        words: Cells that hold something else than a number, by heading.
+        dated: Headings of columns that hold dates, in seconds.
+        findings: What was decided.
     """
 
-    headings: tuple[str, ...]
-    values: Array
-    lines: NDArray[np.int64]
-    words: Mapping[str, Words] = field(default_factory=dict)
+    frame: pd.DataFrame
+    words: Mapping[str, Words]
     dated: frozenset[str] = frozenset()
     findings: tuple[Finding, ...] = ()
 
-    def column(self, heading: str) -> Array:
-        """Return the numbers below a heading, `(rows,)`."""
-        return self.values[:, self.headings.index(heading)]
+    @property
+    def headings(self) -> list[str]:
+        """Headings of the columns."""
+        return [*self.frame]
 
-    def edit(self, values: Array, without: Collection[str], names: Mapping[str, str]) -> Table:
-        """Return the table with other values, without some columns and with new headings of others."""
-        columns = [k for k, heading in enumerate(self.headings) if heading not in without]
-        headings = tuple(names.get(self.headings[k], self.headings[k]) for k in columns)
-        words = {names.get(heading, heading): each for heading, each in self.words.items() if heading not in without}
-        dated = frozenset(names.get(heading, heading) for heading in self.dated if heading not in without)
-        return replace(self, headings=headings, values=values[:, columns], words=words, dated=dated)
+    def column(self, heading: str) -> Array:
+        """Return the numbers below a heading, the first one of that name, `(rows,)`."""
+        return self.frame.iloc[:, self.headings.index(heading)].to_numpy()
+
+    def edit(self, frame: pd.DataFrame, names: Mapping[str, str], *findings: Finding) -> Table:
+        """Return the table with other numbers, maybe of fewer columns, of which some get new headings."""
+        words = {names.get(heading, heading): each for heading, each in self.words.items() if heading in frame}
+        dated = frozenset(names.get(heading, heading) for heading in self.dated if heading in frame)
+        return Table(frame.rename(columns=names), words, dated, (*self.findings, *findings))
+
+    @cached_property
+    def kinds(self) -> dict[str, str]:
+        """Return what stands below each heading: dates, words, empty, constant, counter of rows, or moving numbers."""
+        kinds = dict[str, str]()
+        for heading in self.headings:
+            column = self.column(heading)
+            numbers = column[~np.isnan(column)]
+            kind = "constant" if len(numbers) and (numbers == numbers[0]).all() else "moving"
+            kind = "counter" if kind == "moving" and _counts(column) else kind
+            none = "dates" if heading in self.dated else "words" if heading in self.words else "empty"
+            kinds[heading] = none if heading in self.dated or not len(numbers) else kind
+        return kinds
+
+    def of_kind(self, *kinds: str) -> list[str]:
+        """Return the headings of columns of some kinds."""
+        return [heading for heading, kind in self.kinds.items() if kind in kinds]
+
+    def moving(self) -> dict[str, Array]:
+        """Return the numbers that move, without the rows in which one of them is missing."""
+        frame = self.frame[self.of_kind("moving", "counter")]
+        return dict(zip(frame, frame[np.isfinite(frame).all(axis=1)].to_numpy().T, strict=True))
 
 
 def read_columns(path: Path) -> Table:
@@ -102,38 +119,39 @@ def read_columns(path: Path) -> Table:
 
 @lru_cache(maxsize=2)
 def _read(path: Path, changed: int, size: int) -> Table:
-    raw = read_file(path)
-    headings = plain_headings([" ".join(str(heading).split()) for heading in raw.headings])
-    values, words, dated = np.empty((len(raw.lines), len(headings))), dict[str, Words](), set[str]()
-    codes = list[Finding]()
+    raw, findings = read_file(path)
+    headings = plain_headings([" ".join(str(heading).split()) for heading in raw.columns])
+    values, words, dated = np.empty((len(headings), len(raw))), dict[str, Words](), set[str]()
+    kept = list[int]()
     for k, heading in enumerate(headings):
-        cells, unit = _without_unit(raw.frame[k])
+        cells, unit = _without_unit(raw.iloc[:, k])
         if unit and not split_unit(heading)[1]:
             heading = headings[k] = plain_heading(f"{heading} [{unit}]")
-        values[:, k], wrong, is_date = _numbers(cells, raw.lines)
-        if not is_date and (code := _lost_code(values[:, k])) is not None:
-            rows = np.flatnonzero(values[:, k] == code)
-            values[rows, k] = np.nan
-            codes.append(note("log.code", column=heading, value=code, count=len(rows), line=int(raw.lines[rows[0]])))
-        first = not k and not heading and not any(map(is_clock, headings[1:]))
-        if first and (is_date or (grows(values[:, k]) and not _counts(values[:, k]))):
-            heading = headings[k] = "time"  # that rows are named by, as pandas writes it
+        column, wrong, is_date = _numbers(cells)
+        if not is_date and (code := _lost_code(column)) is not None:
+            lost = column == code
+            column, line = np.where(lost, np.nan, column), int(raw.index[lost.argmax()])
+            findings.append(note("log.code", column=heading, value=code, count=int(lost.sum()), line=line))
+        values[k] = column
+        if not heading:  # an index that a program wrote, a time that rows are named by as pandas writes it, or nothing
+            if not k and not any(map(is_clock, headings[1:])) and (is_date or (grows(column) and not _counts(column))):
+                heading = headings[k] = "time"
+            elif k and np.isfinite(column).any() and not _counts(column):
+                raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         if wrong is not None:
             words[heading] = wrong
         if is_date:
             dated.add(heading)
-    kept = [k for k, heading in enumerate(headings) if heading or np.isfinite(values[:, k]).any()]
-    for k in [k for k in kept if not headings[k]]:
-        if k and not _counts(values[:, k]):
-            raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
-        kept.remove(k)  # an index that a program wrote
-    before = [headings.index(headings[k]) for k in range(len(headings))]
-    numbers = (k for k in kept if before[k] < k and headings[k] not in words)
-    same = [k for k in numbers if np.array_equal(values[:, before[k]], values[:, k], equal_nan=True)]
-    found = [headings[k] for k in kept if k not in same]
-    findings = [note("log.same_columns", columns=sorted({headings[k] for k in same}))] if same else []
-    values = values[:, [k for k in kept if k not in same]]
-    table = Table(tuple(found), values, raw.lines, words, frozenset(dated), (*raw.findings, *codes, *findings))
+        if heading:
+            kept.append(k)
+    numbers = {k: headings.index(headings[k]) for k in kept if headings[k] not in words}
+    same = [k for k, first in numbers.items() if first < k and np.array_equal(values[first], values[k], equal_nan=True)]
+    if same:
+        findings.append(note("log.same_columns", columns=sorted({headings[k] for k in same})))
+    kept = [k for k in kept if k not in same]
+    whole = values if len(kept) == len(values) else values[kept]
+    frame = pd.DataFrame(whole.T, index=raw.index, columns=[headings[k] for k in kept], copy=False)
+    table = Table(frame, words, frozenset(dated), tuple(findings))
     return _with_one_clock(_with_fractions(_with_whole_dates(table)))
 
 
@@ -141,9 +159,10 @@ def _lost_code(column: Array) -> float | None:
     """Return the number that stands for samples that were lost: a usual one, farther off the others than these lie."""
     finite = column[np.isfinite(column)]
     for end in (finite.min(), finite.max()) if len(finite) else ():
-        rest = finite[finite != end]
-        if (abs(end) in CODES or abs(end) >= HUGE) and len(rest) and np.abs(rest - end).min() > np.ptp(rest):
-            return float(end)
+        if abs(end) in CODES or abs(end) >= HUGE:
+            rest = finite[finite != end]
+            if len(rest) and np.abs(rest - end).min() > np.ptp(rest):
+                return float(end)
     return None
 
 
@@ -154,35 +173,24 @@ def _with_whole_dates(table: Table) -> Table:
     clocks = [name for name, column in dated.items() if name not in days and bool((column < DAY).all())]
     if len(days) != 1 or len(clocks) != 1:
         return table
-    values = table.values.copy()
-    values[:, table.headings.index(clocks[0])] += dated[days[0]]
-    time = days[0] if is_clock(days[0]) or not is_clock(clocks[0]) else clocks[0]
-    return table.edit(values, days, {clocks[0]: time})
-
-
-FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
-"""A heading of parts of a second, such as `nanosec`."""
+    (day,), (clock,) = days, clocks
+    frame = table.frame.assign(**{clock: dated[clock] + dated[day]}).drop(columns=day)
+    return table.edit(frame, {clock: day if is_clock(day) or not is_clock(clock) else clock})
 
 
 def _with_fractions(table: Table) -> Table:
     """Return a table in which whole seconds and the column of their parts behind them are one time, as of ROS."""
-    for k, heading in enumerate(table.headings):
-        match = FRACTION.fullmatch(split_unit(heading)[0])
-        whole, parts = table.values[:, k - 1], table.values[:, k]
-        if not (match and k) or (whole % 1).any() or (parts % 1).any() or not (np.diff(whole) >= 0).all():
+    for first, heading in zip(table.headings, table.headings[1:]):
+        if not (match := FRACTION.fullmatch(split_unit(heading)[0])):
             continue
-        scale = {"n": 1e-9, "nano": 1e-9, "u": 1e-6, "micro": 1e-6}.get(match[1].lower(), 1e-3)
-        seconds = whole + scale * parts
-        if grows(whole) or not grows(seconds) or (parts < 0).any() or (scale * parts >= 1).any():
+        whole, parts = table.column(first), table.column(heading)
+        part = {"n": 1e-9, "u": 1e-6, "m": 1e-3}[match[1][0].lower()] * parts
+        if (whole % 1).any() or (parts % 1).any() or not (np.diff(whole) >= 0).all() or grows(whole):
             continue
-        values, first = table.values.copy(), table.headings[k - 1]
-        values[:, k - 1] = seconds
-        return table.edit(values, [heading], {} if is_clock(first) else {first: "time [s]"})
+        if grows(whole + part) and (part >= 0).all() and (part < 1).all():
+            frame = table.frame.assign(**{first: whole + part}).drop(columns=heading)
+            return table.edit(frame, {} if is_clock(first) else {first: "time [s]"})
     return table
-
-
-CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
-"""A heading that is the time of the columns with the same beginning, such as `left_time`."""
 
 
 def _with_one_clock(table: Table) -> Table:
@@ -190,27 +198,28 @@ def _with_one_clock(table: Table) -> Table:
 
     A column that is held for most of the time keeps its last value; others are on straight lines between two samples.
     """
-    clocks = dict[str, str]()
-    for heading in table.headings:
-        match = CLOCK_OF_ITS_OWN.fullmatch(split_unit(heading)[0])
-        if match and heading not in table.dated and grows(table.column(heading)):
-            clocks[match[1]] = heading
+    clocks = {
+        match[1]: heading
+        for heading in table.headings
+        if (match := CLOCK_OF_ITS_OWN.fullmatch(split_unit(heading)[0]))
+        if heading not in table.dated and grows(table.column(heading))
+    }
     if len(clocks) < 2 or any(map(is_clock, table.headings)):
         return table
     (_, first), *others = clocks.items()
-    values, moved, now = table.values.copy(), [], table.column(first)
+    frame, moved, now = table.frame.copy(), list[str](), table.column(first)
     for begin, heading in others:
         then = table.column(heading)
-        for k, name in enumerate(table.headings):
+        for name in table.headings:
             if name.startswith(begin) and name != heading:
-                held = (np.diff(values[:, k]) == 0).mean() > 0.5
+                column = table.column(name)
                 at = np.clip(np.searchsorted(then, now, side="right") - 1, 0, len(then) - 1)
-                values[:, k] = values[at, k] if held else np.interp(now, then, values[:, k])
+                held = (np.diff(column) == 0).mean() > 0.5
+                frame[name] = column[at] if held else np.interp(now, then, column)
                 moved.append(name)
     unit, left = split_unit(first)[1], [heading for _, heading in others]
-    second = note("log.second_clock", columns=moved, clocks=left, first=first)
-    edited = table.edit(values, left, {first: f"time [{unit}]" if unit else "time"})
-    return replace(edited, findings=(*table.findings, second))
+    said = note("log.second_clock", columns=moved, clocks=left, first=first)
+    return table.edit(frame.drop(columns=left), {first: f"time [{unit}]" if unit else "time"}, said)
 
 
 def grows(column: Array) -> bool:
@@ -218,16 +227,12 @@ def grows(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
-def _keeps_time(column: Array, t: Array) -> bool:
-    """Tell whether a column grows as a time does, on a straight line or in even ticks of more than a row."""
-    rows = np.isfinite(column) & np.isfinite(t)
-    x, t = column[rows], t[rows]
-    if len(t) < COUNTED or not grows(t):
+def _counts(column: Array) -> bool:
+    """Tell whether a column grows by exactly one from row to row, but for gaps and where it begins anew."""
+    rows = np.flatnonzero(~np.isnan(column))
+    if not len(rows) or np.ptp(rows) + 1 < COUNTED:
         return False
-    steps = np.diff(x)
-    off = np.abs(x - x[0] - np.ptp(x) / (t[-1] - t[0]) * (t - t[0])).max()
-    ticks = steps.max() if (steps > 0).sum() >= TICKS else 0.0
-    return bool((steps >= 0).all() and steps.max() > 0 and off <= max(ticks, STRAIGHT * np.ptp(x)))
+    return bool((np.diff(column[rows]) == np.diff(rows)).mean() > REGULAR)
 
 
 def _without_unit(column: pd.Series) -> tuple[pd.Series, str]:
@@ -237,29 +242,26 @@ def _without_unit(column: pd.Series) -> tuple[pd.Series, str]:
     text = column.astype("string").str.strip()
     units = text.str.extract(f"^{MEASURED.pattern}$")[1].dropna().unique()
     unit = units[0] if len(units) == 1 and units[0].lower() in UNITS else ""
-    return text.str.removesuffix(unit) if unit else column, unit
+    return text.str.removesuffix(unit).str.strip(), unit
 
 
-def _numbers(column: pd.Series, lines: NDArray[np.int64]) -> tuple[Array, Words | None, bool]:
-    """Return a column as numbers, the words in it, and whether these are dates, which become seconds."""
-    if column.dtype.kind in "biuf":
-        return column.to_numpy(dtype=np.float64), None, False
-    text = column.astype("string").str.strip()
-    points = text.str.translate(PLAIN).str.replace(",", ".", regex=False)
+def _numbers(text: pd.Series) -> tuple[Array, Words | None, bool]:
+    """Return cells as numbers, the words in them, and whether these are dates, which become seconds."""
+    if text.dtype.kind in "biuf":
+        return text.to_numpy(dtype=np.float64), None, False
+    comma = text.str.contains(",", regex=False).fillna(False)
+    decimal = "" if comma.any() and text[comma].str.fullmatch(THOUSANDS).all() else "."
+    points = text.str.translate(PLAIN).str.replace(",", decimal, regex=False)
     points = points.str.replace(r"(?<=\d) (?=\d{3}(?:\D|$))", "", regex=True)
     points = points.str.replace(r"(?<=\d)[dD](?=[+-]?\d+$)", "e", regex=True)  # as Fortran writes
-    comma = text.str.contains(",", regex=False).fillna(False)
-    if comma.any() and text[comma].str.fullmatch(THOUSANDS).all():
-        points = text.str.translate(PLAIN).str.replace(",", "", regex=False)
     numbers = pd.to_numeric(points, errors="coerce").to_numpy(np.float64, na_value=np.nan)
-    worded = np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)
-    if not worded.any():
+    worded = text[np.isnan(numbers) & ~text.fillna("").str.lower().isin(["", "nan"]).to_numpy(bool)]
+    if not len(worded):
         return numbers, None, False
-    first = int(np.flatnonzero(worded)[0])
-    said = str(text[first])
-    words = Words(int(lines[first]), said[:40], int(worded.sum()))
-    may_be_date = np.isnan(numbers).all() and (DAY_FIRST.fullmatch(said) or not re.fullmatch(r"[\d.,]*", said))
-    if may_be_date and np.isfinite(_seconds(text.iloc[[first]]))[0]:
+    first = str(worded.iloc[0])
+    words = Words(int(worded.index[0]), first[:40], len(worded))
+    may_be_date = np.isnan(numbers).all() and (DAY_FIRST.fullmatch(first) or not re.fullmatch(r"[\d.,]*", first))
+    if may_be_date and np.isfinite(_seconds(worded.iloc[[0]]))[0]:
         dates = _seconds(text)
         return dates, words, bool(np.isfinite(dates).any())
     return numbers, words, False
@@ -269,13 +271,13 @@ def _seconds(text: pd.Series) -> Array:
     """Return the seconds of dates, NaN of what is none."""
     text = text.str.replace(",", ".", regex=False).str.replace(r"^\[|\]$|(?<=\d) ?[A-Z]{3,4}$", "", regex=True)
     text = text.str.replace(r"(:\d\d:\d\d):(\d{1,6})$", r"\1.\2", regex=True)  # a colon before the milliseconds
-    dates = pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-    since = _since(dates - pd.Timestamp(0, tz="UTC"))
-    return since if np.isfinite(since).any() else _other_dates(text)
+    dates = _since_1970(pd.to_datetime(text, format="ISO8601", utc=True, errors="coerce"))
+    return dates if np.isfinite(dates).any() else _other_dates(text)
 
 
-def _since(times: pd.Series) -> Array:
-    return np.asarray((times / pd.Timedelta(seconds=1)).to_numpy(dtype=np.float64, na_value=np.nan))
+def _since_1970(times: pd.Series) -> Array:
+    since = times if times.dtype.kind == "m" else times - pd.Timestamp(0, tz="UTC")
+    return np.asarray((since / pd.Timedelta(seconds=1)).to_numpy(dtype=np.float64, na_value=np.nan))
 
 
 def _other_dates(text: pd.Series) -> Array:
@@ -286,19 +288,21 @@ def _other_dates(text: pd.Series) -> Array:
     first = str(text.dropna().iloc[0])
     if re.search(r"\d\s*(?:s|sec|ms|us|ns)$|^(?:\d+ days? )?-?\d+:\d\d(?::\d\d)?(?:\.\d+)?$", first):
         whole = text.str.replace(r"^(\d+:\d\d(?:\.\d+)?)$", r"00:\1", regex=True)
-        return _since(pd.to_timedelta(whole, errors="coerce"))
+        return _since_1970(pd.to_timedelta(whole, errors="coerce"))
     if not re.search(r"\d:\d\d|^\d+[-./]\d+[-./]\d+$", first):
         return np.full(len(text), np.nan)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a form that pandas has to find for each row
-        read = [pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce") for day in (False, True)]
-    months, days = (_since(dates - pd.Timestamp(0, tz="UTC")) for dates in read)
+        months, days = (
+            _since_1970(pd.to_datetime(text, dayfirst=day, utc=True, errors="coerce")) for day in (False, True)
+        )
     lost = np.isnan(months).sum() - np.isnan(days).sum()
     steps = [np.abs(np.diff(each)) for each in (months, days)]
     if not lost and np.isfinite(steps[0]).any() and np.nanmedian(steps[0]) == np.nanmedian(steps[1]):
         lost = np.nanmax(steps[0]) - np.nanmax(steps[1])  # at midnight a day goes by, and not a month
-    told = lost or DAY_FIRST.match(first) or np.array_equal(steps[0], steps[1], equal_nan=True)
-    found = np.full(len(days), np.nan) if not told else months if lost < 0 else days
+    if not (lost or DAY_FIRST.match(first) or np.array_equal(steps[0], steps[1], equal_nan=True)):
+        return np.full(len(text), np.nan)
+    found = months if lost < 0 else days
     return np.mod(found, DAY) if re.fullmatch(r"[\d:.]+ ?[ap]m", first, re.IGNORECASE) else found
 
 
@@ -317,119 +321,36 @@ def select_columns(path: Path, names: Sequence[str], dt: float | None = None) ->
         FileNotFoundError: there is no such file.
         ValueError: the file is no table, a column is missing or stands there twice, or one has no number.
     """
-    whole = read_columns(path)
-    time, even = names[0], (dt or 0.0) * np.arange(len(whole.lines), dtype=np.float64)
-    blank = time in whole.headings and time not in whole.words and bool(np.isnan(whole.column(time)).all())
-    if dt is not None and (blank or (time == "time" and not named_by("time", whole.headings))):  # nobody named another
-        others = [k for k, heading in enumerate(whole.headings) if heading != time]
-        whole = replace(
-            whole,
-            headings=(time, *(whole.headings[k] for k in others)),
-            values=np.column_stack([even, whole.values[:, others]]),
-            findings=(*whole.findings, note("log.no_time")),
-        )
+    whole, time = read_columns(path), names[0]
+    blank = time in whole.headings and whole.kinds[time] == "empty"
+    if dt is not None and (blank or (time == "time" and not named_by(time, whole.headings))):  # nobody named another
+        rows = pd.DataFrame({time: dt * np.arange(len(whole.frame), dtype=np.float64)}, whole.frame.index)
+        others = whole.frame.drop(columns=time, errors="ignore")
+        whole = whole.edit(pd.concat([rows, others], axis=1), {}, note("log.no_time"))
     places = [_find(path, name, whole.headings) for name in names]
-    found = tuple(whole.headings[k] for k in places)
-    values = whole.values[:, places]
-    words = {}
-    for k, heading in enumerate(found):
-        if heading in whole.dated and k:
-            values[:, k] = np.nan
-        if heading in whole.words and not (heading in whole.dated and not k):
-            words[heading] = whole.words[heading]
-        if not len(values) or not np.isnan(values[:, k]).all():
-            continue
+    frame = whole.frame.iloc[:, places]
+    first, *others = frame
+    if dates := [heading for heading in others if heading in whole.dated]:
+        frame = frame.assign(**dict.fromkeys(dates, np.nan))
+    words = {h: whole.words[h] for h in frame if h in whole.words and (h != first or h not in whole.dated)}
+    for heading in frame.columns[frame.isna().all()] if len(frame) else ():
         if heading not in words:
             raise LogError("log.column_without_numbers", file=str(path), column=heading)
         raise ValueError(
             f"{path}, column {heading!r} has no number, but values such as {words[heading].text!r}; allowed are "
-            f"numbers, and of time dates such as {ALLOWED}: convert the column, words such as ON and OFF to 1 and 0"
+            "numbers, and of time dates such as 2024-05-31 12:00:00.05 or 31.05.2024 12:00:00.05: convert the column, "
+            "words such as ON and OFF to 1 and 0"
         )
-    worded = (
-        note("log.words", line=each.line, column=heading, text=each.text, count=each.count)
-        for heading, each in words.items()
-    )
-    dated = frozenset(found[:1]) & whole.dated
-    return Table(found, values, whole.lines, words, dated, (*whole.findings, *worded))
+    said = [note("log.words", line=w.line, column=h, text=w.text, count=w.count) for h, w in words.items()]
+    return replace(whole.edit(frame, {}, *said), words=words, dated=whole.dated & {first})
 
 
 def _find(path: Path, name: str, headings: Sequence[str]) -> int:
     """Return the place of a column by its heading, with or without its unit."""
     named = named_by(name, headings)
-    places = [k for k, heading in enumerate(headings) if heading in named]
-    if not places:
+    if not named:
         hint = did_you_mean(name, [*headings, *(split_unit(heading)[0] for heading in headings)])
         raise ValueError(f"{path} has no column {name!r}; allowed are {', '.join(headings)}: {correct_map()}{hint}")
-    if len(places) > 1:
-        raise ValueError(f"{path} has {len(places)} columns {name!r}; allowed is one: rename the others")
-    return places[0]
-
-
-def _counts(column: Array) -> bool:
-    """Tell whether a column grows by exactly one from row to row, but for gaps and where it begins anew."""
-    rows = np.flatnonzero(~np.isnan(column))
-    if not len(rows) or np.ptp(rows) + 1 < COUNTED:
-        return False
-    return bool((np.diff(column[rows]) == np.diff(rows)).mean() > REGULAR)
-
-
-@dataclass(frozen=True)
-class ColumnSummary:
-    """Hold the headings of a file by what stands below them.
-
-    Attributes:
-        headings: All headings.
-        numeric: Those of columns that hold a number somewhere.
-        still: Those of numeric columns that hold one number from beginning to end, with this number.
-        worded: Those of columns that hold text and no number, with the first text.
-        dated: Those of `worded` whose first text is a date.
-        counting: Those of numeric columns that grow by exactly one in each row.
-        moving: Numeric columns that are not still, without the rows in which one of them lacks a value.
-        table: The file.
-    """
-
-    headings: tuple[str, ...]
-    numeric: tuple[str, ...]
-    still: dict[str, float]
-    worded: dict[str, str]
-    dated: tuple[str, ...]
-    counting: tuple[str, ...]
-    moving: dict[str, Array]
-    table: Table
-
-    @property
-    def growing(self) -> list[str]:
-        """Headings of the columns that grow from row to row."""
-        return [heading for heading, column in self.moving.items() if grows(column)]
-
-    def clocks(self, time: str | None) -> list[str]:
-        """Return the headings of numeric columns that tell the time once more, as another clock does."""
-        if time not in self.headings:
-            return []
-        t = self.table.column(time)
-        return [heading for heading in self.numeric if heading != time and _keeps_time(self.table.column(heading), t)]
-
-
-def summarise_columns(path: Path) -> ColumnSummary:
-    """Say what stands in the columns of a file.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is no table, a heading is missing, or two agree but for their unit.
-    """
-    table = read_columns(path)
-    names = [split_unit(heading)[0] for heading in table.headings]
-    if double := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"{path} has {', '.join(map(repr, double))} more than once in its headings; rename all but one"
-        )
-    dated = tuple(heading for heading in table.headings if heading in table.dated)
-    found = {h: c[~np.isnan(c)] for h, c in zip(table.headings, table.values.T, strict=True) if h not in dated}
-    numeric = tuple(heading for heading, column in found.items() if len(column))
-    still = {h: float(found[h][0]) for h in numeric if (found[h] == found[h][0]).all()}
-    worded = {h: words.text for h, words in table.words.items() if h not in numeric}
-    counting = tuple(h for h in numeric if _counts(table.column(h)))
-    moving = [table.headings.index(heading) for heading in numeric if heading not in still]
-    values = table.values[:, moving]
-    columns = {table.headings[k]: c for k, c in zip(moving, values[np.isfinite(values).all(1)].T, strict=True)}
-    return ColumnSummary(table.headings, numeric, still, worded, dated, counting, columns, table)
+    if len(named) > 1:
+        raise ValueError(f"{path} has {len(named)} columns {name!r}; allowed is one: rename the others")
+    return headings.index(named[0])

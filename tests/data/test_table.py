@@ -16,8 +16,8 @@ def write(folder: Path, text: str) -> Path:
 
 def test_cells_headings_and_lines_are_those_of_the_file(tmp_path):
     table = select_columns(write(tmp_path, "a [m],b,c\n1,2,3\n\n4,,x\n7\n"), ["c", "a"])
-    assert table.headings == ("c", "a [m]") and table.lines.tolist() == [2, 4, 5]
-    assert np.array_equal(table.values, [[3, 1], [math.nan, 4], [math.nan, 7]], equal_nan=True)
+    assert table.headings == ["c", "a [m]"] and table.frame.index.tolist() == [2, 4, 5]
+    assert np.array_equal(table.frame, [[3, 1], [math.nan, 4], [math.nan, 7]], equal_nan=True)
 
 
 def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
@@ -55,12 +55,12 @@ def test_text_in_a_column_of_numbers_is_told_with_its_line(tmp_path):
 def test_headings_are_found_below_a_title_above_units_and_between_any_separators(tmp_path, text, headings, lines):
     table = read_columns(write(tmp_path, text))
     assert list(table.headings) == headings.split("," if "," in headings else None)
-    assert table.lines.tolist() == lines
+    assert table.frame.index.tolist() == lines
 
 
 def test_a_quote_within_a_value_is_a_letter(tmp_path):
     table = select_columns(write(tmp_path, 'a,pipe\n1,5" long\n2,6 long\n'), ["a"])
-    assert table.lines.tolist() == [2, 3]
+    assert table.frame.index.tolist() == [2, 3]
 
 
 @pytest.mark.parametrize(
@@ -83,8 +83,8 @@ def test_what_is_no_table_is_refused_at_its_line(tmp_path, text, said):
 def test_dates_of_the_time_column_become_seconds(tmp_path):
     """Over midnight, with fractions and a zone; of another column they are no numbers."""
     text = "time,a\n2024-02-28 23:59:59.50,1\n2024-02-29T00:00:00.25,2\n2024-02-29 01:00:01+01:00,3\n"
-    values = select_columns(write(tmp_path, text), ["time", "a"]).values
-    assert np.diff(values[:, 0]) == pytest.approx([0.75, 0.75], abs=1e-6)
+    table = select_columns(write(tmp_path, text), ["time", "a"])
+    assert np.diff(table.column("time")) == pytest.approx([0.75, 0.75], abs=1e-6)
     with pytest.raises(ValueError, match="values"):
         select_columns(write(tmp_path, text), ["a", "time"])
 
@@ -101,5 +101,5 @@ def test_the_end_of_a_name_is_its_unit_where_the_name_stays_its_own(tmp_path, he
     count = len(plain)
     text = "\n".join([headings, *(",".join(map(str, range(k, k + count))) for k in range(3))])
     assert list(read_columns(write(tmp_path, text)).headings) == plain
-    assert read_columns(tmp_path / "log.csv").values.tolist() == [list(range(k, k + count)) for k in range(3)]
-    assert select_columns(tmp_path / "log.csv", headings.split(",")).headings == tuple(plain)
+    assert read_columns(tmp_path / "log.csv").frame.to_numpy().tolist() == [list(range(k, k + count)) for k in range(3)]
+    assert select_columns(tmp_path / "log.csv", headings.split(",")).headings == plain
