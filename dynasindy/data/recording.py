@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -78,9 +78,8 @@ class Recording:
         return "\n".join([f"{head}; inputs {', '.join(signature.input_names)}", *lines_of(self.findings)])
 
 
-@dataclass
-class _Part:
-    """Hold what one file gave: its headings, columns, times [s], states, inputs and findings."""
+class _Part(NamedTuple):
+    """Hold what one file gave: its headings, columns, times [s], states and inputs."""
 
     path: str
     headings: Sequence[str]
@@ -89,8 +88,6 @@ class _Part:
     t: Array
     x: dict[str, Array]
     u: Array
-    findings: list[Finding]
-    segment: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -168,7 +165,7 @@ class LogReader:
                 has ends, there are too few samples, files differ in their units or sampling times, or a known rate is
                 in other units than its state.
         """
-        left_out, after = list[Finding](), list[Finding]()
+        left_out = list[Finding]()
         time, states, inputs = self._columns(plant, left_out)
         for name in (both := [*states, *inputs]):
             if not NAME.fullmatch(name) or both.count(name) > 1:  # as a function or number in an equation, or twice
@@ -180,25 +177,23 @@ class LogReader:
                 f"{self}: the column '{double[0]}' is taken as {' and as '.join(taken)}, and may be read once; leave "
                 f"one out: {correct_map()}"
             )
-        parts = [self._part(path, time, states, inputs) for path in self.paths]
-        findings = [each for part in parts for each in self._findings_of(part)]
-        inputs, headings, dt = parts[0].inputs, parts[0].headings, _one_period(parts, self.dt)
-        u = np.concatenate([part.u for part in parts])
-        ranges, ends = _actuator_ranges(str(self), u, inputs, plant is None, after)
-        rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
-        for part in parts:
-            part.findings.clear()
-            part.t, part.x, part.u, part.segment = resample(part.t, part.x, (part.u - rest) / unit, dt, part.findings)
-        states = parts[0].states
+        findings = list[Finding]()
+        parts = [self._part(path, time, states, inputs, findings) for path in self.paths]
+        _, headings, states, inputs, *_ = parts[0]
+        dt = _one_period(parts, self.dt)
         findings += _conversions(states, headings)
+        u = np.concatenate([part.u for part in parts])
+        ranges, ends = _actuator_ranges(str(self), u, inputs, plant is None, findings)
+        rest, unit = np.array([(each.rest, each.unit) for each in ranges]).T
         pieces, sizes = [], np.zeros(len(states))
         for part in parts:
-            usable = ~(_long_gaps(part.x, part.segment, part.findings) | _stops(part.x, part.findings))
-            full = np.stack([part.x.get(name, np.full(len(part.t), np.nan)) for name in states], -1)
+            t, x, u, segment = resample(part.t, part.x, (part.u - rest) / unit, dt, said := list[Finding]())
+            usable = ~(_long_gaps(x, segment, said) | _stops(x, said))
+            full = np.stack([x.get(name, np.full(len(t), np.nan)) for name in states], -1)
             sizes = np.maximum(sizes, np.abs(np.nan_to_num(full)).max(0, initial=0.0))
-            pieces.append(_transitions(full, part.u, part.segment, usable, dt))
+            pieces.append(_transitions(full, u, segment, usable, dt))
+            findings += self._of_file(part.path, said)
         data = pieces[0] if len(pieces) == 1 else Transitions.cat(pieces)
-        findings += [*after, *(each for part in parts for each in self._findings_of(part))]
         findings += (note("log.unmeasured", state=name) for name in states if name not in parts[0].x)
         self._require_enough(data, states, findings)
         units = tuple(c.unit for c in states.values())
@@ -265,12 +260,14 @@ class LogReader:
         """Name the files."""
         return ", ".join(self.paths)
 
-    def _findings_of(self, part: _Part) -> list[Finding]:
+    def _of_file(self, path: str, findings: Sequence[Finding]) -> list[Finding]:
         """Return the findings on a file, which name it where there are others."""
-        several = len(self.paths) > 1
-        return [replace(each, values={**each.values, "file": part.path}) if several else each for each in part.findings]
+        several = {"file": path} if len(self.paths) > 1 else {}
+        return [replace(each, values={**each.values, **several}) for each in findings]
 
-    def _part(self, path: str, time: str, states: dict[str, Column], inputs: dict[str, Column]) -> _Part:
+    def _part(
+        self, path: str, time: str, states: dict[str, Column], inputs: dict[str, Column], said: list[Finding]
+    ) -> _Part:
         """Read one file as it is: times, states in their units, and inputs in theirs."""
         clock, unit = clock_of(read_columns(Path(path)).headings, time)
         names = [clock, *(c.name for c in (*states.values(), *inputs.values()) if c.name)]
@@ -299,7 +296,8 @@ class LogReader:
             if c.name
         }
         u = np.stack([columns[c.name] * c.scale for c in inputs.values()], -1)
-        return _Part(path, [*frame], states, inputs, t, x, u, [*of_time, *findings])
+        said += self._of_file(path, [*of_time, *findings])
+        return _Part(path, [*frame], states, inputs, t, x, u)
 
     def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
@@ -458,17 +456,15 @@ def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: lis
     """
     out = np.zeros(len(segment), dtype=bool)
     for name, column in x.items():
-        measured = np.flatnonzero(np.isfinite(column))
-        if len(measured) in (len(column), 0, 1):
+        measured = np.isfinite(column)
+        rows = np.flatnonzero(measured)
+        if len(rows) in (len(column), 0, 1):
             continue
-        longest = LONG * np.median(np.diff(measured))
-        ends = np.concatenate([[-1], measured, [len(column)]])
-        long = np.flatnonzero(np.diff(ends) > longest)
-        for first, last in zip(ends[long], ends[long + 1], strict=True):
-            out[first + 1 : last] = True
-        if len(long):
-            rows = int((ends[long + 1] - ends[long] - 1).sum())
-            findings.append(note("log.long_gap", rows=rows, longest=float(longest), state=name))
+        longest, gaps = LONG * np.median(np.diff(rows)), np.diff(np.concatenate([[-1], rows, [len(column)]]))
+        long = np.repeat(gaps > longest, gaps)[:-1] & ~measured
+        if long.any():
+            findings.append(note("log.long_gap", rows=int(long.sum()), longest=float(longest), state=name))
+            out |= long
     any_state = pd.Series(np.isfinite(np.stack([*x.values()])).any(0).astype(int))
     begun, ahead = any_state.groupby(segment).cummax(), any_state[::-1].groupby(segment[::-1]).cummax()[::-1]
     return np.asarray(out | (begun * ahead == 0))
@@ -477,9 +473,11 @@ def _long_gaps(x: Mapping[str, Array], segment: NDArray[np.int64], findings: lis
 def _conversions(columns: Mapping[str, Column], headings: Iterable[str]) -> list[Finding]:
     """Return which columns were converted, and the map that keeps their units; nothing where none was."""
     units = units_of(headings)
-    before = {name: units[column.name] for name, column in columns.items() if units.get(column.name)}
-    after = {name: (columns[name].unit, columns[name].scale) for name in before}
-    changed = {name: unit for name, unit in before.items() if after[name] == in_radians(unit) != (unit, 1)}
+    changed = {
+        name: unit
+        for name, column in columns.items()
+        if (unit := units.get(column.name)) and (column.unit, column.scale) == in_radians(unit) != (unit, 1)
+    }
     if not changed:
         return []
     logged = {name: column for name, column in columns.items() if column.name}
