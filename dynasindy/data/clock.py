@@ -16,24 +16,8 @@ from dynasindy.findings import Finding, LogError, note, weak
 Array = NDArray[np.float64]
 CLOCK = "time"
 """Heading of the time where no other is given; `Time` or `t` is taken where the file has none."""
-PLACES = 9
-"""Decimals to which a time is looked at as one that was rounded."""
 MOSTLY = 0.9
 """Part of the steps that are one of two neighbouring numbers of ticks where an even clock was rounded to ticks."""
-ODD = 3
-"""Steps of the rarer number of ticks from which on they are a rhythm; fewer may be lost or doubled rows."""
-ABOUT = 1.2
-"""Ticks within which stamps of an even clock stay where no lost row can look like a tick."""
-RHYTHM = 0.5
-"""Variance of the intervals between odd steps, in that of steps at random, below which an even clock was rounded."""
-LOST = 0.1
-"""Part of the rows that a log may lose at random; where more steps are odd, a coarse clock is as likely."""
-SURE = 0.005
-"""Part of itself to which stamps have to tell a sampling time."""
-COARSE = 1000
-"""Step of whole numbers without a unit from which on they are hardly seconds."""
-MILLENNIUM = 3e10
-"""Seconds from which on a number is none of a time since any date."""
 LATE = 10
 """Usual steps within which a counter goes on after its overflow."""
 FEWEST = 10
@@ -83,7 +67,7 @@ def _possible_ticks(column: Array, unit: float) -> Iterator[_Ticks]:
     """Yield the ticks of which all stamps may be multiples, the likelier first; none of stamps with all digits."""
     largest = np.abs(column).max()
     noise = 4 * float(np.spacing(largest))
-    places = (k for k in range(PLACES + 1) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
+    places = (k for k in range(10) if np.abs(column - (column * 10**k).round() / 10**k).max() <= noise)
     digit = next((10.0**-k for k in places), 0.0)
     single = float(np.spacing(np.float32(largest)))
     if digit < single and _is_single(column):
@@ -189,7 +173,7 @@ def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, 
     sizes, counts = np.unique(steps, return_counts=True)
     pairs = counts + np.append(np.where(np.diff(sizes) == 1, counts[1:], 0), 0)
     low = float(sizes[pairs.argmax()])
-    within = (1 + 1e-6 if low < 2 else ABOUT) + ticks.slack
+    within = (1 + 1e-6 if low < 2 else 1.2) + ticks.slack  # wider where no lost row can look like a tick
     if dt is not None:
         period = dt / ticks.tick
         if abs(period - round(period)) * rows < 0.5 or not low <= period <= low + 1:  # even times are ticks, or others
@@ -199,14 +183,15 @@ def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, 
     inside = (steps == low) | (steps == low + 1)
     rare = low if (steps == low).sum() < (steps == low + 1).sum() else low + 1
     odd = np.flatnonzero(steps == rare)
-    if len(odd) < (ODD if low < 2 else 1):
+    if len(odd) < (3 if low < 2 else 1):  # fewer may be lost or doubled rows, and no rhythm
         return None
     starts = np.append(0, np.flatnonzero(~inside) + 1)
     found = _possible_periods(ticks.at, low, starts, within) if inside.mean() >= MOSTLY else None
-    mixed = low == 1 and ticks.digits < 2 and (len(odd) > LOST * rows or _is_rhythm(np.diff(odd)))
+    # A log may lose a tenth of its rows at random; where more steps are odd, a coarse clock is as likely.
+    mixed = low == 1 and ticks.digits < 2 and (len(odd) > 0.1 * rows or _is_rhythm(np.diff(odd)))
     if found is None and not mixed:
         return None
-    if found is None or found[1] - found[0] > SURE * (found[0] + found[1]) or (low == 1 and ticks.digits != 1):
+    if found is None or found[1] - found[0] > 0.005 * (found[0] + found[1]) or (low == 1 and ticks.digits != 1):
         raise LogError("log.coarse_time", file=path, tick=ticks.tick, low=low, high=low + 1)
     period = _round_between(found[0] * ticks.tick, found[1] * ticks.tick)
     return period * _numbered(ticks.at, period / ticks.tick, within)[0], period
@@ -215,7 +200,7 @@ def _fit_even_clock(path: str, ticks: _Ticks, dt: float | None) -> tuple[Array, 
 def _is_rhythm(intervals: NDArray[np.int64]) -> bool:
     """Tell whether intervals vary less than those of steps that are odd at random, by more than chance may do."""
     mean, count = intervals.mean(), len(intervals)
-    return bool(intervals.var() < RHYTHM * (1 - math.sqrt(3 / max(count, 3))) * mean * (mean - 1))
+    return bool(intervals.var() < 0.5 * (1 - math.sqrt(3 / max(count, 3))) * mean * (mean - 1))
 
 
 def _round_between(low: float, high: float) -> float:
@@ -296,9 +281,9 @@ def in_seconds(path: str, table: Table, unit: str, dt: float | None) -> tuple[Ar
     if counts and dt is not None:
         t = values * (dt / float(np.median(np.diff(values))))
         return t, [note("log.row_counter", column=name, dt=dt)]
-    if counts and (step := float(np.median(np.diff(values)))) >= COARSE:
+    if counts and (step := float(np.median(np.diff(values)))) >= 1000:  # hardly s
         raise LogError("log.whole_time", file=path, column=heading, step=step)
-    if not unit and not table.dated and len(values) and values[0] > MILLENNIUM:
+    if not unit and not table.dated and len(values) and values[0] > 3e10:  # of a time since any date
         raise LogError("log.large_time", file=path, column=heading, value=float(values[0]))
     t, coarse = _even_times(path, t, values, seconds, dt)
     tick, period = coarse or (0.0, period_of(t) if len(t) > 1 else 0.0)

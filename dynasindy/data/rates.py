@@ -21,27 +21,14 @@ if TYPE_CHECKING:
 
 CLEAR = 3.0
 """Factor between slope and rate, either way, from which on a unit is wrong: no filter or noise makes as much."""
-EXACT = 1.25
-"""The same of a rate that is known to be that of a state: its equation is not fitted, so smaller factors are told."""
 TIED = 0.95
 """Correlation from which on a state is told to move by the integral of another one; the factor is sure within 5 %."""
-LOOSE = 0.3
-"""Correlation below which a state does not move by what is said to be its rate; sensors as noisy as their states move
-by half leave more."""
 ALIKE = 0.99
 """The same where only the units make it likely: coupled axes move alike, too."""
-USUAL = 0.95
-"""Part of the rows that a factor is told from; others may be jumps, as of an angle that is counted modulo a turn."""
 STRETCHES = 20
 """Stretches into which a recording falls at least: fewer may go together by chance."""
-ROWS = 5000
-"""Rows that are looked at."""
-BRIDGED = 10
-"""Samples of a rate that may be missing in a row; over these it is taken to be straight, over more nothing is told."""
 RPM = 2 * math.pi / 60
 """A turn per minute [rad/s]."""
-NEAR = 0.05
-"""Part by which a factor that the log tells may differ from one whose cause is known."""
 NO_TIE = (0.0, 0.0)
 """Factor and correlation of what does not move."""
 FACTORS = (180 / math.pi, math.pi / 180, RPM, 6.0, 1 / 60, 2 * math.pi, 0.5 / math.pi, 1e3, 1e-3, 1e2, 1e-2, 1e-6, 1.0)
@@ -49,9 +36,9 @@ FACTORS = (180 / math.pi, math.pi / 180, RPM, 6.0, 1 / 60, 2 * math.pi, 0.5 / ma
 
 
 def _exact_factor(factor: float) -> float:
-    """Return the factor that units make and that is next to one that a log tells, else three digits of it."""
+    """Return the factor that units make and that is within 5 % of one that a log tells, else three digits of it."""
     near = min(FACTORS, key=lambda known: abs(math.log(abs(factor) / known)))
-    told = abs(math.log(abs(factor) / near)) < NEAR
+    told = abs(math.log(abs(factor) / near)) < 0.05
     return math.copysign(near, factor) if told else float(f"{factor:.3g}")
 
 
@@ -97,7 +84,7 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
         (_, correlation), (factor, reverse) = compare(state, rate), compare(rate, state)
         if reverse > TIED and 1 / CLEAR < factor < CLEAR and not correlation > TIED:
             wrong[state] = weak("log.rate_exchanged", state=state, rate=rate, known={rate: state})
-        elif compare(state, rate) != NO_TIE and -TIED < correlation < LOOSE:
+        elif compare(state, rate) != NO_TIE and -TIED < correlation < 0.3:  # sensors of much noise leave .5 and more
             wrong[state] = weak("log.rate_contradicted", state=state, rate=rate, correlation=correlation)
     measured = [name for name, column in zip(names, data.x.unbind(-1), strict=True) if bool(column.isfinite().any())]
     for rate in measured:
@@ -107,7 +94,8 @@ def check_rates(data: Transitions, signature: Signature, known: Mapping[str, str
         others = [s for s in fits if s in measured and s not in known and s != rate]
         ties = {s: compare(s, rate) for s in sure or others}
         state, (factor, correlation) = max(ties.items(), key=lambda tie: abs(tie[1][1]), default=("", NO_TIE))
-        clear = EXACT if known.get(state) == rate and abs(correlation) > ALIKE else CLEAR
+        # The equation of a rate that is known is not fitted, so smaller factors are told.
+        clear = 1.25 if known.get(state) == rate and abs(correlation) > ALIKE else CLEAR
         if state in wrong or abs(correlation) <= (TIED if sure else ALIKE) or 1 / clear < factor < clear:
             continue
         other.append(weak("log.rate_units", state=state, rate=rate, factor=factor, guessed=not sure))
@@ -155,12 +143,12 @@ def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
     """Return the slope of a state over a rate, and their correlation.
 
     What the state moves by over a window is compared with the trapezoidal integral of the rate, over the window in
-    which they go together best: noise counts the less the longer it is.
+    which they go together best: noise counts the less the longer it is. Some 5000 windows of each length are looked at.
     """
     steps = _increments(data, rate)
     lost = torch.cat([torch.zeros(1, dtype=torch.int32), (~steps.isfinite()).cumsum(0, dtype=torch.int32)])
     sums = torch.cat([steps.new_zeros(1), steps.nan_to_num(0.0).cumsum(0)])
-    stride = max(1, len(data) // ROWS)
+    stride = max(1, len(data) // 5000)
     best, window = NO_TIE, 1
     while STRETCHES * window <= len(data):
         rows = torch.arange(0, len(data) - window + 1, stride)
@@ -176,22 +164,20 @@ def _compare(data: Transitions, state: int, rate: int) -> tuple[float, float]:
 
 
 def _increments(data: Transitions, rate: int) -> Tensor:
-    """Return the integral of a rate over each row, straight over the few samples that are missing in a row, `(N,)`."""
+    """Return the integral of a rate over each row, straight over up to ten missing samples, `(N,)`."""
     first, last = data.x[:, rate].double(), data.x_next[:, rate].double()
-    if not bool((first + last).isnan().any()):
-        return 0.5 * data.dt * (first + last)
-    import pandas as pd  # half a second of imports that data without gaps do without
+    if bool((first + last).isnan().any()):
+        import pandas as pd  # half a second of imports that data without gaps do without
 
-    segments = data.begins().long().cumsum(0)
-    sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
-    samples = pd.Series(torch.stack([first, last], -1)[sampled].numpy())
-    measured = samples.notna()
-    gap = (~measured).groupby(measured.cumsum()).transform("sum")
-    segment = pd.Series(segments.unsqueeze(-1).expand(-1, 2)[sampled].numpy()).where(measured)
-    bridged = (gap <= BRIDGED) & (segment.ffill() == segment.bfill())
-    values = torch.from_numpy(samples.interpolate().where(measured | bridged).to_numpy(copy=True))
-    places = torch.arange(len(data)) + segments - 1  # a segment has one sample more than rows
-    return 0.5 * data.dt * (values[places] + values[places + 1])
+        segments = data.begins().long().cumsum(0)
+        sampled = torch.stack([data.begins(), torch.ones(len(data), dtype=torch.bool)], -1)
+        samples = pd.Series(torch.stack([first, last], -1)[sampled].numpy())
+        segment = segments.unsqueeze(-1).expand(-1, 2)[sampled].numpy()
+        filled = samples.groupby(segment).transform(lambda each: each.interpolate(limit=10, limit_area="inside"))
+        values = torch.from_numpy(filled.to_numpy(copy=True))
+        places = torch.arange(len(data)) + segments - 1  # a segment has one sample more than rows
+        first, last = values[places], values[places + 1]
+    return 0.5 * data.dt * (first + last)
 
 
 def _ratio(moved: Tensor, integral: Tensor) -> tuple[float, float]:
@@ -206,5 +192,5 @@ def _ratio(moved: Tensor, integral: Tensor) -> tuple[float, float]:
         correlation = float(a @ b) / (sizes[0] * sizes[1])
         factor = math.copysign(sizes[0] / sizes[1], correlation)
         left = (moved - moved[keep].mean() - factor * (integral - integral[keep].mean())).abs()
-        keep = left <= torch.quantile(left, USUAL)
+        keep = left <= torch.quantile(left, 0.95)  # others may be jumps, as of an angle counted modulo a turn
     return factor, correlation
