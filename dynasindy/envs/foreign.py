@@ -36,12 +36,13 @@ class Foreign(System):
             where that has no ends. They are the observation's entries, in their order, unless `observed` says
             otherwise. None names them x1, x2, ...
         inputs: Names of the action's entries; None names them u1, u2, ...
-        units: Units of the states; "-" if omitted.
+        units: Units of the states; None for rad of `angles`, rad/s of their `rates`, "-" of any other.
         options: Arguments of `gymnasium.make`.
         stops: Names of the states that the environment clips at the ends of its observation space; None for all. A
             cosine, whose ends are reached in free motion, is none.
         observed: Names of the observation's entries, where the state is not all of them in their order.
         angles: States that are the angle of two entries: name to those of its sine and its cosine.
+        rates: Which state is the rate of which, as `{"theta": "omega"}`.
 
     Raises:
         ValueError: Gymnasium has no such environment, a space is no box of one dimension, an action has no ends, the
@@ -60,6 +61,7 @@ class Foreign(System):
         stops: Sequence[str] | None = None,
         observed: Sequence[str] | None = None,
         angles: Mapping[str, Sequence[str]] | None = None,
+        rates: Mapping[str, str] | None = None,
     ) -> None:
         self.id, self.options = id, dict(options or {})
         copy = self.make(1)
@@ -89,7 +91,9 @@ class Foreign(System):
         both = self.observed.ends(torch.as_tensor(np.stack([seen.low, seen.high])).double())
         ends = both.abs().amax(0).tolist()
         scale = [r or (end if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
-        super().__init__(Signature(tuple(ranges), tuple(units or ["-"] * len(scale)), tuple(names), tuple(scale)))
+        said = {**dict.fromkeys(angles or {}, "rad"), **{(rates or {}).get(angle): "rad/s" for angle in angles or {}}}
+        units = [said.get(name, "-") for name in ranges] if units is None else units
+        super().__init__(Signature(tuple(ranges), tuple(units), tuple(names), tuple(scale)))
         self.low, self.high = acted.low, acted.high
         if strange := [name for name in stops or () if name not in ranges]:
             raise ValueError(
@@ -118,7 +122,7 @@ class Foreign(System):
             ValueError: Gymnasium has no such environment, or lacks a package for it.
         """
         try:
-            return gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
+            copy = gymnasium.make(self.id, max_episode_steps=max_steps, **self.options)
         except (gymnasium.error.Error, ModuleNotFoundError, TypeError) as error:
             reason = (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
             # Gymnasium's own words install a MuJoCo that TorchRL cannot be imported with.
@@ -126,6 +130,8 @@ class Foreign(System):
             raise ValueError(
                 f"env.id={self.id}: {reason}; give an environment that gymnasium.make can build"
             ) from error
+        grouped = isinstance(copy.observation_space, spaces.Dict | spaces.Tuple)
+        return gymnasium.wrappers.FlattenObservation(copy) if grouped else copy
 
 
 @dataclass

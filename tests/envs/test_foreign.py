@@ -56,6 +56,33 @@ def test_an_environment_that_cuts_an_episode_short_is_heeded():
     assert bool(last["truncated"]) and bool(last["done"]) and not bool(last["terminated"])
 
 
+class Grouped(Steps):
+    """The same, whose observation is a dictionary, as those of dm_control are."""
+
+    observation_space = spaces.Dict({"place": spaces.Box(-2.0, 1.0, (1,)), "rest": spaces.Box(-np.inf, np.inf, (1,))})
+
+    def reset(self, *, seed=None, options=None):
+        return self.grouped(super().reset(seed=seed)[0]), {}
+
+    def step(self, action):
+        x, *others = super().step(action)
+        return self.grouped(x), *others
+
+    def grouped(self, x):
+        return {"rest": x[1:].astype(np.float32), "place": x[:1].astype(np.float32)}
+
+
+gymnasium.register("tests/Grouped-v0", Grouped)
+
+
+def test_an_observation_that_is_a_dictionary_is_read_in_the_order_of_its_keys():
+    env = environment("tests/Grouped-v0", {"x1": 0.0}, dt=0.1)
+    x = env.rollout(3, lambda td: td.set("action", torch.tensor([-0.25, 0.0])))["next", "state"]
+    assert env.foreign.ends[0].tolist() == [-2.0, -math.inf]
+    # -0.25 of the inputs' ranges is 0.5 and 0.5.
+    assert x.tolist() == [[0.5, 0.5], [1.0, 1.0], [1.0, 1.5]]
+
+
 def environment(name, target, max_steps=200, seed=0, **settings):
     settings, dt = {k: v for k, v in settings.items() if k != "dt"}, settings.get("dt")
     system = Foreign(name, **settings)
@@ -254,6 +281,12 @@ NAMES = ["s", "w", "c", "unread"]
 
 def shown(*angles):
     return torch.tensor([[math.sin(a), 0.1 * k, math.cos(a), 9.0] for k, a in enumerate(angles)])
+
+
+def test_angles_and_their_rates_are_in_rad_unless_said_otherwise():
+    mapped = {"states": ["a", "w"], "observed": ["c", "s", "w"], "angles": {"a": ["s", "c"]}, "rates": {"a": "w"}}
+    assert Foreign("Pendulum-v1", **mapped).signature.state_units == ("rad", "rad/s")
+    assert Foreign("Pendulum-v1", units=["turns", "-"], **mapped).signature.state_units == ("turns", "-")
 
 
 def test_states_are_entries_by_name_and_angles_of_sine_and_cosine():
