@@ -33,11 +33,8 @@ def frames(evaluation: Evaluation, row: int = 0, every: int = 2) -> Iterator[Fra
         every: Control periods per picture.
     """
     time, y, r = evaluation.time.numpy(), evaluation.outputs[row].numpy(), evaluation.references[row].numpy()
-    x, names, units = (
-        evaluation.trajectory["state"][row].tolist(),
-        evaluation.output_names,
-        [*evaluation.units.values()],
-    )
+    x, names = evaluation.trajectory["state"][row].tolist(), evaluation.output_names
+    units = [*evaluation.units.values()]
     speed = every * RATE * float(time[1] - time[0])
     fast = f"\n{speed:.3g} times as fast" if speed > 1.01 else ""
     unit = duration_unit(evaluation.seconds)

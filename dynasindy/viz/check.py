@@ -71,16 +71,14 @@ def _in_words(found: Check, target: Tensor) -> str:
 
 
 def _nyquist(found: Check, limits: Thresholds) -> Figure:
-    names, disk = found.loop.signature.input_names, limits.disk
-    stable = [k for k, ok in enumerate(found.stable.tolist()) if ok]
-    rows = [found.rest.linear.row(k) for k in stable]
+    names, disk, count = found.loop.signature.input_names, limits.disk, len(found.targets)
+    rows = {k: found.rest.linear.row(k) for k, ok in enumerate(found.stable.tolist()) if ok}
     curves = {
         _in_words(found, found.targets[k]): np.asarray(open_loop_response(row, frequencies(row)))
-        for k, row in zip(stable, rows, strict=True)
+        for k, row in rows.items()
     }
-    count = len(found.targets)
-    lost = f"; left out, as the closed loop is not stable: {count - len(stable)} of {count} targets"
-    title = f"Loop opened at each input{lost * (len(stable) < count)}"
+    lost = f"; left out, as the closed loop is not stable: {count - len(rows)} of {count} targets"
+    title = f"Loop opened at each input{lost * (len(rows) < count)}"
     figure, axes = panels(1, len(names), (4.2 * len(names) + 2.2, 4.5), title, sharex=False)
     angle = np.linspace(0, 2 * np.pi, 200)
     # Inside of this circle, some factor between (2 - disk)/(2 + disk) and its inverse makes the loop unstable.
@@ -97,14 +95,9 @@ def _nyquist(found: Check, limits: Thresholds) -> Figure:
         axis.plot(np.cos(angle), np.sin(angle), color=GREY, linestyle=":", linewidth=0.9, label="gain 1")
         text = f"disk margin < {disk:g}"
         axis.add_patch(Circle((0.5 * (near + far), 0), 0.5 * (near - far), color=ORANGE, alpha=0.2, lw=0, label=text))
-        axis.plot(
-            [-1], [0], color=BLACK, marker="+", markersize=10, linestyle="none", label="critical point \N{MINUS SIGN}1"
-        )
-        axis.set_xlim(-3, 1.5)
-        axis.set_ylim(-2.25, 2.25)
-        axis.set_aspect("equal")
-        axis.set_xlabel(f"real part, {label(name)}")
-        axis.set_ylabel("imaginary part")
+        axis.plot([-1], [0], "k+", markersize=10, label="critical point \N{MINUS SIGN}1")
+        axis.set(xlim=(-3, 1.5), ylim=(-2.25, 2.25), aspect="equal")
+        axis.set(xlabel=f"real part, {label(name)}", ylabel="imaginary part")
     legend(axes[-1])
     return figure
 
@@ -149,13 +142,10 @@ def _looks(stays: Sequence[bool], how: str) -> list[dict[str, Any]]:
     """Return how the model, the first row, and each other plant are drawn, and what the legend calls them."""
     drawn, away = len(stays) - 1, stays[1:].count(False)
     near = f"{drawn - away} of {drawn} plants, {how}" if away else f"{drawn} plants, {how}"
+    far = f"{away} of these {drawn} that run away, cut off at the edges"
     others = {
-        True: {"color": SKY, "linewidth": 0.8, "label": near},
-        False: {
-            "color": ORANGE,
-            "linewidth": 0.8,
-            "label": f"{away} of these {drawn} that run away, cut off at the edges",
-        },
+        near_it: {"color": color, "linewidth": 0.8, "label": words}
+        for near_it, color, words in ((True, SKY, near), (False, ORANGE, far))
     }
     model = "the model itself" if stays[0] else "the model itself, which runs away"
     # The model lies broad below the others, which often coincide with it and could not be seen behind it.
@@ -172,9 +162,8 @@ def _recovery(found: Check, limits: Thresholds) -> Figure:
     for axis, plane in zip(axes, planes, strict=True):
         back = array(plane.back)
         axis.pcolormesh(array(plane.first), array(plane.second), back.T, cmap=colors, vmin=0, vmax=1, alpha=0.6)
-        axis.set_title(f"{100 * np.mean(back):.0f} % come back")
-        axis.set_xlabel(f"error of {label(plane.names[0], plane.units[0])}")
-        axis.set_ylabel(f"error of {label(plane.names[1], plane.units[1])}")
+        x, y = (f"error of {label(*of)}" for of in zip(plane.names, plane.units, strict=True))
+        axis.set(title=f"{100 * np.mean(back):.0f} % come back", xlabel=x, ylabel=y)
     handles = [Patch(color=color, alpha=0.6, label=text) for color, text in ((GREEN, "comes back"), (RED, "does not"))]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure

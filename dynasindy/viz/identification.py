@@ -120,12 +120,8 @@ def prediction(
         x, seen, free = (_broken(v, segment) for v in (seconds, truths[:, i], ended))
         axes[i].plot(x, seen, color=BLACK, linewidth=1.2, label=truth)
         axes[i].plot(x, free, color=RED, linestyle=":", linewidth=1.8, label="predicted")
-        text = _fit(
-            truths[:, i],
-            model[:, i],
-            f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}, {whose}",
-        )
-        axes[i].set_title(text, fontsize=8.5, loc="right")
+        whole = f"{f'{wide:.0f}' if wide >= 100 else f'{wide:.3g}'} {signature.state_units[i]}, {whose}"
+        axes[i].set_title(_fit(truths[:, i], model[:, i], whole), fontsize=8.5, loc="right")
         measured = not np.isnan(truths[:, i]).all()
         if wide > 0 and (measured or bool((np.abs(np.nan_to_num(ended)) > scale).any())):
             axes[i].set_ylim(*_limits(known, ended, wide))

@@ -12,7 +12,7 @@ import pandas as pd
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, SymmetricalLogLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from dynasindy.evaluation.ablation import SHARE, Level, read_ablation, worst_errors
@@ -25,8 +25,6 @@ Curves = Mapping[str, ArrayLike]
 """`(n_seeds, n_episodes)` values after each episode, per setting."""
 LINEAR = 10.0
 """Returns within this of zero are drawn on a linear part of a logarithmic axis."""
-FEWEST_TICKS = 3
-"""Ticks that an axis needs to be read."""
 WIDE = 30.0
 """Returns that differ by more than this factor are drawn on a logarithmic axis."""
 MOST_NAMED = 6
@@ -57,10 +55,6 @@ def average_rewards(
     if logarithmic:
         axis.set_yscale("symlog", linthresh=LINEAR)
     _draw_bands(axis, curves, episode)
-    low, high = sorted(axis.get_ylim())
-    if logarithmic and sum(low <= tick <= high for tick in axis.get_yticks()) < FEWEST_TICKS:
-        axis.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=LINEAR, subs=[1.0, 2.0, 5.0]))
-        axis.yaxis.set_major_formatter("{x:g}")
     legend(axis)
     axis.set_ylabel(f"return, logarithmic beyond {LINEAR:g} [-]" if logarithmic else "return [-]")
     return figure

@@ -77,22 +77,17 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
     excited = read_table(folder / "data" / "excitation.csv")
     time, u = excited["time"], stacked(excited, signature.input_names)
     figures["excitation"] = training_data(time, None, u, signature, "Excitation")
-    figures["training_data"] = training_data(
-        time,
-        stacked(excited, names),
-        u,
-        signature,
-        "\n".join(filter(None, ["Training data of the first model", found.get("excitation", "")])),
-    )
+    title = f"Training data of the first model\n{found.get('excitation', '')}".strip()
+    figures["training_data"] = training_data(time, stacked(excited, names), u, signature, title)
     for when, data in (("first", "the excitation alone"), ("last", "the data before it")):
         path = folder / "data" / f"prediction_{when}_episode.csv"
         if path.is_file():
             table = read_table(path)
-            predicted = stacked(table, [f"predicted_{name}" for name in names])
+            real, predicted = stacked(table, names), stacked(table, [f"predicted_{name}" for name in names])
             title = f"Open-loop prediction of the {when} real episode, model of {data}"
-            figures[path.stem] = prediction(table["time"], stacked(table, names), predicted, signature, title)
+            figures[path.stem] = prediction(table["time"], real, predicted, signature, title)
             if when == "first":
-                errors = (predicted - stacked(table, names)) / np.array(signature.x_scale)
+                errors = (predicted - real) / np.array(signature.x_scale)
                 figures["model_error"] = _growing_error(table["time"], np.sqrt(np.square(errors).mean(-1)))
     if (folder / "progress.csv").is_file():
         progress = read_table(folder / "progress.csv")
@@ -108,10 +103,8 @@ def _figures(folder: Path, signature: Signature, controller: str) -> dict[str, F
         # A reward that was learnt is judged in deviations of what was paid, see `Task.unit`.
         unit = "deviations of the reward" if found.get("reward") else "reward per period"
         figures["gate"] = gate(decisions, unit=unit)
-    which = found.get("drawn", {}).get("words", "")
-    figures["step_response"] = _response(
-        read_table(folder / "data" / "step_response.csv"), signature, which, controller
-    )
+    response, which = read_table(folder / "data" / "step_response.csv"), found.get("drawn", {}).get("words", "")
+    figures["step_response"] = _response(response, signature, which, controller)
     return figures
 
 
@@ -123,7 +116,7 @@ def _response(table: Table, signature: Signature, which: str, controller: str) -
     y, u = {controller: stacked(table, outputs)}, {controller: inputs}
     reference = stacked(table, [f"reference_{name}" for name in outputs]) if tracked else None
     step = reference is not None and bool((reference == reference[0]).all())
-    title = "\n".join(filter(None, ["Step response" if step else "Response", which]))
+    title = f"{'Step response' if step else 'Response'}\n{which}".strip()
     return tracking(time, reference, y, u, outputs, signature, title)
 
 
