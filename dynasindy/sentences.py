@@ -509,8 +509,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.same_columns": "read once, as they stand there twice, with the same numbers: {columns:list}",
     "log.second_clock": "{columns:list} of the clock {clocks:list} stand at the times of {first}",
     "log.no_time": "the file has no column of time, and its rows are taken as even",
-    "log.words": "line {line}, column {column!r} holds {text!r}, which is no number; {count} such cells of the column "
-    "count as missing",
+    "log.words": "line {line}, column {column!r} holds {text!r}; {count} cells that are no numbers count as missing",
     "log.left_out": _left_out,
     "log.time": lambda column, unit, dates, dt: (
         f"time is the column {column}, {'read as dates' if dates else f'in {unit}' if unit else 'taken as seconds'}"
@@ -531,10 +530,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         + ("they were skipped" if skipped else "the fit goes on with what else they hold")
     ),
     "log.copies": "{count} rows are those before them once more, the first in line {line}; they were left out",
-    "log.code": "{column} is {value:g} in {count} rows, the first in line {line}, far off all others; they count as "
-    "missing",
-    "log.spikes": "{state} leaves its course for single samples, {count} in all, first in line {line} to {value:g}; "
-    "they count as missing",
+    "log.code": "{column} is {value:g} in {count} rows from line {line} on, far off all others; they count as missing",
+    "log.spikes": "{state} leaves its course for {count} single samples, first in line {line}, which count as missing",
     "log.unwrapped": "{state} jumps by {turn:.6g} {times} times and was unwrapped, as a controller has to do; a unit "
     "that is none of an angle keeps it as it is",
     "log.long_gap": "{rows} rows in stretches of more than {longest:g} rows without {state} were left out",
@@ -551,25 +548,22 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"converted: {', '.join(f'{name} from {old} to {new}' for name, (old, new) in units.items())}, as targets, "
         f"limits and what a controller reads are then; {setting('data.states', kept)} would keep the file's units"
     ),
-    "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, and nothing of the values "
-    "between, which a controller uses. Log some, too; where the actuator can only switch, pulse it and log the share "
-    "of the time that it is on",
+    "log.two_levels": "the log shows only two levels of input {input}, {low:g} and {high:g}, and a controller uses "
+    "those between: log some, too; where the actuator can only switch, pulse it and log its share of time",
     "log.hardly_moved": "input {input} was given low {low:g} and high {high:g}, and goes from {least:.6g} to "
-    "{most:.6g}, {percent:.1g} % of that: what a model says so far beyond a log is a guess. Check the units, log more "
-    "of the range, or give narrower ends",
-    "log.small_input": "input {input} goes from {least:.3g} to {most:.3g}, and its actuator is taken to reach from -1 "
-    "to 1: what a model says so far beyond a log is a guess. Log more of the range, or give its ends: "
-    "{inputs:data.inputs}",
+    "{most:.6g}, {percent:.1g} % of that: what a model says beyond is a guess: check units, log more, or narrow it",
+    "log.small_input": "input {input} goes from {least:.3g} to {most:.3g}, and its actuator, it seems, from -1 to 1: "
+    "what a model says so far beyond a log is a guess. Log more of the range, or give its ends: {inputs:data.inputs}",
     "log.beyond_ends": "input {input} goes from {least:g} to {most:g}, beyond the [-1, 1] of a plant's inputs; the "
     "model holds for these numbers, or give its ends, low and high, in <data.inputs>",
     "log.one_sided": "input {input} goes from {least:g} to {most:g}; its actuator is taken to reach from -1 to 1. If "
     "it does not, as a valve from 0 to 1, say so: {inputs:data.inputs}",
     "log.scaled": "{input} is taken into [-1, 1], where planning needs it: 0 is {rest:.6g}{unit:unit}, 1 is "
     "{one:.6g}{unit:unit}; a controller keeps it from {low:.6g} to {high:.6g}{unit:unit}",
-    "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, "
-    "high: 1 keeps the numbers as they are: {inputs:data.inputs}",
-    "log.resolution": "{state} is read in steps of {step:.3g} {unit}{coarse:?(a sensor that cuts off reads half "
-    "a step too low, which no standard error tells)}",
+    "log.guessed_ends": "these are the ends of the log; if an actuator goes further, give its own, and low: -1, high: "
+    "1 keeps the numbers as they are: {inputs:data.inputs}",
+    "log.resolution": "{state} is read in steps of {step:.3g} {unit}{coarse:?(a sensor that cuts off reads half a step "
+    "too low, which no standard error tells)}",
     "log.low_signal": _quiet,
     "log.touched_stop": "{count} samples that touched a stop were left out",
     "log.rate_contradicted": "{rate} was given as the rate of {state}, which the log contradicts: {state} does not "
@@ -583,8 +577,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"longer.{_taken(left_out)}"
     ),
     "log.column_without_numbers": "the column {column} holds no number: log what it should hold, or leave it out",
-    "log.worded_input": "the input {column} holds words, such as {text!r}: write them as numbers, ON and OFF as 1 and "
-    "0",
+    "log.worded_input": "the input {column} holds words, such as {text!r}: write numbers, 1 and 0 for ON and OFF",
     "log.absent_column": lambda key, column, path, columns: (
         f"<{key}> names '{column}'; {path} has "
         f"{', '.join(columns)}: name columns of the file{did_you_mean(column, columns)}"
@@ -593,8 +586,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "arithmetic and differ: name it in <data.states> or <data.inputs>, as {{angle: HEADING}}",
     "log.time_order": "line {line}, column {column}: {after:.12g} s follows {before:.12g} s; allowed is increasing "
     "time: sort the rows or split the recordings, or give <data.dt> if the clock is coarser than the rows",
-    "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s: "
-    "rename it",
+    "log.time_unit": "the time column {column!r} is in {unit!r}; allowed units are {units:list}, or none for s",
     "log.coarse_time": "time moves in ticks of {tick:.6g} s, {low:g} or {high:g} of them from row to row, which does "
     "not tell the sampling time: write it with more digits, or give the time between two rows in seconds as <data.dt>",
     "log.whole_time": lambda column, step: (
@@ -608,9 +600,8 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "log.input_ends": "input {input} was given low {low:g} and high {high:g}, its column goes from {least:.6g} to "
     "{most:.6g} after scaling; allowed are ends that hold all of it: give low, high and scale of one unit",
     "log.rate_units": _rate_units,
-    "log.target_degrees": "the targets of {state} go from {low:g} to {high:g} rad, the log to {reach:.3g} rad only, so "
-    "they look like degrees: give {radians:and} in <plant.low> and <plant.high>, or keep degrees by unit: deg of its "
-    "column in <data.states>",
+    "log.target_degrees": "the targets of {state} from {low:g} to {high:g} rad look like degrees, as the log goes to "
+    "{reach:.3g} rad only: give {radians:and} in <plant.low> and <plant.high>, or unit: deg in <data.states>",
     # the fit
     "fit.standard_errors": "coefficients{of_step:?of the change over a step} are known within {median:.2g} % of "
     "themselves in the median, and that of {least}, the least of all, within {worst:.2g} % (standard errors)",
@@ -620,28 +611,22 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         "the fit compares whole simulations with the log and not single steps, as "
         + (f"the log has no samples of {', '.join(unmeasured)}" if unmeasured else "sensors seem to be noisy")
     ),
-    "fit.single_steps": "the fit predicts each sample from the one before, as errors of such predictions do not look "
-    "like noise of the sensors",
+    "fit.single_steps": "the fit predicts each sample from the one before, as errors do not look like noise of sensors",
     "fit.dropped": "the refinement dropped every function, so the fit before it stays; log longer or cleaner data",
-    "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches spread evenly over "
-    "them; the coefficients were fitted on all rows",
-    "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches} stretches spread evenly "
-    "over them",
+    "fit.chosen_on": "functions were chosen on {rows} of {total} rows, in {stretches} stretches, then all were fitted",
+    "fit.fitted_to": "the coefficients were fitted on {rows} of {total} rows, in {stretches} stretches",
     "fit.longest_delay": lambda seconds: (
         f"the best delay of the inputs is the longest that was tried, {seconds:g} s: give "
         f"{setting('longest_delay', float(f'{2 * seconds:g}'))}, or 0 where it stands for what the equations lack. "
         "Standard errors take the delay as right"
     ),
-    "fit.multiple_shooting": "the fit simulates the log in pieces that begin anew every {samples} samples, as one "
-    "simulation through all samples runs away (error=prediction)",
-    "fit.shorter_shooting": "the model runs away in simulations of {long} samples, so the fit simulates the log in "
-    "pieces of {short}",
+    "fit.multiple_shooting": "the fit simulates pieces of {samples} samples, as the whole log runs away",
+    "fit.shorter_shooting": "the fit simulates pieces of {short} samples, as the model runs away in those of {long}",
     "fit.library_cut": "of the {whole} functions of library {library} {kept} were taken, the simplest ones and those "
     "that explain most, as {samples} samples tell no more; log longer, or name the functions that move the plant",
-    "fit.shape": "the number in {function} did not move from its first guess {guess:g}: the data probably do not "
-    "determine it",
-    "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the "
-    "training data that the fit had not seen: {what}",
+    "fit.shape": "the number in {function} stayed at its first guess {guess:g}: the data hardly determine it",
+    "fit.candidates": "of {count} candidates this one predicts best up to {seconds:g} s ahead in parts of the training "
+    "data that the fit had not seen: {what}",
     "fit.behind": "{state} up to {seconds:time} ahead was predicted {factor:.3g} times as well by the best simple "
     "model, of past samples (ARX) or the last value held, in data kept back",
     "fit.budget": lambda seconds, stopped: (
@@ -650,9 +635,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         + ("" if stopped else f". For a longer one give {setting('world_model.refinement.seconds')} more")
     ),
     # the model
-    "model.delay": lambda seconds: (
-        f"the inputs act {f'{1e3 * seconds:.3g} ms' if seconds < 1 else format_duration(seconds)} late"
-    ),
+    "model.delay": "the inputs act {seconds:time} late",
     "model.dry_friction": "{state}' has dry friction",
     "model.lag_state": lambda signal, seconds, is_input, state: (
         f"{signal} acts through a lag of {seconds:.3g} s: the state {state}, which no sensor sees"
@@ -668,16 +651,13 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "model.incomplete": "this model is better than the last value held for {seconds:time}, but it lacks something",
     "model.runs_away": "this model does not predict: within {seconds:time} it runs away in {states:list}",
     "model.misses": _misses,
-    "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too, as of a pole that falls, "
-    "which no model predicts for long without the controller; up to {seconds:time} ahead this model has at most half "
-    "of the error of the last value held",
+    "model.unstable_plant": "a linear model on past samples lets {states:and} run away, too, as a pole does that "
+    "falls; up to {seconds:time} ahead this model has at most half of the error of the last value held",
     "model.linear_better": "a linear model on past samples predicts {state} {seconds:time} ahead to {linear:error} "
-    "{unit}, this one to {error:error}: something may be missing here, a function or a state that no sensor sees, as "
-    "of a motor that follows its command slowly",
+    "{unit}, this one to {error:error}: a function may be missing, or a state that no sensor sees",
     "model.short_validation": "the validation data are too short to judge how far ahead the model predicts",
-    "observer.lost": "by these equations errors of {states:list} grow so much within {seconds:time} that no observer "
-    "follows the log; see how well identify predicts, and leave out by <data.states> what follows other columns at "
-    "once, as the current of a motor does its voltage and speed",
+    "observer.lost": "errors of {states:list} grow so much within {seconds:time} that no observer follows the log; "
+    "leave out by <data.states> what follows other columns at once, as a motor's current does its voltage and speed",
     "model.uncontrolled": "in the equations that were found no input moves {outputs:list}, so nothing can be planned; "
     "record longer, and let every input change often and by much",
     # the check of a controller
@@ -696,8 +676,7 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
         f"in steps from {begin} at most {_error(**error)}; threshold: {_error_limit(**error)}"
     ),
     "check.slew": lambda begin, input, value, limit: (
-        f"in steps from {begin} {input} changes by up to {_beside(value, limit)} in a control period; threshold: "
-        f"{limit:g}"
+        f"{input} changes by up to {_beside(value, limit)} in a period of steps from {begin}; threshold: {limit:g}"
     ),
     "check.saturation": lambda begin, input, value, limit, seconds: (
         f"in steps from {begin} {input} is at its limit for up to {_beside(100 * value, 100 * limit)} % of "
@@ -710,15 +689,13 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "plant.longer_episodes": "episodes have {steps} control periods (<task.max_steps>), and the environment is "
     "registered with {registered}, a limit that does not hold here",
     "excitation.restarts": _restarts,
-    "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model "
-    "is fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
-    "excitation.left": "in the {during}, {state} left {low:g} to {high:g} {unit} after {seconds:.3g} s; what came "
-    "later was left out",
+    "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model is "
+    "fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
+    "excitation.left": "in the {during}, {state} left {low:g} to {high:g} {unit} and was cut at {seconds:.3g} s",
     "run.better": "the trained policy is better than the untrained one{hardly:?(hardly)}: its return in scenario "
     "'{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}",
-    "run.no_better": "there is no usable result: the trained policy's return in scenario '{scenario}' is "
-    "{trained:.6g}, the untrained policy's {untrained:.6g}; check the plant and the task's reward, or train for more "
-    "episodes{episodes:?and look in gate.csv whether the model was trusted}",
+    "run.no_better": "no usable result: the trained policy's return in scenario '{scenario}' is {trained:.6g}, the "
+    "untrained one's {untrained:.6g}; check plant and reward, or train longer{episodes:?and look in gate.csv}",
     "run.controlled": _controlled,
     "run.gate_closed": _distrusted,
     # what a controller will do
@@ -730,10 +707,9 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.ringing": _ringing,
     "forecast.idle": "{state} runs on, which nothing depends on",
     "forecast.no_equilibrium": "{targets}: give a smaller range of targets, or log and use more of the inputs' range",
-    "forecast.models_differ": "some models are held and others are not, by what the log leaves open: log longer, let "
-    "the inputs change more often and more widely, or name functions and states that the model lacks",
-    "forecast.longer_plan": "nothing runs away: a longer plan, of more updates, may hold it, or a smaller range of "
-    "targets",
+    "forecast.models_differ": "what the log leaves open decides whether models are held: log longer, let the inputs "
+    "change more often and more widely, or name functions and states that the model lacks",
+    "forecast.longer_plan": "nothing runs away: a longer plan, or a smaller range of targets, may hold it",
     "forecast.short_log": "half of what the plan does not see of the log has {samples} samples, fewer than the "
     "{functions} functions of the equations, which tells nothing: log longer, or choose a smaller library",
     "forecast.beyond_log": "the targets of {state} go from {low:.3g} to {high:.3g} {unit}, the log from {least:.3g} to "
@@ -741,12 +717,10 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "forecast.beyond_inputs": "flights take {input} from {low:.2g} to {high:.2g}, the log tells of {least:.2g} to "
     "{most:.2g}, and the equations are not linear in it: plan with the log, or log all of the range",
     "control.period": _period,
-    "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, as the log is sampled every "
-    "{step:g} s",
-    "control.restless": "in the steady state {input} still changes by {percent:.2g} % of its range from one control "
-    "period to the next, on average; see that the actuator stands it",
-    "control.beyond_targets": "the references of {output} in scenario '{scenario}' go from {least:.3g} to {most:.3g} "
-    "{unit}, and its targets, <plant.low> and <plant.high>, from {low:.3g} to {high:.3g} {unit}: train with "
-    "<plant.signals=null> to keep within these",
+    "control.sampled": "the control period is {seconds:g} s and not {wanted:env.dt}, the log has one in {step:g} s",
+    "control.restless": "at rest {input} still changes by {percent:.2g} % of its range from period to period, on "
+    "average: see that the actuator stands it",
+    "control.beyond_targets": "references of {output} in scenario '{scenario}' go from {least:.3g} to {most:.3g} "
+    "{unit}, its targets from {low:.3g} to {high:.3g} {unit}: train with <plant.signals=null> to keep within these",
 }
 """What is said of each finding: a template, or a function of its values."""
