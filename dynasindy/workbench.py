@@ -309,8 +309,7 @@ def _sensors_of(log: Source, model: SindyModel) -> Sensors | None:
     """
     data, names = log.training, log.signature.state_names
     channels, exact, columns = {}, True, samples_of(data)
-    # Of what jumps from sample to sample no cubic tells the noise.
-    told = map(resolution, columns) if model.step is None else resolutions(data).tolist()
+    told = map(resolution, columns) if model.step is None else resolutions(data, model).tolist()
     for name, column, finest in zip(names, columns, told, strict=True):
         step = sensor_resolution(column)
         seen = not math.isnan(finest)

@@ -241,7 +241,7 @@ def forecast_errors(
         ours,
         simple,
         last,
-        resolutions(training),
+        resolutions(training, model),
         linear.order,
     )
 

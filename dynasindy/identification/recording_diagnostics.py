@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dynasindy.findings import Finding, weak
+from dynasindy.sindy import SindyModel
+from dynasindy.sindy.delay import delay_and_trim
 from dynasindy.sindy.reconstruction import interpolate_gaps
 from dynasindy.sindy.regression import least_squares
 from dynasindy.systems.base import WHOLE, Signature
@@ -50,20 +52,27 @@ def _all_samples_of(data: Transitions) -> list[Array]:
     return [column.numpy() for column in samples.unbind(-1)]
 
 
-def resolutions(data: Transitions) -> Tensor:
+def resolutions(data: Transitions, model: SindyModel | None = None) -> Tensor:
     """Return what each sensor can tell, `(n_x,)`, NaN of a state that was not measured.
 
     That is its step, where it reads in steps, and else its noise: what no local cubic follows, or, if that is less,
     what no past samples explain. Between samples that are far apart a movement turns in ways that no cubic follows.
+    What jumps from sample to sample is left over by a difference equation at most.
 
     Args:
         data: the recording.
+        model: a model that was fitted to it.
     """
     found, unforeseen = [], _unforeseen(data).tolist()
     for column, left in zip(samples_of(data), unforeseen, strict=True):
         noise = float(np.fmin(_noise(column), left))
         found.append(sensor_resolution(column, noise) or noise)
-    return torch.tensor(found)
+    if model is None or model.step is None:
+        return torch.tensor(found)
+    late = delay_and_trim(data, model.delay)
+    with torch.no_grad():
+        left = model.predict(late.x, late.u, late.dt) - late.x_next
+    return torch.tensor(found).fmin(left.square().nanmean(0).sqrt())
 
 
 def _unforeseen(data: Transitions) -> Tensor:

@@ -304,8 +304,8 @@ def equation_findings(model: SindyModel, report: FitReport | None = None) -> lis
             functions whose coefficients the data do not tell are no friction.
     """
     resolved = None if report is None else report.told_apart()
-    late = model.delay and not (report is not None and report.delay_at_end)
-    findings = [note("model.delay", seconds=model.delay)] if late else []
+    at_end = report is not None and "fit.longest_delay" in {each.code for each in report.findings}
+    findings = [note("model.delay", seconds=model.delay)] if model.delay and not at_end else []
     for i, (name, size) in enumerate(zip(model.signature.state_names, model.signature.x_scale, strict=True)):
         against = model.coefficients[:, i] < 0
         told = against if resolved is None else against & (resolved[:, i] > TOLD)

@@ -116,20 +116,16 @@ def jackknife(parts: Sequence[Tensor], always: Tensor | None = None) -> Tensor |
     Returns:
         The factor, `(M, len(parts))`. None where a number is not finite, as of a model that all but runs away.
     """
-    count, none = len(parts), parts[0].new_zeros(1, parts[0].shape[-1])
-    always, parts = none if always is None else always, [_triangle(part) for part in parts]
+    count, parts = len(parts), [_triangle(part) for part in parts]
+    always = parts[0][:0] if always is None else always
     scale = torch.cat([*parts, always]).norm(dim=0).clamp_min(1e-100)
     if not bool(scale.isfinite().all()):
         return None
     scale[-1] = 1.0
     parts = [part / scale for part in parts]
-    before, after = [_triangle(always / scale)], [none]
-    for first, last in zip(parts[:-1], parts[:0:-1], strict=True):
-        before.append(_triangle(torch.cat([before[-1], first])))
-        after.append(_triangle(torch.cat([after[-1], last])))
     found = []
-    for rest in zip(before, reversed(after), strict=True):
-        others = torch.cat(rest)
+    for k in range(count):
+        others = _triangle(torch.cat([*parts[:k], *parts[k + 1 :], always / scale]))
         solved = torch.linalg.lstsq(others[:, :-1], others[:, -1:], driver="gelsd").solution
         found.append(solved.squeeze(-1) / scale[:-1])
     apart = torch.stack(found, -1)

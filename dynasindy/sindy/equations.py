@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 
@@ -148,24 +146,17 @@ def coefficient_tables(library: Library, coefficients: Tensor) -> dict[str, str]
     Returns:
         The texts, of 5 and of all digits, by the endings of their files: `txt` and `csv`.
     """
+    import pandas as pd  # half a second of imports
+
     library, coefficients = mapping(library, coefficients)
-    table, states = coefficients.tolist(), library.signature.state_names
+    states, units = library.signature.state_names, library.signature.state_units
     left = [_left_side(library, state) for state in states]
-    cells = [["function", *left]]
-    cells += [[name, *(f"{value:.5g}" for value in row)] for name, row in zip(library.names, table, strict=True)]
-    first, *widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = [
-        "  ".join([name.ljust(first), *(cell.rjust(width) for cell, width in zip(row, widths, strict=True))])
-        for name, *row in cells
-    ]
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    units = zip(left, states, library.signature.state_units, strict=True)
-    heads = [f"d({s})/dt [{unit}/s]" if library.step is None else f"{side} [{unit}]" for side, s, unit in units]
-    writer.writerows(
-        [["function", *heads], *([n, *map(repr, row)] for n, row in zip(library.names, table, strict=True))]
-    )
-    return {"txt": "\n".join(lines) + "\n", "csv": out.getvalue()}
+    rates = (f"d({state})/dt [{unit}/s]" for state, unit in zip(states, units, strict=True))
+    steps = (f"{side} [{unit}]" for side, unit in zip(left, units, strict=True))
+    table = pd.DataFrame(coefficients.numpy(), library.names, left)
+    text = table.rename_axis(columns="function").to_string(float_format="{:.5g}".format, justify="right")
+    heads = [*(rates if library.step is None else steps)]
+    return {"txt": text + "\n", "csv": table.to_csv(header=heads, index_label="function")}
 
 
 def require_finite(library: Library, coefficients: Tensor, source: str = "model") -> Tensor:

@@ -79,7 +79,6 @@ class Refined(NamedTuple):
         delay: time between an input and its effect [s].
         findings: what was chosen, and by what.
         covariance: how well the coefficients are known; None where that is not told.
-        delay_at_end: whether the delay is the longest that was tried.
         missed: part of each state's change that predictions of single steps miss, where these were fitted.
     """
 
@@ -88,7 +87,6 @@ class Refined(NamedTuple):
     delay: float = 0.0
     findings: tuple[Finding, ...] = ()
     covariance: Covariance | None = None
-    delay_at_end: bool = False
     missed: dict[str, float] | None = None
 
 
@@ -111,10 +109,6 @@ class FitReport:
         findings: what a reader would not expect.
         dt: time that a transition takes [s].
         covariance: how well the coefficients are known; None where that is not told.
-        unmeasured: states whose rates of change were not measured, or are functions of what was not: of an estimate
-            that nobody measured a part that stays unexplained says nothing.
-        delay_at_end: see `Refined`.
-        unscaled: states that no sensor sees and of which nothing tells the unit.
     """
 
     samples: int
@@ -125,9 +119,6 @@ class FitReport:
     findings: tuple[Finding, ...] = ()
     dt: float | None = None
     covariance: Covariance | None = field(default=None, repr=False)
-    unmeasured: frozenset[str] = frozenset()
-    delay_at_end: bool = False
-    unscaled: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -194,9 +185,8 @@ class FitReport:
         for state, part in self.residual.items():
             left = f"{100 * part:.3g} % of {it} stays unexplained (RMS), noise of the samples included"
             left = f"nothing of {it} stays unexplained" if part <= EXACT else left  # what is not a number is not exact
-            missed = "" if simulated or state in self.unmeasured else f"; {left}"
+            missed = "" if simulated else f"; {left}"
             lines.append(f"  {state}{moves.format(state)}: {counts[state]}{missed}")
-        unscaled = [note("fit.unscaled", states=[*self.unscaled])] if self.unscaled else []
         known = [str(each) for each in self.accuracy]
-        findings = [line(each) for each in (*unscaled, *self.findings)]
+        findings = map(line, self.findings)
         return "\n".join([*lines, *known, *findings, self.identifiability.to_text()])

@@ -365,9 +365,11 @@ class SindyModel(WorldModel):
         findings = (*cut, *refined.findings)
         if self.refinement is not None:
             findings += (*unmoved_shapes(self.library, self.coefficients),)
-        of = self.library, self.coefficients
+        if unscaled := states_without_scale(self.library, self.coefficients, self.constraints.free, data):
+            findings = (note("fit.unscaled", states=[*unscaled]), *findings)
         return FitReport.of(
-            *of,
+            self.library,
+            self.coefficients,
             self.sums,
             time.perf_counter() - start,
             # The sums may be of fewer rows than that, each of them the average of many transitions.
@@ -376,9 +378,6 @@ class SindyModel(WorldModel):
             findings=findings,
             dt=data.dt,
             covariance=self.covariance,
-            unmeasured=_unmeasured(*of, data),
-            delay_at_end=refined.delay_at_end,
-            unscaled=states_without_scale(*of, self.constraints.free, data),
         )
 
     def fit_derivatives(self, x: Tensor, u: Tensor, dx: Tensor) -> None:
@@ -646,19 +645,6 @@ def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, follower
         part = (sums[0] / sums[1].clamp_min(1e-300)).nan_to_num(0.0, 0.0, 0.0)[stretch].unsqueeze(-1)
         ends = [end + part * off for end, off in zip(ends, offs, strict=True)]
     return replace(guess, x=ends[0], x_next=ends[1])
-
-
-def _unmeasured(library: Library, coefficients: Tensor, data: Transitions) -> frozenset[str]:
-    """Return the states that no sensor saw, and those whose equations read one."""
-    names, blind = library.signature.state_names, data.x.isnan().all(0).tolist()
-    unseen = {name for name, never in zip(names, blind, strict=True) if never}
-    if not unseen:
-        return frozenset()
-    read = [
-        {v for k in column.nonzero().flatten().tolist() for v in library.features[k].variables}
-        for column in coefficients.unbind(-1)
-    ]
-    return frozenset(name for name, own in zip(names, read, strict=True) if name in unseen or own & unseen)
 
 
 def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Tensor) -> dict[str, Any]:

@@ -195,10 +195,9 @@ class _Fit:
                 fit, found = fit._smoothed(found, delay)
             refined = fit._by_trajectories(found, delay)
         findings, longest = findings + refined.findings, self.recording.longest
-        at_end = bool(refined.delay) and refined.delay > longest - 0.5 * data.dt
-        if at_end:
+        if refined.delay and refined.delay > longest - 0.5 * data.dt:
             findings += (weak("fit.longest_delay", seconds=longest),)
-        return refined._replace(findings=findings, delay_at_end=at_end)
+        return refined._replace(findings=findings)
 
     @cached_property
     def _brief(self) -> RegressionData:

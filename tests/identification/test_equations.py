@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from dynasindy.findings import note
+from dynasindy.findings import note, weak
 from dynasindy.identification.verdict import equation_findings, hidden_states, idle_states
 from dynasindy.sindy import FitReport, SindyModel
 from dynasindy.sindy.regression import RunningSums
@@ -42,18 +42,12 @@ def test_what_bends_at_all_speeds_is_no_friction_nor_is_what_the_data_do_not_tel
         assert equation_findings(model, report_of(model, 0.001)) == []
 
 
-@pytest.mark.parametrize(
-    ("doubts", "said"),
-    [
-        ({}, True),
-        ({"delay_at_end": True}, False),
-    ],
-)
+@pytest.mark.parametrize(("doubts", "said"), [((), True), ((weak("fit.longest_delay", seconds=0.002),), False)])
 def test_a_delay_is_told_unless_its_search_ended_there(doubts, said):
     model = SindyModel(Signature(("v",), ("m/s",), ("u",), (4.0,)), ["v", "u"])
     model.set_coefficients(torch.tensor([[-3.0], [1.0]], dtype=torch.float64))
     model.delay = 0.002
-    found = equation_findings(model, replace(report_of(model, 0.5), **doubts))
+    found = equation_findings(model, replace(report_of(model, 0.5), findings=doubts))
     assert found == [note("model.delay", seconds=0.002)] * said
 
 
