@@ -220,34 +220,30 @@ class GymnasiumEnv(ControlEnv):
         x, u = tensordict["state"], tensordict["action"]
         if self.copies.user is not self or not torch.equal(x, self.now):
             raise RuntimeError("a Gymnasium environment goes on from its last state only; reset it first")
-        paid = torch.zeros(*x.shape[:-1], 1)
-        held, lost = self.over.clone(), torch.zeros(x.shape[:-1], dtype=torch.bool).reshape(-1)
-        after, over = self.now.clone().reshape(-1, x.shape[-1]), self.over.clone().reshape(-1)
+        held, rows, n = self.over, x.shape[:-1], x.shape[:-1].numel()
+        paid, lost, over = torch.zeros(n), torch.zeros(n, dtype=torch.bool), held.reshape(-1).clone()
+        after, steps = self.now.reshape(n, -1).clone(), tensordict["step_count"].reshape(-1).tolist()
         low, high = self.foreign.low, self.foreign.high
-        for i, action in enumerate(u.detach().reshape(-1, u.shape[-1]).double().numpy().clip(-1.0, 1.0)):
-            if bool(over[i]):
-                continue
-            scaled = (low + (high - low) * 0.5 * (action + 1.0)).astype(np.float32)
-            seen, reward, terminated, truncated = self._next(
-                i, scaled, int(tensordict["step_count"].reshape(-1)[i]) + 1
-            )
+        actions = u.detach().reshape(n, -1).double().numpy().clip(-1.0, 1.0)
+        scaled = (low + (high - low) * 0.5 * (actions + 1.0)).astype(np.float32)
+        for i in (~over).nonzero().flatten().tolist():
+            seen, paid[i], lost[i], truncated = self._next(i, scaled[i], steps[i] + 1)
             after[i] = self.foreign.observed.state(torch.as_tensor(seen, dtype=self.float_type), after[i])
-            paid.reshape(-1)[i], over[i] = float(reward), terminated or truncated
-            lost[i] = terminated
-        self.now, self.over = after.reshape(x.shape), over.reshape(x.shape[:-1])
+            over[i] = lost[i] | truncated
+        self.now, self.over = after.reshape(x.shape), over.reshape(rows)
         clipped = ((self.now <= self.foreign.ends[0]) | (self.now >= self.foreign.ends[1])).any(-1)
         out = self._moved(tensordict, self.now.unsqueeze(-2), clipped)
-        out["own_reward"], out["moved"] = paid, ~held.unsqueeze(-1)
+        out["own_reward"], out["moved"] = paid.reshape(*rows, 1), ~held.unsqueeze(-1)
         cut = self.over.unsqueeze(-1) & self.ends
         if self.task.own:
-            out["reward"], out["terminated"] = paid.clone(), cut & lost.reshape(x.shape[:-1]).unsqueeze(-1)
+            out["reward"], out["terminated"] = out["own_reward"].clone(), cut & lost.reshape(*rows, 1)
         # Any other reward is a cost: an end that were worth nothing would be the best that an agent could reach, so an
         # episode that the environment ends is cut short, not terminated.
         out["truncated"] = out["truncated"] | cut
         out["done"] = out["truncated"].clone()
         return out
 
-    def _next(self, copy: int, action: Any, step: int) -> tuple[Any, Any, bool, bool]:
+    def _next(self, copy: int, action: Any, step: int) -> tuple[Any, float, bool, bool]:
         """Return observation and reward of a step of one copy, and whether it ends or is cut short there."""
         try:
             seen, reward, terminated, truncated, _ = self.copies.pool[copy].step(action)
@@ -265,7 +261,7 @@ class GymnasiumEnv(ControlEnv):
                 f"env.id={self.foreign.id}: in step {step} of an episode component {place} of the observation, "
                 f"'{self.foreign.observed.names[place]}', is {seen.reshape(-1)[place]}; mend your environment"
             )
-        return seen, reward, bool(terminated), bool(truncated)
+        return seen, float(reward), bool(terminated), bool(truncated)
 
     def _begin(self, number: int, rng: np.random.Generator) -> Tensor:
         """Return states in which episodes begin, `(number, n_x)`."""

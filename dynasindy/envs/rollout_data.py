@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from dynasindy.systems.base import Signature, System
-from dynasindy.systems.integrators import integrate
+from dynasindy.systems.integrators import simulate
 from dynasindy.systems.transitions import Transitions
 from dynasindy.text import did_you_mean
 
@@ -67,14 +67,11 @@ def record_plants(
     """Record several experiments side by side, `u` `(experiments, T, n_u)`; otherwise as `record_plant`."""
     u = u.to(torch.float64)
     x = torch.zeros(plant.signature.n_x, dtype=torch.float64) if x0 is None else x0.to(torch.float64)
-    states, free = [x.expand(len(u), -1)], []
+    start = x.expand(len(u), -1)
     with torch.no_grad():
-        for held in u.unbind(1):
-            samples, touched = integrate(plant, states[-1], held, dt, substeps, plant.stops)
-            states.append(samples[:, -1])
-            free.append(~touched)
-    kept = torch.stack(free, 1)
-    whole = zip(torch.stack(states, 1), u, kept, strict=True)
+        samples, touched = simulate(plant, start, u.movedim(1, 0), dt, substeps, plant.stops)
+    states = torch.cat([start.unsqueeze(1), samples[..., -1, :].movedim(0, 1)], 1)
+    whole = zip(states, u, ~touched.mT, strict=True)
     return [Transitions.from_trajectory(x, held, dt).select(mask) for x, held, mask in whole]
 
 

@@ -1,6 +1,5 @@
 """Signals that excite a plant for identification, usable as policies."""
 
-from dynasindy.excitation.base import Excitation
-from dynasindy.excitation.signals import Aprbs, Chirp, Multisine
+from dynasindy.excitation.signals import Aprbs, Chirp, Excitation, Multisine
 
 __all__ = ["Aprbs", "Chirp", "Excitation", "Multisine"]

@@ -35,16 +35,12 @@ DRIFTING = 0.01
 """Process noise of a push [its ranges, in the time in which its state may cross its own: a second for a rate]."""
 UNKNOWN = 0.1
 """Standard deviation of a state that is not measured when an episode begins, at rest [ranges of the state]."""
-STRAYING, FOLLOWING = 1.0, 1e-3
-"""Process noise before there is a model: of states of which nothing is known, and of those whose rate is a state."""
+FOLLOWING = 1e-3
+"""Process noise of states that follow their rates: before there is a model, and where all that it misses is a push."""
 CANDIDATES = torch.logspace(-3, -1, 9, dtype=torch.float64)
 """Process noise to choose from. Innovations on the data of its fit flatter a model: all are doubted a little."""
-PUSHED = torch.logspace(-3, 0, 13, dtype=torch.float64)
-"""The same where all that a model misses is a push: states whose rate is a state follow it, the others stray."""
 NUDGE = 1e-4
 """Step of the central differences [ranges of the states]: in float64 they are right to some eight digits."""
-FINEST = 1e-9
-"""Least standard deviation of a measurement [ranges of the state]: a perfect one would leave a singular matrix."""
 FAR = 1e3
 """Innovations that no plant has, and that count as lost samples [standard deviations]."""
 LEAST = 0.003
@@ -101,8 +97,9 @@ class Observer:
         self.scale = torch.cat([scale, scale[self.pushed]])
         self.first: System = _Kinematic(model.signature, rates)
         variance = torch.cat([measured, torch.full((len(self.pushed),), torch.inf)])
-        self.variance = variance.clamp_min((FINEST * self.scale).square())
-        self.q = torch.full_like(self.scale, STRAYING)
+        # A perfect measurement would leave a singular matrix.
+        self.variance = variance.clamp_min((1e-9 * self.scale).square())
+        self.q = torch.ones_like(self.scale)  # nothing is known of states without a rate
         self.q[list(rates)], self.q[self.n_x :] = FOLLOWING, DRIFTING
         self.nis: float | None = None
         self._augmentation: _Augmented | None = None
@@ -332,15 +329,12 @@ class Observer:
 
     def _candidates(self) -> Tensor:
         """Return the process noises to choose from, `(rows, n)`."""
-        given, n = self.sensors.process_noise, len(self.scale)
-        if given is not None:
-            q = torch.full((1, n), given, dtype=torch.float64)
-        else:
-            q = CANDIDATES.unsqueeze(-1).repeat(1, n)
-            if followed := list(self.sensors.rate_indices(self.model.signature)):
-                pushed = PUSHED.unsqueeze(-1).repeat(1, n)
-                pushed[:, followed] = FOLLOWING
-                q = torch.cat([q, pushed])
+        q = CANDIDATES.unsqueeze(-1).repeat(1, len(self.scale))
+        if followed := list(self.sensors.rate_indices(self.model.signature)):
+            # States whose rate is a state follow it, the others stray, where all that a model misses is a push.
+            pushed = torch.logspace(-3, 0, 13, dtype=torch.float64).unsqueeze(-1).repeat(1, q.shape[-1])
+            pushed[:, followed] = FOLLOWING
+            q = torch.cat([q, pushed])
         # A push drifts by so much of its range in the time in which its state may cross its own.
         seconds = self.scale[: self.n_x][self.pushed] / self.scale[self.n_x :]
         q[:, self.n_x :] = DRIFTING / seconds.sqrt()

@@ -57,8 +57,6 @@ class Sensors:
         delay: Control periods from a measurement to its arrival, known to the observer.
         lost: Probability that a sample, of all channels, is lost.
         actuator_delay: Control periods from a command to the actuator, known to nobody.
-        process_noise: Standard deviation by which a state strays from the model in a second [ranges of the state];
-            None has it adapted to the model.
         disturbance: Estimate a constant push on each rate in `rates`, or if there is none on each measured state, and
             counteract it.
 
@@ -71,7 +69,6 @@ class Sensors:
     delay: Periods = 0
     lost: float = 0.0
     actuator_delay: Periods = 0
-    process_noise: float | None = None
     disturbance: bool = False
 
     def __post_init__(self) -> None:
@@ -86,8 +83,6 @@ class Sensors:
                 f"sensors have delay={self.delay}, actuator_delay={self.actuator_delay}, lost={self.lost}; give delays "
                 f"of 0 to {LONGEST} control periods and a probability in [0, 1)"
             )
-        if self.process_noise is not None and not 0 < self.process_noise < math.inf:
-            raise ValueError(f"sensors.process_noise is {self.process_noise}; give a number > 0, or null to adapt it")
 
     def variance(self, signature: Signature) -> Tensor:
         """Return the variance of each state's measurement, `(n_x,)` float64, infinite where there is none.

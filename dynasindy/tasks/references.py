@@ -175,12 +175,6 @@ class Wave(Reference):
         return params
 
 
-SHARE = 0.25
-"""Amplitude of a wave in target ranges: a square jumps over half of the range, as far as a step from its middle."""
-FIRST = 0.75
-"""Place of the one target of a step between the ends of the target range."""
-
-
 class Signal(TypedDict, total=False):
     """What a plant's file may say of a wave; the rest follows from the plant.
 
@@ -233,8 +227,8 @@ def wave(
             f"give a number of control periods and their length in seconds, or plant.signals.{shape}.frequency, one "
             "per output in Hz"
         )
-    return Wave(
-        own.get("amplitude") or [SHARE * (b - a) for a, b in ends],
+    return Wave(  # a square jumps over half of the range, as far as a step from its middle
+        own.get("amplitude") or [0.25 * (b - a) for a, b in ends],
         own.get("frequency") or [1.0 / (max_steps * (dt or 1.0))] * len(ends),
         shape,
         own.get("offset") or [0.5 * (a + b) for a, b in ends],
@@ -252,7 +246,7 @@ def target(low: Sequence[float], high: Sequence[float], targets: Sequence[Sequen
     Raises:
         ValueError: The numbers of ends differ.
     """
-    return Step(targets or [[a + FIRST * (b - a) for a, b in _ends(low, high)]])
+    return Step(targets or [[a + 0.75 * (b - a) for a, b in _ends(low, high)]])
 
 
 def _ends(low: Sequence[float], high: Sequence[float]) -> list[tuple[float, float]]:

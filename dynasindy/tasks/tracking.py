@@ -22,8 +22,6 @@ from dynasindy.text import did_you_mean
 
 FENCE_WIDTH = 0.05
 """Way beyond a bound at which its cost turns from quadratic to linear [ranges of the state]."""
-FARTHEST_SEEN = 3.0
-"""Largest range of an output in a log, as a multiple of the distance from zero to its farthest target."""
 
 
 class Tracking(Task):
@@ -221,9 +219,8 @@ class Tracking(Task):
                 continue
             low, high = (ends[k] for ends in self.ends)
             typical[:, i] = typical[:, i].clamp(low, high)
-            reach = max(-low, high)
-            if reach > 0:
-                scales[i] = min(scales[i], FARTHEST_SEEN * reach)
+            if (reach := max(-low, high)) > 0:
+                scales[i] = min(scales[i], 3 * reach)
         signature, start = replace(self.signature, x_scale=tuple(scales)), typical.to(self.start)
         return self._changed(input_limits=within, signature=signature, start=self.start if self.begins else start)
 

@@ -211,11 +211,8 @@ def test_a_plant_that_is_pushed_is_believed_to_move_at_its_rates():
     assert (estimates - x)[:, 1].std() < 0.9 * (others - x)[:, 1].std()
 
 
-def test_a_given_process_noise_is_taken_and_a_perfect_model_is_doubted_a_little():
+def test_a_perfect_model_is_doubted_a_little():
     y, u, _ = logged(200)
-    ours = observer(process_noise=0.3)
-    ours.learn(y, u)
-    assert ours.q.tolist() == [0.3] * 3
     ours = observer()
     ours.learn(y, u)
     assert ours.q.tolist() == [CANDIDATES[0].item()] * 3
