@@ -24,7 +24,7 @@ from dynasindy.data.headings import (
     split_unit,
     units_of,
 )
-from dynasindy.data.table import COUNTED, REGULAR, Table, grows, read_columns
+from dynasindy.data.table import COUNTED, Table, counts, grows, read_columns
 from dynasindy.findings import Finding, LogError, note, weak
 
 Array = NDArray[np.float64]
@@ -338,17 +338,14 @@ def find_clock(path: Path, time: str, named: Collection[str], dt: float | None) 
     columns = {h: column for h, column in growing.items() if parts_of(h)[1].lower() in SECONDS}
     columns |= {h: table.column(h) for h in table.dated if dt is None}
     found = [h for h, column in columns.items() if _is_regular(column)]
-    if dt is not None and not found and not table.dated and len(growing) == 1:
-        found = [h for h, column in growing.items() if _is_row_counter(column)]
+    if dt is not None and not found and not table.dated and len(growing) == 1:  # whole numbers, by one step
+        found = [
+            h
+            for h, column in growing.items()
+            if is_counter(column) and counts(column, float(np.median(np.diff(column))))
+        ]
     found = [h for h in found if split_unit(h)[0] not in named]
     return found[0] if len(found) == 1 else time
-
-
-def _is_row_counter(column: Array) -> bool:
-    """Tell whether a column grows by the same whole number in most rows, and by several of it in others."""
-    steps = np.diff(column)
-    step = np.median(steps)
-    return is_counter(column) and (steps == step).mean() > REGULAR and bool((steps % step == 0).all())
 
 
 def _is_regular(column: Array) -> bool:
@@ -382,7 +379,7 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
     aside = {time, *table.of_kind("counter"), *(h for h in columns if time and keeps_time(table.column(h), t))}
     still = {split_unit(h)[0]: _standing(column) for h, column in columns.items() if h not in aside}
     names, held = [*still], True
-    counts = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
+    counter = dt is None and time in growing and not parts_of(time)[1] and is_counter(columns[time])
     if not inputs and names:
         longest = max(names, key=lambda name: still[name])
         pair = _alike(longest, names)
@@ -393,6 +390,6 @@ def _guess_columns(table: Table, time: str | None, inputs: Sequence[str], dt: fl
         "inputs": [*inputs],
         "states": [name for name in names if name not in inputs],
         "clock_known": named,  # what is called time may be one in whole seconds
-        "counter": time if counts else "",
+        "counter": time if counter else "",
         "held": held,
     }

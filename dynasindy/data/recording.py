@@ -301,13 +301,12 @@ class LogReader:
 
     def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
-        left_out = [each for each in findings if each.code != "log.time"]
-        facts = {"path": str(self), "least": LEAST, "left_out": left_out}
-        if len(data) < LEAST:
-            raise LogError("log.too_few", count=len(data), **facts)
-        for (name, column), samples in zip(states.items(), data.x_next.unbind(-1), strict=True):
-            if column.name and (count := int(samples.isfinite().sum())) < LEAST:
-                raise LogError("log.too_few", count=count, **facts, state=name)
+        samples = dict(zip(states, data.x_next.isfinite().sum(0).tolist(), strict=True))
+        few = [{"count": len(data)}] if len(data) < LEAST else []
+        few += [{"count": n, "state": s} for s, n in samples.items() if states[s].name and n < LEAST]
+        if few:
+            left_out = [each for each in findings if each.code != "log.time"]
+            raise LogError("log.too_few", path=str(self), least=LEAST, left_out=left_out, **few[0])
 
 
 def _with_times(frame: pd.DataFrame, driving: slice, findings: list[Finding]) -> tuple[pd.DataFrame, NDArray[np.bool_]]:
@@ -557,28 +556,23 @@ def _transitions(x: Array, u: Array, segment: NDArray[np.int64], usable: NDArray
 
 def _columns_of(group: Mapping[str, Any], states: bool) -> dict[str, Column]:
     """Return columns of what was given of states, of which some may have no heading, or of inputs, which have ends."""
-    made = {name: _column(given) for name, given in group.items()}
-    logged = states and any(column.name for column in made.values())
-    for name, column in made.items():
+    made = dict[str, Column]()
+    for name, given in group.items():
+        column = Column(given) if isinstance(given, str) else given
+        if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
+            column = Column(**given)
+        if not isinstance(column, Column) or not _is_valid(column):
+            raise ValueError(
+                f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
+                f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
+            )
         if states and column.low is not None:
             raise ValueError(f"state {name} was given low and high, which inputs alone have: {correct_map()}")
-        if not (column.name or logged):
+        made[name] = column
+    for name, column in made.items():
+        if not (column.name or (states and any(other.name for other in made.values()))):
             raise ValueError(f"{name} has no column; allowed is the name of one: {correct_map()}")
     return made
-
-
-def _column(given: object) -> Column:
-    if isinstance(given, str):
-        return Column(given)
-    column = given if isinstance(given, Column) else None
-    if isinstance(given, Mapping) and given.keys() <= {f.name for f in fields(Column)}:
-        column = Column(**given)
-    if column is None or not _is_valid(column):
-        raise ValueError(
-            f"a column is {given!r}; allowed is a heading, or the keys name, unit, scale (a number, not 0), "
-            f"and of inputs low and high (both, low < high), with these rest, a number: {correct_map()}"
-        )
-    return column
 
 
 def _is_valid(column: Column) -> bool:

@@ -30,8 +30,6 @@ HUGE = 1e30
 """What programs write where a sample was lost, of either sign."""
 COUNTED = 5
 """Rows from which on a column that grows by one in each is a counter; fewer may do so by chance."""
-REGULAR = 0.9
-"""Share of the rows of a counter that follow the one before without a gap."""
 FRACTION = re.compile(r"(?:.*[\W_])?(n|u|m|nano|micro|milli)(?:s|secs?|seconds?)", re.IGNORECASE)
 """A heading of parts of a second, such as `nanosec`."""
 CLOCK_OF_ITS_OWN = re.compile(r"(.+[_ ./])(timestamp|time|stamp|t)", re.IGNORECASE)
@@ -91,7 +89,7 @@ class Table:
             column = self.column(heading)
             numbers = column[~np.isnan(column)]
             kind = "constant" if len(numbers) and (numbers == numbers[0]).all() else "moving"
-            kind = "counter" if kind == "moving" and _counts(column) else kind
+            kind = "counter" if kind == "moving" and counts(column) else kind
             none = "dates" if heading in self.dated else "words" if heading in self.words else "empty"
             kinds[heading] = none if heading in self.dated or not len(numbers) else kind
         return kinds
@@ -134,9 +132,9 @@ def _read(path: Path, changed: int, size: int) -> Table:
             findings.append(note("log.code", column=heading, value=code, count=int(lost.sum()), line=line))
         values[k] = column
         if not heading:  # an index that a program wrote, a time that rows are named by as pandas writes it, or nothing
-            if not k and not any(map(is_clock, headings[1:])) and (is_date or (grows(column) and not _counts(column))):
+            if not k and not any(map(is_clock, headings[1:])) and (is_date or (grows(column) and not counts(column))):
                 heading = headings[k] = "time"
-            elif k and np.isfinite(column).any() and not _counts(column):
+            elif k and np.isfinite(column).any() and not counts(column):
                 raise ValueError(f"{path} has numbers in column {k + 1} and no heading above them; give it one")
         if wrong is not None:
             words[heading] = wrong
@@ -227,12 +225,12 @@ def grows(column: Array) -> bool:
     return len(column) > 1 and bool((np.diff(column) > 0).all())
 
 
-def _counts(column: Array) -> bool:
-    """Tell whether a column grows by exactly one from row to row, but for gaps and where it begins anew."""
+def counts(column: Array, step: float = 1.0) -> bool:
+    """Tell whether a column grows by exactly one step from row to row, but for gaps and where it begins anew."""
     rows = np.flatnonzero(~np.isnan(column))
     if not len(rows) or np.ptp(rows) + 1 < COUNTED:
         return False
-    return bool((np.diff(column[rows]) == np.diff(rows)).mean() > REGULAR)
+    return bool((np.diff(column[rows]) == step * np.diff(rows)).mean() > 0.9)
 
 
 def _without_unit(column: pd.Series) -> tuple[pd.Series, str]:
