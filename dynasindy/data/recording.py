@@ -302,7 +302,7 @@ class LogReader:
     def _require_enough(self, data: Transitions, states: Mapping[str, Column], findings: Sequence[Finding]) -> None:
         """Refuse recordings of too few transitions, or with too few samples of a state that has a column."""
         samples = dict(zip(states, data.x_next.isfinite().sum(0).tolist(), strict=True))
-        few = [{"count": len(data)}] if len(data) < LEAST else []
+        few: list[dict[str, Any]] = [{"count": len(data)}] if len(data) < LEAST else []
         few += [{"count": n, "state": s} for s, n in samples.items() if states[s].name and n < LEAST]
         if few:
             left_out = [each for each in findings if each.code != "log.time"]
