@@ -211,7 +211,9 @@ def forecast_errors(
         model: a fitted model.
         training: data that a linear model is fitted to.
         validation: data to judge on, NaN where a state was not measured.
-        horizons: times ahead [s]; from a tenth to three times the characteristic time of the data if omitted.
+        horizons: times ahead [s]. If omitted, they begin at half of the fastest time constant of the model, where the
+            data mostly are, or at a tenth of the time in which the slowest measured state changes, whichever is
+            shorter, and end at three times the latter.
     """
     if not len(validation):
         return None
@@ -219,7 +221,7 @@ def forecast_errors(
     fit = min(max(round(time / 4 / validation.dt), SHORTEST_FIT), LONGEST_FIT)
     while (reach := start_rows(validation, fit)[1]) < 2 * fit and fit > 2:
         fit //= 2
-    steps = [round(h / validation.dt) for h in horizons or _series(time / 10, 3 * time)]
+    steps = [round(h / validation.dt) for h in horizons or _horizons(model, training, time)]
     steps = sorted({k for k in steps if 1 <= k <= min(reach, FARTHEST)})
     if not steps:
         return None
@@ -246,17 +248,8 @@ def forecast_errors(
     )
 
 
-def relevant_horizons(model: SindyModel, data: Transitions) -> list[float]:
-    """Return times ahead over which a model is judged [s].
-
-    They begin at half of the fastest time constant of the model, where the log mostly was, or at a tenth of the time
-    in which the slowest measured state changes, whichever is shorter, and end at three times the latter.
-
-    Args:
-        model: a fitted model.
-        data: the recording that it was fitted to.
-    """
-    time = characteristic(data)
+def _horizons(model: SindyModel, data: Transitions, time: float) -> list[float]:
+    """Return times ahead over which a model is judged [s], of data whose slowest state changes in some time [s]."""
     x = reconstruct(data, rate_states(model.library, model.constraints)).x.double().nanmedian(0).values
     measured = [i for i, blind in enumerate(data.x.isnan().all(0).tolist()) if not blind]
     fastest = LocalModes(model, x.nan_to_num(0.0), data.u.double().median(0).values, measured).time_constant

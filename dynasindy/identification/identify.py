@@ -22,7 +22,6 @@ from dynasindy.identification.forecast_errors import (
     LOST,
     ForecastErrors,
     forecast_errors,
-    relevant_horizons,
     with_start_states,
 )
 from dynasindy.identification.log_fit import LogFit, fit_log
@@ -240,7 +239,7 @@ def identify_source(model: SindyModel, source: Source) -> Identified:
     if not bool(validation.x.isnan().any()):
         errors["one_step_error"] = one_step_error(model, delay_inputs(validation, model.delay))
     metrics = {what: {name: float(e[i]) for name, i in seen} for what, e in errors.items()}
-    forecasts = forecast_errors(model, source.training, validation, relevant_horizons(model, source.training))
+    forecasts = forecast_errors(model, source.training, validation)
     if forecasts is not None:
         metrics |= verdict.errors(forecasts, source.signature)
     return Identified(model, source, fit.report, predicted, metrics, forecasts)

@@ -18,7 +18,7 @@ from dynasindy.findings import Finding, note
 from dynasindy.sentences import setting
 from dynasindy.sindy import SindyModel
 from dynasindy.sindy.lag_states import completed, widened
-from dynasindy.sindy.reconstruction import rate_states, with_rate_ranges
+from dynasindy.sindy.reconstruction import rate_states, reconstruct
 from dynasindy.systems.base import WHOLE, Signature, System
 from dynasindy.systems.transitions import Transitions
 
@@ -32,6 +32,10 @@ ALIKE = 1e-5
 """Part of an input's range by which ends may differ and still be the same, as those are that were written down."""
 PERIOD = 0.05
 """Control period unless another is given [s]; with a log the multiple of its sampling time that is nearest."""
+USUAL = 0.99
+"""Part of the samples that lie within the range of a rate: the others may be what noise and edges make of them."""
+MOST = 100_000
+"""Samples, about, that a range is told by."""
 SAMPLES = 10
 """Samples of a log in a control period at most, if nobody asks for another one."""
 
@@ -102,7 +106,7 @@ class Source:
             known: the rate of each state, by its name.
         """
         found = self.with_unmeasured(with_rates(self.signature, known))
-        signature = with_rate_ranges(found.signature, found.whole, known)
+        signature = _with_rate_ranges(found.signature, found.whole, known)
         added = found.signature.state_names[self.signature.n_x :]
         findings = (note("log.unmeasured", state=name) for name in added)
         return replace(found, signature=signature, findings=(*found.findings, *findings))
@@ -172,6 +176,18 @@ def rates_of(model: SindyModel) -> dict[str, str]:
     names = model.signature.state_names
     rates = sorted(rate_states(model.library, model.constraints).items())  # as they come in the model
     return {names[state]: names[rate] for rate, state in rates}
+
+
+def _with_rate_ranges(signature: Signature, data: Transitions, known: Mapping[str, str]) -> Signature:
+    """Return a signature in which rates that no sensor sees have the range in which their states moved."""
+    names, ranges, blind = signature.state_names, list(signature.x_scale), data.x.isnan().all(0).tolist()
+    pairs = {names.index(rate): names.index(name) for name, rate in known.items() if {name, rate} <= set(names)}
+    rates = {rate: state for rate, state in pairs.items() if blind[rate] and not blind[state]}
+    guess = reconstruct(data, rates) if rates else data
+    for rate in rates:
+        moves = guess.x[:: len(guess) // MOST + 1, rate].abs()
+        ranges[rate] = float(torch.quantile(moves, USUAL)) or ranges[rate]
+    return replace(signature, x_scale=tuple(ranges))
 
 
 def same_input_ranges(first: Signature, second: Signature) -> bool:

@@ -10,18 +10,10 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.regression import Rows, fit_supported
+from dynasindy.sindy.regression import fit_supported
 from dynasindy.systems.steps import between
 from dynasindy.systems.transitions import Transitions
 
-FIRST, FARTHEST = 10, 80
-"""Samples within which a delay is looked for at first, at least, and at most, where nobody says how long it may be."""
-ENOUGH = 2
-"""Rows per function from which on a regression may tell a delay: of as many rows as functions nothing is left over."""
-EXACT = 1e-3
-"""Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
-TELLING = 4.0
-"""Factor on the squared error, of all states together, below which a regression does not tell a delay."""
 CLOSE = 5e-3
 """Samples to which a delay is found by regressions."""
 
@@ -65,31 +57,6 @@ def delay_and_trim(data: Transitions, delay: float) -> Transitions:
     return delay_inputs(data, delay).select(rows_after_delay(data, delay))
 
 
-def search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
-    """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
-
-    Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
-    and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
-    the best one, it is looked for twice as far, as long as enough rows know their inputs. `rows` are those under inputs
-    delayed by so many samples, its first argument, whose inputs are known for as many samples as the second one says.
-    """
-    if not least and _exact(free, *rows(0, 0)):
-        return 0, 0
-    enough = ENOUGH * int(free.sum(0).max())
-    if len(rows(0, least)[1]) < enough:
-        return 0, 0
-    farthest, found = max(FIRST, least), (least, 0)
-    while farthest <= FARTHEST and len(rows(0, farthest)[1]) >= enough:
-        costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
-        best = min(range(farthest + 1), key=costs.__getitem__)
-        if costs[0] - costs[best] > 0.5 * len(rows(best, farthest)[1]) * math.log(TELLING):
-            found = farthest, best
-        if best < farthest:
-            break
-        farthest *= 2
-    return found
-
-
 def refine_delay(
     rough: float, dt: float, longest: float, worth: float, cost: Callable[[float], float], whole: bool = False
 ) -> float:
@@ -124,9 +91,3 @@ def unexplained(support: Tensor, theta: Tensor, dx: Tensor) -> float:
     """Return N/2 log of what the regression of rates on supported functions leaves over, summed over the states."""
     left = (dx - theta @ fit_supported(theta, dx, support)).square().sum(0)[support.any(0)]
     return 0.5 * len(dx) * float((left + 1e-300).log().sum())
-
-
-def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
-    """Tell whether the functions explain the rates of change but for errors of the regression itself."""
-    left = (dx - theta @ fit_supported(theta, dx, free)).norm(dim=0)
-    return not bool((left > EXACT * dx.norm(dim=0))[free.any(0)].any())

@@ -45,7 +45,6 @@ from dynasindy.sindy.reconstruction import (
 )
 from dynasindy.sindy.refinement import Refinement
 from dynasindy.sindy.regression import DEPENDENT, SAMPLES_EACH, Regression, Rows, RunningSums, integral_form, screen
-from dynasindy.sindy.shape_parameters import unmoved_shapes
 from dynasindy.sindy.shooting import (
     CHOSEN_STRETCHES,
     COARSE,
@@ -68,6 +67,8 @@ FEWEST_EACH = 3
 samples that `needed_at_edge` fits to would not be two for each. Where states were not all measured it is one."""
 POINTS = 64
 """Points within the ranges of states and inputs at which a model's fastest motion is looked for."""
+MOVED = 1e-3
+"""Part of a first guess by which a number has moved that was fitted."""
 LONGEST = 1e9
 """Longest step and delay that a file may have [s]."""
 LARGEST_SYSTEM = 200
@@ -364,7 +365,7 @@ class SindyModel(WorldModel):
         refined = self._refine(data, guess, None if first is None else self.initial_delay)
         findings = (*cut, *refined.findings)
         if self.refinement is not None:
-            findings += (*unmoved_shapes(self.library, self.coefficients),)
+            findings += (*_unmoved_shapes(self.library, self.coefficients),)
         if unscaled := states_without_scale(self.library, self.coefficients, self.constraints.free, data):
             findings = (note("fit.unscaled", states=[*unscaled]), *findings)
         return FitReport.of(
@@ -645,6 +646,14 @@ def _start_lag_states(library: Library, xi: Tensor, guess: Transitions, follower
         part = (sums[0] / sums[1].clamp_min(1e-300)).nan_to_num(0.0, 0.0, 0.0)[stretch].unsqueeze(-1)
         ends = [end + part * off for end, off in zip(ends, offs, strict=True)]
     return replace(guess, x=ends[0], x_next=ends[1])
+
+
+def _unmoved_shapes(library: Library, xi: Tensor) -> list[Finding]:
+    """Return which numbers inside functions that are used did not move from their first guesses."""
+    active = (xi != 0).any(-1).nonzero().flatten().tolist()
+    used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
+    still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
+    return [weak("fit.shape", function=Feature.of([factor]).name(), guess=factor.fitted) for factor in still]
 
 
 def _uncertainty(library: Library, features: Tensor, places: Tensor, factor: Tensor) -> dict[str, Any]:

@@ -26,10 +26,6 @@ NOISY = 1e-5
 """Part of a function of measured states that others leave over, below which it depends on them."""
 SHORTEST_BUMP, LONGEST_BUMP = 8, 20
 """Samples in half a bump: fewer leave the noise in, more leave fewer rows than a library has functions."""
-USUAL = 0.99
-"""Part of the samples that lie within the range of a rate: the others may be what noise and edges make of them."""
-MOST = 100_000
-"""Samples, about, that a range is told by."""
 
 Array = NDArray[np.float64]
 
@@ -181,24 +177,6 @@ def _interpolated(data: Transitions, rates: Mapping[int, int], smooth: bool) -> 
             guess = torch.from_numpy(column)
             x[rows, i], x_next[rows, i] = guess[:-1], guess[1:]
     return replace(data, x=x, x_next=x_next)
-
-
-def with_rate_ranges(signature: Signature, data: Transitions, known: Mapping[str, str]) -> Signature:
-    """Return a signature in which rates that no sensor sees have the range in which their states moved.
-
-    Args:
-        signature: names and ranges, those of what was measured read off the data.
-        data: the recording, NaN where a state was not measured.
-        known: equations that are known, by state; those that are the name of a state make it a rate.
-    """
-    names, ranges, blind = signature.state_names, list(signature.x_scale), data.x.isnan().all(0).tolist()
-    pairs = {names.index(rate): names.index(name) for name, rate in known.items() if {name, rate} <= set(names)}
-    rates = {rate: state for rate, state in pairs.items() if blind[rate] and not blind[state]}
-    guess = reconstruct(data, rates) if rates else data
-    for rate in rates:
-        moves = guess.x[:: len(guess) // MOST + 1, rate].abs()
-        ranges[rate] = float(torch.quantile(moves, USUAL)) or ranges[rate]
-    return replace(signature, x_scale=tuple(ranges))
 
 
 def simulate_hidden_states(

@@ -15,15 +15,15 @@ from dynasindy.findings import Finding, note, weak
 from dynasindy.limits import Count
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.covariance import of_rates
-from dynasindy.sindy.delay import refine_delay, search_range, unexplained
+from dynasindy.sindy.delay import refine_delay, unexplained
 from dynasindy.sindy.fit_report import Refined
 from dynasindy.sindy.library import Constraints, Library
-from dynasindy.sindy.noise import looks_noisy
 from dynasindy.sindy.reconstruction import RegressionData, has_gaps, rate_states
-from dynasindy.sindy.regression import Regression, Rows, RunningSums, needed_at_edge
+from dynasindy.sindy.regression import Regression, Rows, RunningSums, fit_supported, needed_at_edge
 from dynasindy.sindy.shape_parameters import fit_shapes
 from dynasindy.sindy.shooting import Descent, RunsAway, shooting_covariance
 from dynasindy.sindy.trajectory_fit import refine_trajectory
+from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
 PERIODS = 2
@@ -36,6 +36,19 @@ FARTHER = 2
 """Delays of a first estimate within which a delay is looked for."""
 ALIKE = 0.01
 """Samples by which a delay may differ from a whole number and be taken for it."""
+PLAIN = -0.3
+"""Correlation of neighbouring errors of single steps below which a state is noisy: -1/2 of noise of the sensors alone,
+0 of random pushes alone."""
+KEPT = 0.5
+"""Part of the errors that the functions of the model have to leave over, as they do not explain noise."""
+SOONEST, FARTHEST = 10, 80
+"""Samples within which a delay is looked for at first, at least, and at most, where nobody says how long it may be."""
+ENOUGH = 2
+"""Rows per function from which on a regression may tell a delay: of as many rows as functions nothing is left over."""
+EXACT = 1e-3
+"""Part of the rates of change, unexplained, below which the inputs act at once: a delay of a sample leaves far more."""
+TELLING = 4.0
+"""Factor on the squared error, of all states together, below which a regression does not tell a delay."""
 METHODS = ("integral", "one_step", "trajectory", "auto")
 ERRORS = ("simulation", "prediction", "innovation")
 OBSERVED = 500
@@ -145,11 +158,11 @@ class Refinement:
 
         least = max(PERIODS * data.substeps, math.floor(SOON / data.dt + 1e-9)) if noisy else 0
         recording = RegressionData(data, guess, rates)
-        farthest, best = search_range(constraints.free, partial(_rows, read=recording), least)
+        farthest, best = _search_range(constraints.free, partial(_rows, read=recording), least)
         if noisy and not best and not has_gaps(data):
             # Most of single steps may be noise, which no delay explains: averages tell it.
             read = recording.smoothed(found[0].step)
-            farthest, best = search_range(constraints.free, partial(_rows, read=read), least)
+            farthest, best = _search_range(constraints.free, partial(_rows, read=read), least)
         return farthest * data.dt, best * data.dt
 
 
@@ -304,6 +317,57 @@ class _Fit:
             coefficients = regression.solve(sums, free, offset)
             library, coefficients = fit_shapes(library, coefficients, free, seen.rows, settings.tolerance)
         return library, coefficients
+
+
+def _search_range(free: Tensor, rows: Callable[[int, int], Rows], least: int) -> tuple[int, int]:
+    """Return within how many samples a delay is to be looked for, where nobody says how long it may be, and the best.
+
+    Where no delay explains the samples better by far, it is looked for within `least` samples; nowhere if that is 0,
+    and also if it is 0 and the functions explain the samples as they are. Where the longest delay that was tried is
+    the best one, it is looked for twice as far, as long as enough rows know their inputs. `rows` are those under inputs
+    delayed by so many samples, its first argument, whose inputs are known for as many samples as the second one says.
+    """
+    if not least and _exact(free, *rows(0, 0)):
+        return 0, 0
+    enough = ENOUGH * int(free.sum(0).max())
+    if len(rows(0, least)[1]) < enough:
+        return 0, 0
+    farthest, found = max(SOONEST, least), (least, 0)
+    while farthest <= FARTHEST and len(rows(0, farthest)[1]) >= enough:
+        costs = [unexplained(free, *rows(k, farthest)) for k in range(farthest + 1)]
+        best = min(range(farthest + 1), key=costs.__getitem__)
+        if costs[0] - costs[best] > 0.5 * len(rows(best, farthest)[1]) * math.log(TELLING):
+            found = farthest, best
+        if best < farthest:
+            break
+        farthest *= 2
+    return found
+
+
+def _exact(free: Tensor, theta: Tensor, dx: Tensor) -> bool:
+    """Tell whether the functions explain the rates of change but for errors of the regression itself."""
+    left = (dx - theta @ fit_supported(theta, dx, free)).norm(dim=0)
+    return not bool((left > EXACT * dx.norm(dim=0))[free.any(0)].any())
+
+
+def looks_noisy(library: Library, coefficients: Tensor, data: Transitions) -> bool:
+    """Tell measurement noise from errors of the model by the one-step errors, of most states.
+
+    White noise n of the states makes errors n_k+1 - n_k, whose neighbours correlate by -1/2; errors of a model last
+    over many samples. Where the time between samples is long, these change from sample to sample, too, but are
+    functions of the present states and inputs, as noise is not.
+    """
+    data = data.to(torch.float64)
+    error = data.x_next - moved(generate(library, coefficients), data.x, data.u, data.dt, 1, data.u_end)
+    # A constant, too, as a library need not have one.
+    functions = torch.nn.functional.pad(library(data.x, data.u), (0, 1), value=1.0)
+    functions = functions / functions.norm(dim=0).clamp_min(1e-300)
+    left = error - functions @ torch.linalg.lstsq(functions, error, driver="gelsd").solution
+    kept = left.norm(dim=0) > KEPT * error.norm(dim=0)
+    follows = data.segment[1:] == data.segment[:-1]
+    before, after = error[:-1][follows], error[1:][follows]
+    correlation = (before * after).sum(0) / (before.norm(dim=0) * after.norm(dim=0)).clamp_min(1e-300)
+    return bool(2 * ((correlation < PLAIN) & kept).sum() > len(kept))
 
 
 def _first_gain(data: Transitions, rates: Mapping[int, int]) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.systems.steps import time_step_of
 from dynasindy.systems.transitions import Transitions
 
@@ -18,11 +17,9 @@ REFITS = 20
 """Refits of a target at most."""
 DEPENDENT = 1e-13
 """Part of a column of unit norm that others leave over, below which it depends on them."""
-BETTER = 2.0
-"""Squared weighted error that an exchange of one coefficient for one other must gain."""
 
 
-def _least_missed(
+def least_missed(
     triangle: Tensor, n: int, removable: Tensor | None = None, dependent: float = DEPENDENT
 ) -> tuple[int, float]:
     """Return the removable column of R without which the squared residual grows least, and by how much; -1 if none.
@@ -54,7 +51,7 @@ def _backward(
     """
     while True:
         n = len(active)
-        j, growth = _least_missed(triangle, n, None if removable is None else removable[active], dependent)
+        j, growth = least_missed(triangle, n, None if removable is None else removable[active], dependent)
         yield triangle, active, growth
         if j < 0:
             return
@@ -99,50 +96,6 @@ def walk_down(triangle: Tensor, removable: Tensor, limit: float, dependent: floa
     sets = _backward(triangle, active, removable, dependent)
     left, active = next((left, active) for left, active, growth in sets if growth >= limit)
     return active, _solution(left, len(active))
-
-
-def reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Parameters, limit: float) -> Tensor | None:
-    """Look for a better set of coefficients than the one at which a refinement stands still.
-
-    First a score test: a function outside the model that would lower the error by more than it costs comes in, the
-    best one of each equation. If there is none, an exchange: a function comes in if two or more can go for it, as
-    sin(alpha) for the three functions that imitate it at small angles. They may go in other equations, too: a wrong
-    function in one equation may hold one in another that makes up for it. At last the best of the exchanges one for
-    one, within an equation.
-
-    Args:
-        triangle: R of [fixed unknowns, active, others, target].
-        n_fixed: number of unknowns that always stay (start states).
-        active: coefficients in the model.
-        others: coefficients outside the model that are allowed.
-        limit: squared weighted error that a coefficient must be worth.
-
-    Returns:
-        Positions of the better set in `active + others`, `(n,)`; None where there is none.
-    """
-    n = n_fixed + len(active)
-    columns, error = triangle[n:, n:-1], triangle[n:, -1]
-    growth = (columns.mT @ error).square() / columns.square().sum(0).clamp_min(1e-12)
-    firsts = [int(growth.where(others.states == state, -1.0).argmax()) for state in others.states.unique()]
-    if best := [first for first in firsts if float(growth[first]) > 2 * limit]:
-        return torch.cat([torch.arange(len(active)), len(active) + torch.tensor(best)])
-    swaps: dict[float, Tensor] = {}
-    for k in range(len(others)):
-        state = others.states[k]
-        chosen = [*range(n), n + k, triangle.shape[1] - 1]
-        small = torch.linalg.qr(triangle[:, chosen], mode="r")[1]
-        removable = torch.zeros(n + 1, dtype=torch.bool)
-        removable[n_fixed:n] = True
-        kept, _ = walk_down(small, removable, limit)
-        if len(kept) <= n - 1:
-            stay = kept[(kept >= n_fixed) & (kept < n)] - n_fixed
-            return torch.cat([stay, torch.tensor([len(active) + k])])
-        removable[n_fixed:n] = active.states == state
-        out, missed = _least_missed(small, n + 1, removable)
-        if float(growth[k]) > missed + BETTER:
-            stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)
-            swaps[float(growth[k]) - missed] = torch.cat([stay, torch.tensor([len(active) + k])])
-    return swaps[max(swaps)] if swaps else None
 
 
 SAMPLES_EACH = 5

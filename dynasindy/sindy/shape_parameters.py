@@ -7,7 +7,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from dynasindy.findings import Finding, weak
 from dynasindy.sindy.codegen import generate
 from dynasindy.sindy.functions import QUOTIENTS
 from dynasindy.sindy.library import Feature, Library
@@ -15,8 +14,6 @@ from dynasindy.sindy.regression import Rows, Theta, fit_supported, least_squares
 
 LITTLE = 1e-3
 """Gain of log-likelihood below which the numbers stand still."""
-MOVED = 1e-3
-"""Part of a first guess by which a number has moved that was fitted."""
 RowsOf = Callable[[Theta, Theta], Rows]
 """Functions `(x, u) -> (N, n_features)` and a first model `(x, u) -> dx` to averaged functions and rates of change."""
 
@@ -57,14 +54,6 @@ def fit_shapes(
         if gain < LITTLE:
             break
     return library, xi
-
-
-def unmoved_shapes(library: Library, xi: Tensor) -> list[Finding]:
-    """Return which numbers inside functions that are used did not move from their first guesses."""
-    active = (xi != 0).any(-1).nonzero().flatten().tolist()
-    used = {f.base: None for k in active for f in library.features[k].factors if f.fitted}
-    still = [f for f in used if abs(f.frequency - f.fitted) <= MOVED * abs(f.fitted)]
-    return [weak("fit.shape", function=Feature.of([factor]).name(), guess=factor.fitted) for factor in still]
 
 
 def _solved(library: Library, xi: Tensor, active: Tensor, rows: RowsOf, tolerance: float) -> tuple[Tensor, float]:

@@ -665,10 +665,3 @@ def move(flow: Flow, model: Linearised, kept: Tensor | Sequence[int], damping: f
     if gain is not None and (mask := flow.windows.gain_mask) is not None:
         gain = gain.masked_scatter(mask, gain[mask] + step[place - int(mask.sum()) : place])
     return Estimate(library, parameters.write(estimate.xi, values[n_fixed:]), nodes, delay, gain)
-
-
-def left_over(model: Linearised, windows: Windows) -> float:
-    """Return N/2 times the logarithm of the squared errors, summed over measured states."""
-    counts, sigma = windows.mask.sum((0, 1)), model.sigma
-    seen = sigma > EXACT
-    return float((counts * sigma.log())[seen].sum())

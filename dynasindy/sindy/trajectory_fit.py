@@ -11,11 +11,12 @@ from torch import Tensor
 
 from dynasindy.progress import TimeIsUp, report_progress
 from dynasindy.sindy.library import Library
-from dynasindy.sindy.regression import reconsider, walk_down
+from dynasindy.sindy.regression import least_missed, walk_down
 from dynasindy.sindy.sensitivity import Parameters
 from dynasindy.sindy.shooting import (
     COARSE,
     ENOUGH,
+    EXACT,
     FINE,
     FINEST,
     Descent,
@@ -26,7 +27,6 @@ from dynasindy.sindy.shooting import (
     Windows,
     choose_stretches,
     cost_of,
-    left_over,
     linearise_windows,
     move,
     relative_step,
@@ -47,6 +47,8 @@ SLIGHT = 0.05
 hardly corrects moves on and on."""
 STEPS = 30
 """Steps of Levenberg and Marquardt's method at most between two changes of the equations."""
+BETTER = 2.0
+"""Squared weighted error that an exchange of one coefficient for one other must gain."""
 TRIES = 10
 """Sets of functions that are tried at most."""
 
@@ -87,7 +89,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
             break
         if model is None:
             break
-        left = left_over(model, windows)
+        left = _left_over(model, windows)
         if best is not None and 2 * (left - least) + price * (len(flow.parameters) - fewest) >= 0:
             break
         best, least, fewest = (flow, model), left, len(flow.parameters)
@@ -102,7 +104,7 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
         wider = replace(flow, parameters=active + others)
         model = linearise_windows(wider)
         n_fixed = len(model.scale) - len(wider.parameters)
-        better = reconsider(model.triangle, n_fixed, active, others, price)
+        better = _reconsider(model.triangle, n_fixed, active, others, price)
         if better is None:
             break
         kept = torch.cat([torch.arange(n_fixed), n_fixed + better])
@@ -111,6 +113,50 @@ def _search_functions(estimate: Estimate, free: Tensor, windows: Windows, price:
             break
         flow = changed
     return flow.estimate if best is None else best[0].estimate
+
+
+def _reconsider(triangle: Tensor, n_fixed: int, active: Parameters, others: Parameters, limit: float) -> Tensor | None:
+    """Look for a better set of coefficients than the one at which a refinement stands still.
+
+    First a score test: a function outside the model that would lower the error by more than it costs comes in, the
+    best one of each equation. If there is none, an exchange: a function comes in if two or more can go for it, as
+    sin(alpha) for the three functions that imitate it at small angles. They may go in other equations, too: a wrong
+    function in one equation may hold one in another that makes up for it. At last the best of the exchanges one for
+    one, within an equation.
+
+    `triangle` is R of [fixed unknowns, active, others, target]. What is returned are the places of a better set in
+    `active + others`, `(n,)`; None where there is none.
+    """
+    n = n_fixed + len(active)
+    columns, error = triangle[n:, n:-1], triangle[n:, -1]
+    growth = (columns.mT @ error).square() / columns.square().sum(0).clamp_min(1e-12)
+    firsts = [int(growth.where(others.states == state, -1.0).argmax()) for state in others.states.unique()]
+    if best := [first for first in firsts if float(growth[first]) > 2 * limit]:
+        return torch.cat([torch.arange(len(active)), len(active) + torch.tensor(best)])
+    swaps: dict[float, Tensor] = {}
+    for k in range(len(others)):
+        state = others.states[k]
+        chosen = [*range(n), n + k, triangle.shape[1] - 1]
+        small = torch.linalg.qr(triangle[:, chosen], mode="r")[1]
+        removable = torch.zeros(n + 1, dtype=torch.bool)
+        removable[n_fixed:n] = True
+        kept, _ = walk_down(small, removable, limit)
+        if len(kept) <= n - 1:
+            stay = kept[(kept >= n_fixed) & (kept < n)] - n_fixed
+            return torch.cat([stay, torch.tensor([len(active) + k])])
+        removable[n_fixed:n] = active.states == state
+        out, missed = least_missed(small, n + 1, removable)
+        if float(growth[k]) > missed + BETTER:
+            stay = torch.tensor([j for j in range(len(active)) if j != out - n_fixed], dtype=torch.int64)
+            swaps[float(growth[k]) - missed] = torch.cat([stay, torch.tensor([len(active) + k])])
+    return swaps[max(swaps)] if swaps else None
+
+
+def _left_over(model: Linearised, windows: Windows) -> float:
+    """Return N/2 times the logarithm of the squared errors, summed over measured states."""
+    counts, sigma = windows.mask.sum((0, 1)), model.sigma
+    seen = sigma > EXACT
+    return float((counts * sigma.log())[seen].sum())
 
 
 def _descended(flow: Flow, price: float) -> tuple[Flow, Linearised | None]:
@@ -128,7 +174,7 @@ def _descended(flow: Flow, price: float) -> tuple[Flow, Linearised | None]:
             if before is None:
                 raise
             return before
-        cost = left_over(model, windows)
+        cost = _left_over(model, windows)
         if before is not None and 2 * (cost - left) > allowed:
             return _settle(before[0], MOVES_LITTLE, before[1])
         n_fixed = len(model.scale) - len(flow.parameters)
@@ -260,7 +306,7 @@ def _without_delay(found: Estimate, free: Tensor, windows: Windows) -> Estimate:
         simple, model = _settle(Flow.of(replace(found, delay=0.0), parameters, prompt))
         worth = _price(int(windows.mask.sum()), free)
         told = found.delay > SHORTEST_DELAY * windows.dt
-        if not told or 2 * (left_over(model, prompt) - left_over(linearise_windows(flow), windows)) <= worth:
+        if not told or 2 * (_left_over(model, prompt) - _left_over(linearise_windows(flow), windows)) <= worth:
             return simple.estimate
     return found
 

@@ -7,8 +7,7 @@ from scipy.linalg import expm
 
 from dynasindy.sindy.library import Library, variable
 from dynasindy.sindy.model import SindyModel
-from dynasindy.sindy.noise import looks_noisy
-from dynasindy.sindy.refinement import Refinement
+from dynasindy.sindy.refinement import Refinement, looks_noisy
 from dynasindy.sindy.regression import Regression
 from dynasindy.systems.base import Signature
 from dynasindy.systems.transitions import Transitions
