@@ -691,7 +691,6 @@ SENTENCES: dict[str, str | Callable[..., str]] = {
     "excitation.restarts": _restarts,
     "excitation.stops": "the excitation reached a mechanical stop in {count} of {total} control periods; the model is "
     "fitted to the others{much:?(a smaller <excitation.amplitude>, or another <excitation.offset>, leaves more)}",
-    "excitation.left": "in the {during}, {state} left {low:g} to {high:g} {unit} and was cut at {seconds:.3g} s",
     "run.better": "the trained policy is better than the untrained one{hardly:?(hardly)}: its return in scenario "
     "'{scenario}' is {trained:.6g}, the untrained policy's {untrained:.6g}",
     "run.no_better": "no usable result: the trained policy's return in scenario '{scenario}' is {trained:.6g}, the "

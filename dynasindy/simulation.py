@@ -196,7 +196,6 @@ def excite(
 
     Raises:
         ValueError: A setting is not allowed.
-        Diverged: The plant runs away, though it is said to stay by itself.
     """
     data = Simulated(dt=dt, noise=noise, sensors=sensors, seed=seed)
     return data.load(plant, partial(signal, duration=duration, amplitude=amplitude, offset=offset, **settings))

@@ -4,7 +4,7 @@ TorchRL's `ReplayBufferEnsemble` mixes in expectation only and cannot sample whi
 agent needs every batch to hold the share it was told, from the first batch before any planning.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -96,38 +96,12 @@ def _name(key: NestedKey) -> str:
     return key if isinstance(key, str) else key[-1]
 
 
-class _CheckedWriter(TensorDictRoundRobinWriter):
-    """Writer that refuses rows a storage would accept silently and return as zeros later."""
-
-    def __init__(self, name: str, keys: Sequence[NestedKey]) -> None:
-        super().__init__()
-        self.name, self.keys = name, frozenset(keys)
-
-    def add(self, data: TensorDictBase) -> int | Tensor:
-        """Write one row."""
-        self._check(data)
-        return super().add(data)
+class _Writer(TensorDictRoundRobinWriter):
+    """Writer of any number of rows, none among them: a model may diverge at once in every rollout."""
 
     def extend(self, data: TensorDictBase) -> Tensor:
         """Write rows `(n,)`."""
-        if data.ndim == 1 and not len(data):
-            return torch.zeros(0, dtype=torch.int64)  # a model may diverge at once in every rollout
-        self._check(data)
-        if data.ndim != 1:
-            raise ValueError(
-                f"The {self.name} storage takes rows (n,), given a batch {tuple(data.shape)}; call reshape(-1) first."
-            )
-        return super().extend(data)
-
-    def _check(self, data: TensorDictBase) -> None:
-        given = set(data.keys(include_nested=True, leaves_only=True)) - {"index"}
-        if given != self.keys:
-            raise KeyError(
-                f"The {self.name} storage takes exactly its {len(self.keys)} keys; "
-                f"missing: {_words(self.keys - given)}; not allowed: {_words(given - self.keys)}."
-            )
-        if not is_finite_rollout(data):
-            raise ValueError(f"The {self.name} storage takes finite rows, not NaN or infinity; leave such rows out.")
+        return super().extend(data) if len(data) else torch.zeros(0, dtype=torch.int64)
 
 
 class DynaReplay:
@@ -179,14 +153,13 @@ class DynaReplay:
                 f"Replay has real_ratio={real_ratio}; give a share in [0, 1], or null for a single buffer."
             )
         if missing := set(LEARN_KEYS) - set(keys):
-            raise ValueError(f"Replay keys lack {_words(missing)}; give the keys to learn from and any others.")
+            raise ValueError(f"Replay keys lack {[*map(_name, missing)]}; give the keys to learn from and any others.")
         self.batch_size, self.real_ratio = batch_size, real_ratio
-        self.capacities = capacity, model_capacity
         self.device = torch.device(device)
         # In the CPU's memory, so that a seed draws the same rows on every device.
         self.generator = torch.Generator().manual_seed(seed)
-        self.real = self._buffer("real", capacity, keys)
-        self.model = self._buffer("model", model_capacity, LEARN_KEYS)
+        self.real, self.keys = self._buffer(capacity), tuple(keys)
+        self.model = self._buffer(model_capacity)
 
     def extend_real(self, rollout: TensorDictBase) -> None:
         """Store the rows of a real rollout `(*batch, steps)`, of which only the storage's keys are kept.
@@ -194,9 +167,7 @@ class DynaReplay:
         Raises:
             Diverged: a number is not finite.
         """
-        writer = self.real.writer
-        assert isinstance(writer, _CheckedWriter)
-        rows = rollout.select(*writer.keys, strict=False).reshape(-1)
+        rows = rollout.select(*self.keys).reshape(-1)
         require_finite_rollout(rows)
         self.real.extend(rows)
 
@@ -210,7 +181,7 @@ class DynaReplay:
         Args:
             keys: Keys of a real row, `LEARN_KEYS` among them.
         """
-        self.real = self._buffer("real", self.capacities[0], keys)
+        self.real, self.keys = self._buffer(self.real.storage.max_size), tuple(keys)
 
     def rewrite_newest(self, rows: TensorDictBase) -> None:
         """Replace the newest real rows, as by better estimates of their states.
@@ -221,11 +192,9 @@ class DynaReplay:
         Raises:
             ValueError: There are fewer real rows.
         """
-        writer, size = self.real.writer, len(self.real)
-        assert isinstance(writer, _CheckedWriter)
-        if len(rows) > size:
-            raise ValueError(f"Replay has {size} real rows, given {len(rows)} to replace them; give at most as many.")
-        places = (writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
+        if len(rows) > len(self.real):
+            raise ValueError(f"Replay has {len(self.real)} real rows, given {len(rows)} to replace them.")
+        places = (self.real.writer._cursor - len(rows) + torch.arange(len(rows))) % self.real.storage.max_size
         self.real.storage.set(places, rows, set_cursor=False)
 
     def keep_imagined(self, newest: int) -> None:
@@ -292,10 +261,10 @@ class DynaReplay:
                 buffer.storage.set(range(len(stored)), stored)
             buffer.writer.load_state_dict(state[name]["writer"])
 
-    def _buffer(self, name: str, capacity: int, keys: Sequence[NestedKey]) -> TensorDictReplayBuffer:
+    def _buffer(self, capacity: int) -> TensorDictReplayBuffer:
         return TensorDictReplayBuffer(
             storage=LazyTensorStorage(capacity, device=self.device),
-            writer=_CheckedWriter(name, keys),
+            writer=_Writer(),
             batch_size=self.batch_size,
             generator=self.generator,
         )
@@ -307,7 +276,3 @@ def _in_order(buffer: TensorDictReplayBuffer) -> TensorDict:
     cursor = buffer.writer._cursor % len(buffer)
     begun: TensorDict = torch.cat([rows[cursor:], rows[:cursor]])
     return begun
-
-
-def _words(keys: Collection[NestedKey]) -> str:
-    return ", ".join(sorted(key if isinstance(key, str) else ".".join(key) for key in keys)) or "none"

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import io
-import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from dynasindy.dyna.callback import Place
 from dynasindy.limits import raise_if_memory
 from dynasindy.safe_io import remove_leftovers, replace_file
 
@@ -75,45 +73,6 @@ class Checkpoints:
 
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob("[0-9]*.pt"))
-
-
-class Saver:
-    """Save the state of a run at the ends of its phases.
-
-    Args:
-        checkpoints: Where to.
-        every: Episodes between two checkpoints; 0 saves nothing. What comes before the first episode is saved too.
-        state: Returns the state of the run as it is.
-        again: How the command is called that goes on with a run.
-    """
-
-    def __init__(
-        self, checkpoints: Checkpoints, every: int, state: Callable[[], State], again: str = "dynasindy train"
-    ) -> None:
-        self.checkpoints, self.every, self.state, self.again = checkpoints, every, state, again
-        self.seconds, self.bytes = 0.0, 0
-
-    def summary(self, folder: Path) -> str:
-        """Return what is kept of a run that is stopped, and how it goes on."""
-        if (state := self.checkpoints.newest()) is None:
-            return f"nothing is kept in {folder} yet, the same command begins anew"
-        done = Place()
-        done.load_state_dict(state["place"])
-        near = folder.absolute()
-        near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
-        return (
-            f"the run is kept up to the end of {done.summary()}: go on with {self.again} resume={near} "
-            "(with finish=true, to evaluate and draw what it has learnt instead)"
-        )
-
-    def reached(self, place: Place) -> None:
-        """Save the state, if it is due."""
-        if not self.every or place.episodes % self.every:
-            return
-        start = time.perf_counter()
-        path = self.checkpoints.save(place.number, self.state())
-        self.bytes = path.stat().st_size
-        self.seconds += time.perf_counter() - start
 
 
 def _read(path: Path) -> State | None:

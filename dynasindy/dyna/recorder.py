@@ -6,7 +6,7 @@ import copy
 import math
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from itertools import product
@@ -23,7 +23,6 @@ from dynasindy.control import Controller, save
 from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode, Place
-from dynasindy.dyna.checkpoint import Saver
 from dynasindy.dyna.components import Components
 from dynasindy.dyna.excite import coarse, left_out, longer_episodes, restarts
 from dynasindy.dyna.verdict import distrusted, judge_run
@@ -72,7 +71,7 @@ class Recorder(Callback):
     once more, if that is asked.
 
     Attributes:
-        saver: Saves the state of the run where it can be left; None for no checkpoints.
+        save: Called where a run can be left and resumed; None for no checkpoints.
 
     Args:
         folder: Run folder; made if missing.
@@ -90,7 +89,7 @@ class Recorder(Callback):
         evaluating.scenario.length(parts.plant)  # refuses one that is too short before anything is written
         self.folder, self.parts, self.plant = folder, parts, parts.plant
         self.evaluating, self.episodes = evaluating, episodes
-        self.saver: Saver | None = None
+        self.save: Callable[[Place], None] | None = None
         self.rows: list[dict[str, float | None]] = []
         self.decisions: list[dict[str, float | None]] = []
         self.start, self.seconds_before = time.perf_counter(), 0.0
@@ -170,8 +169,8 @@ class Recorder(Callback):
 
     def reached(self, place: Place) -> None:
         """Save the state, if it is due."""
-        if self.saver is not None:
-            self.saver.reached(place)
+        if self.save is not None:
+            self.save(place)
 
     def finish(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Evaluate the final policy and write `metrics.json`, the policy, the model and the step response.

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dynasindy.dyna import Stopped
 from dynasindy.dyna.callback import Place
-from dynasindy.dyna.checkpoint import Checkpoints, Saver
+from dynasindy.dyna.checkpoint import Checkpoints
 from dynasindy.dyna.experiment import Recipe
 from dynasindy.dyna.folder import check_settings, claimed, clear, result
 from dynasindy.dyna.loop import train
@@ -67,8 +69,8 @@ def run(
             (folder / "error.txt").unlink(missing_ok=True)
             checkpoints.remove()  # of a process that was killed before it did
             return metrics
-        saver = Saver(checkpoints, checkpoint_every, lambda: {name: p.state_dict() for name, p in kept.items()}, again)
-        recorder.saver = saver
+        saver = _Saver(checkpoints, checkpoint_every, lambda: {name: p.state_dict() for name, p in kept.items()}, again)
+        recorder.save = saver.save
         with _left_in_order(saver, recorder, lambda: place.present(recipe.train.episodes)):
             state = checkpoints.newest()
             if state is None and finish:
@@ -92,6 +94,38 @@ def run(
         if place.episodes == recipe.train.episodes:
             checkpoints.remove()
     return metrics
+
+
+@dataclass
+class _Saver:
+    """Saves the state of a run at the ends of its phases, every so many episodes; 0 saves nothing."""
+
+    checkpoints: Checkpoints
+    every: int
+    state: Callable[[], dict[str, Any]]
+    again: str
+    seconds: float = 0.0
+    bytes: int = 0
+
+    def summary(self, folder: Path) -> str:
+        """Return what is kept of a run that is stopped, and how it goes on."""
+        if (state := self.checkpoints.newest()) is None:
+            return f"nothing is kept in {folder} yet, the same command begins anew"
+        done = Place()
+        done.load_state_dict(state["place"])
+        near = folder.absolute()
+        near = near.relative_to(Path.cwd()) if near.is_relative_to(Path.cwd()) else folder
+        return (
+            f"the run is kept up to the end of {done.summary()}: go on with {self.again} resume={near} "
+            "(with finish=true, to evaluate and draw what it has learnt instead)"
+        )
+
+    def save(self, place: Place) -> None:
+        """Save the state, if it is due; what comes before the first episode is saved too."""
+        if self.every and place.episodes % self.every == 0:
+            start = time.perf_counter()
+            self.bytes = self.checkpoints.save(place.number, self.state()).stat().st_size
+            self.seconds += time.perf_counter() - start
 
 
 def _restore(kept: Mapping[str, Any], state: Mapping[str, Any], folder: Path) -> None:
@@ -118,7 +152,7 @@ def _resume(folder: Path, commit: str | None) -> None:
 
 
 @contextmanager
-def _left_in_order(saver: Saver, recorder: Recorder, present: Callable[[], str]) -> Iterator[None]:
+def _left_in_order(saver: _Saver, recorder: Recorder, present: Callable[[], str]) -> Iterator[None]:
     """Say what was kept of a run that is asked to stop, whose numbers go wrong, or that runs out of memory."""
     folder = recorder.folder
     try:

@@ -18,8 +18,7 @@ from dynasindy.excitation import Aprbs, Excitation
 from dynasindy.findings import Finding, note
 from dynasindy.identification.source import PERIOD, DataSource, Source
 from dynasindy.sensing import Sensors
-from dynasindy.systems import Diverged
-from dynasindy.systems.base import Signature, System
+from dynasindy.systems.base import System
 from dynasindy.systems.checks import require_plant
 from dynasindy.systems.ranges import Ends, require_start_within, sample_states, start_ranges, state_limits
 from dynasindy.systems.transitions import Transitions
@@ -39,8 +38,8 @@ LONGEST = 1e8
 class Simulated(DataSource):
     """Take data from a simulated plant.
 
-    A plant that is known to stay by itself is moved open loop. Any other is excited as in training: within bounds, by a
-    signal that grows, and under a regulator once it has left them; the validation begins with that regulator.
+    A plant that stays by itself is moved open loop. Any other is excited as in training: within bounds, by a signal
+    that grows, and under a regulator once it has left them; the validation begins with that regulator.
 
     Attributes:
         dt: time between two samples [s]; the control period divided by `samples` if omitted. It has to divide the
@@ -95,8 +94,7 @@ class Simulated(DataSource):
 
         Raises:
             ValueError: there is no plant, its rates of change are none, a name is of none of its states, the recording
-                would take days, or `dt` does not divide the period of a plant that may not stay by itself.
-            Diverged: it leaves its bounds soon, though it is said to stay by itself.
+                would take days, or `dt` does not divide the period of a plant that does not stay by itself.
         """
         if system is None or excitation is None:
             raise ValueError("data=simulated got no plant; it needs one of conf/system: give system=NAME, or data=csv")
@@ -107,7 +105,7 @@ class Simulated(DataSource):
         period = self.period or PERIOD
         signal = excitation(n_u=system.signature.n_u, seed=self.seed, dt=period)
         seconds = VALIDATION * period if self.validation_seconds is None else self.validation_seconds
-        dt = self._step(period)
+        dt = period / self.samples if self.dt is None else self.dt
         steps = max(signal.duration, seconds) / dt * self.substeps
         if steps > LONGEST:
             raise ValueError(
@@ -115,55 +113,39 @@ class Simulated(DataSource):
                 f"data.dt={dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are "
                 f"{LONGEST:g}, an arbitrary limit: shorten it"
             )
-        unseen = self._unseen(signal, seconds)
-        training, validation, findings = (self._open_loop if signal.first == 1 else self._held)(system, signal, unseen)
+        amplitude, offset = (0.7 * signal.amplitude).tolist(), signal.offset.tolist()
+        held = {"hold": min(HOLD, seconds), "amplitude": amplitude, "offset": offset, "first": signal.first}
+        unseen = Aprbs(signal.n_u, seconds, period, seed=self.seed + 1, **held)
+        recorded = self._open_loop(system, signal, unseen, dt, ends) if signal.first == 1 else None
+        training, validation, findings = recorded or self._held(system, signal, unseen, dt)
         training = disturb(training, self.noise, self.seed, system.signature)
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
             training = observed(training, partial(self.sensors.read, signature=system.signature, rng=generator))
         return Source(system.signature, training, validation, tuple(each for each in findings if each is not None))
 
-    def _step(self, period: float) -> float:
-        """Return the time between two samples [s]."""
-        return period / self.samples if self.dt is None else self.dt
-
-    def _unseen(self, signal: Excitation, seconds: float) -> Excitation:
-        """Return the signal of the validation."""
-        return Aprbs(
-            signal.n_u,
-            seconds,
-            signal.dt,
-            hold=min(HOLD, seconds),
-            amplitude=(0.7 * signal.amplitude).tolist(),
-            offset=signal.offset.tolist(),
-            seed=self.seed + 1,
-            first=signal.first,
-        )
-
     def _open_loop(
-        self, system: System, signal: Excitation, unseen: Excitation
-    ) -> tuple[Transitions, Transitions, list[Finding | None]]:
-        """Record a plant that stays by itself; what comes after it has left its bounds is left out."""
-        dt, parts = self._step(signal.dt), list[Transitions]()
-        findings: list[Finding | None] = []
-        for k, (moved, what) in enumerate(zip((signal, unseen), ("excitation", "validation"), strict=True)):
-            inputs = moved.samples(dt)
-            data = record_plant(system, inputs, dt, self.substeps, self._start(system, self.seed + k))
-            if k == 0 and len(data) < len(inputs):
-                findings.append(note("log.touched_stop", count=len(inputs) - len(data)))
-            data, gone = _before_leaving(data, system.signature, self.bounds or {}, what)
+        self, system: System, signal: Excitation, unseen: Excitation, dt: float, limits: Tensor
+    ) -> tuple[Transitions, Transitions, list[Finding | None]] | None:
+        """Record a plant that stays by itself; None where it leaves its limits, or runs away."""
+        far, parts = FAR * torch.tensor(system.signature.x_scale, dtype=torch.float64), list[Transitions]()
+        for k, moved in enumerate((signal, unseen)):
+            data = record_plant(system, moved.samples(dt), dt, self.substeps, self._start(system, self.seed + k))
+            low, high = torch.where(limits.isfinite(), limits, data.x[0] + torch.stack([-far, far]))
+            if not bool(((data.x_next >= low) & (data.x_next <= high)).all()):
+                return None
             parts.append(data)
-            findings.append(gone)
-        return parts[0], parts[1], findings
+        lost = len(signal.samples(dt)) - len(parts[0])
+        return parts[0], parts[1], [note("log.touched_stop", count=lost)] if lost else []
 
     def _held(
-        self, system: System, signal: Excitation, unseen: Excitation
+        self, system: System, signal: Excitation, unseen: Excitation, dt: float
     ) -> tuple[Transitions, Transitions, list[Finding | None]]:
         """Record a plant that may not stay by itself as training does."""
         pilot, parts = RegulatedExcitation(signal), list[Transitions]()
         findings: list[Finding | None] = []
         for k, moved in enumerate((signal, unseen)):
-            bench = self._bench(system, moved, self.seed + k)
+            bench = self._bench(system, moved, dt, self.seed + k)
             pilot.signal = moved
             rows = excite(bench, pilot)
             findings += [restarts(bench, rows), left_out(rows)] if k == 0 else []
@@ -171,9 +153,9 @@ class Simulated(DataSource):
             parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
         return parts[0], parts[1], findings
 
-    def _bench(self, system: System, signal: Excitation, seed: int) -> PlantComponents:
+    def _bench(self, system: System, signal: Excitation, dt: float, seed: int) -> PlantComponents:
         """Return the plant of which nothing is wanted but that it moves."""
-        signature, dt = system.signature, self._step(signal.dt)
+        signature = system.signature
         samples = round(signal.dt / dt)
         if samples < 1 or abs(samples * dt - signal.dt) > 1e-6 * signal.dt:
             raise ValueError(
@@ -198,27 +180,3 @@ class Simulated(DataSource):
         """Return the states in which recordings begin, `(*batch, n_x)`."""
         ends = start_ranges(system.signature, self.start or {})
         return sample_states(ends, torch.Size(batch), torch.Generator().manual_seed(seed))
-
-
-def _before_leaving(
-    data: Transitions, signature: Signature, bounds: Mapping[str, Ends], what: str
-) -> tuple[Transitions, Finding | None]:
-    """Cut a recording where the plant leaves its bounds or runs away, and return where it left, if it did."""
-    far = FAR * torch.tensor(signature.x_scale, dtype=torch.float64)
-    given = state_limits(signature, bounds)
-    low, high = torch.where(given.isfinite(), given, data.x[0] + torch.stack([-far, far]))
-    out = ~((data.x_next >= low) & (data.x_next <= high))
-    if not bool(out.any()):
-        return data, None
-    row = int(out.any(-1).int().argmax())
-    i = int(out[row].int().argmax())
-    name, unit = signature.state_names[i], signature.state_units[i]
-    ends = {"low": float(low[i]), "high": float(high[i]), "unit": unit, "bounded": name in bounds}
-    left = note("excitation.left", during=what, state=name, seconds=(row + 1) * data.dt, **ends)
-    if 2 * row < len(data):
-        raise Diverged(
-            f"{left}, and there is too little before that to identify from; give a smaller excitation.amplitude, "
-            f"another excitation.offset{' or wider plant.bounds' if name in bounds else ''}, or excitation.first=0.1, "
-            "which begins anew where the plant leaves its bounds and then holds it while it is excited"
-        )
-    return data.select(torch.arange(len(data)) < row), left

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from dynasindy.evaluation.tracking_criteria import LOST, WITHIN
 from dynasindy.findings import Finding, note, weak, wrong
@@ -14,16 +13,8 @@ HARDLY = 0.01
 """Gain, as a share of the untrained policy's return, below which a policy is said to be hardly better."""
 
 
-@dataclass(frozen=True)
-class RunVerdict:
-    """What a run's result is worth.
-
-    Attributes:
-        usable: Whether the trained policy is better than the untrained one.
-        controlled: Whether every output stays as near to its targets as was asked for, and nothing else runs away; None
-            where the task names no targets and nothing runs away: a return says nothing of control.
-        findings: Why: of the returns, then of control.
-    """
+class RunVerdict(NamedTuple):
+    """What a run's result is worth: whether the policy is better than the untrained one, and as `judge_control`."""
 
     usable: bool
     controlled: bool | None
@@ -73,6 +64,9 @@ def judge_control(
     held: Mapping[str, Mapping[str, float | None]], within: float, usable: bool | None
 ) -> tuple[bool | None, Finding]:
     """Return whether a policy holds the plant, and the finding that says so.
+
+    It does if every output stays as near to its targets as was asked for, and nothing else runs away; it is None where
+    the task names no targets and nothing runs away: a return says nothing of control.
 
     Args:
         held: What was tracked, as a `TrackingCriteria` in figures.

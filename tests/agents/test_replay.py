@@ -95,10 +95,6 @@ def test_large_numbers_whose_sum_is_none_are_finite():
     replay.model.extend(large)
     replay.extend_real(large.exclude("index"))
     assert len(replay.model) == len(replay.real) == 2
-    for wrong in (float("nan"), float("inf")):
-        large["next", "observation"][1, 2] = wrong
-        with pytest.raises(ValueError, match="infinity"):
-            replay.model.extend(large)
 
 
 @pytest.mark.parametrize("written", [4, 5, 7, 8])

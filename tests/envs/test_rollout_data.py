@@ -7,7 +7,6 @@ from scipy.linalg import expm
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from dynasindy.dyna.simulated import _before_leaving
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import (
     disturb,
@@ -16,8 +15,7 @@ from dynasindy.envs.rollout_data import (
     record_plants,
     transitions,
 )
-from dynasindy.findings import note
-from dynasindy.systems import Diverged, Tras, rk4
+from dynasindy.systems import Tras, rk4
 from dynasindy.systems.base import Signature, System
 from dynasindy.systems.steps import Stops
 from dynasindy.tasks import Step, Tracking
@@ -102,41 +100,6 @@ def test_experiments_side_by_side_are_those_one_after_the_other():
         alone = record_plant(plant, each, 0.05, 3)
         assert torch.allclose(one.x_next, alone.x_next, atol=1e-12) and torch.equal(one.segment, alone.segment)
     assert len(together[1]) < len(together[0]) == 30
-
-
-class Growing(System):
-    """q' = 2 q + u: under u = 1 it is (exp(2 t) - 1) / 2."""
-
-    def __init__(self):
-        super().__init__(Signature(("q",), ("m",), ("u",), (1.0,)))
-
-    def forward(self, x, u):
-        return 2 * x + u
-
-
-def test_a_recording_ends_where_the_plant_leaves_its_bounds():
-    plant, u = Growing(), torch.ones(100, 1)
-    data = record_plant(plant, u, 0.01)  # for 1 s; the bound of 2 m is reached after log(5) / 2 = 0.805 s
-    kept, left = _before_leaving(data, plant.signature, {"q": [-1.0, 2.0]}, "excitation")
-    assert len(kept) == 80 and float(kept.x_next.max()) < 2.0 < float(data.x_next[80])
-    ends = {"low": -1, "high": 2, "unit": "m", "bounded": True}
-    assert left == note("excitation.left", during="excitation", state="q", seconds=pytest.approx(0.81), **ends)
-    assert _before_leaving(data, plant.signature, {"q": 4.0}, "excitation") == (data, None)
-
-
-@pytest.mark.slow
-def test_a_plant_that_runs_away_soon_is_told_by_name_time_and_what_to_do():
-    plant, u = Growing(), torch.ones(1000, 1)
-    data = record_plant(plant, u, 0.01)  # 1000 m are reached after log(2001) / 2 = 3.80 s
-    with pytest.raises(Diverged, match=r"q .* 1000 m after 3.81 s.*excitation\.first=0\.1"):
-        _before_leaving(data, plant.signature, {}, "excitation")
-    with pytest.raises(Diverged, match=r"wider plant\.bounds"):
-        _before_leaving(data, plant.signature, {"q": 4.0}, "excitation")
-    with pytest.raises(ValueError, match=r"bounds.* speed"):
-        _before_leaving(data, plant.signature, {"speed": 4.0}, "excitation")
-    lost = record_plant(plant, torch.ones(60, 1), 10.0, substeps=1000)  # no number any more after half a minute or so
-    with pytest.raises(Diverged, match="after 10 s"):
-        _before_leaving(lost, plant.signature, {}, "excitation")
 
 
 def rollout(u, steps):
