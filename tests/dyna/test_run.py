@@ -179,7 +179,7 @@ def test_a_task_without_references_goes_the_whole_way(settle, tmp_path, name):
         "check.stability", targets=2, unstable=0, outputs=["x"], target=[0.0], radius=0.9, slowest=1.0, dt=0.1
     )
     checked = run_report(metrics | {"check": {"findings": [stable.record()]}}, tmp_path / "run")
-    assert "stable at all 2" in checked and "stable at all 2" not in told
+    assert "stable at 2 of 2" in checked and "stable at 2 of 2" not in told
     earlier = {key: value for key, value in metrics.items() if key != "findings"}  # as another version wrote it
     assert "NOT JUDGED" not in run_report(earlier, tmp_path / "run")
     rows = list(csv.DictReader((tmp_path / "run" / "progress.csv").open()))
