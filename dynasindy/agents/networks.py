@@ -14,7 +14,6 @@ import torch.nn.functional as F
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.modules import ValueOperator
 
 
 class Layer(NamedTuple):
@@ -109,12 +108,6 @@ class Actor:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.policy = self.deployed = actor(n_obs, n_u, hidden)
-
-
-def critic(n_obs: int, n_u: int, hidden: Sequence[int]) -> ValueOperator:
-    """Return one critic, `observation` and `action` to `state_action_value (*batch, 1)`."""
-    network = MLP(n_obs + n_u, 1, hidden)
-    return ValueOperator(network, in_keys=["observation", "action"])
 
 
 def _linear(x: Tensor, layer: Layer) -> Tensor:

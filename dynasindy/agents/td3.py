@@ -27,11 +27,12 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequ
 from torch import Tensor, nn
 from torch.optim import Adam
 from torchrl.envs.utils import ExplorationType, exploration_type
+from torchrl.modules import ValueOperator
 from torchrl.objectives import SoftUpdate
 
 from dynasindy.agents.loss import GradientSteps, TD3Loss
 from dynasindy.agents.machine import best_steps
-from dynasindy.agents.networks import actor, critic
+from dynasindy.agents.networks import MLP, actor
 from dynasindy.limits import check_memory
 from dynasindy.systems import Diverged
 
@@ -217,7 +218,8 @@ class TD3:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.policy = actor(n_obs, n_u, s.hidden).to(device)
-            critics = [critic(n_obs, n_u, s.hidden).to(device) for _ in range(s.critics)]
+            networks = [MLP(n_obs + n_u, 1, s.hidden).to(device) for _ in range(s.critics)]
+        critics = [ValueOperator(network, in_keys=["observation", "action"]) for network in networks]
         generator = torch.Generator().manual_seed(seed + 1)
         self.loss = TD3Loss(
             self.policy,

@@ -147,46 +147,42 @@ def _excitation_limits(parts: PlantComponents) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def restarts(parts: PlantComponents, rows: TensorDict) -> Finding | None:
-    """Return how often the excitation began anew, and where; None if it never did.
+def excitation_findings(parts: PlantComponents, rows: TensorDict) -> list[Finding]:
+    """Return how often the excitation began anew and where, what no model is fitted to, and what is odd of the plant.
 
     Args:
         parts: The plant and its limits.
         rows: What `excite` returned.
     """
+    found = _restarts(parts, rows), _coarse(parts, rows), _left_out(rows), _longer_episodes(parts.plant)
+    return [each for each in found if each is not None]
+
+
+def _restarts(parts: PlantComponents, rows: TensorDict) -> Finding | None:
     ends = (rows["step_count"][1:, 0] == 0).nonzero().flatten()
     if not len(ends):
         return None
     (low, high), signature = _excitation_limits(parts), parts.plant.system.signature
     last = rows["next", "state"][ends]
-    units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), strict=True)
     counts = (~((last >= low) & (last <= high))).sum(0).tolist()
-    why = [
-        {"state": name, "low": a, "high": b, "unit": unit, "times": int(count)}
-        for (name, unit, a, b), count in zip(units, counts, strict=True)
-        if count
-    ]
-    return note("excitation.restarts", times=len(ends), beyond=why)
+    units = zip(signature.state_names, signature.state_units, low.tolist(), high.tolist(), counts, strict=True)
+    keys = "state", "unit", "low", "high", "times"
+    beyond = [dict(zip(keys, each, strict=True)) for each in units if each[-1]]
+    return note("excitation.restarts", times=len(ends), beyond=beyond)
 
 
-def left_out(rows: TensorDict) -> Finding | None:
-    """Return how many control periods of the excitation no model is fitted to; None if to all of them."""
+def _left_out(rows: TensorDict) -> Finding | None:
     count = int(rows["next", "at_stop"].sum())
-    if not count:
-        return None
     much = count >= MUCH * rows.numel()
-    return (weak if much else note)("excitation.stops", count=count, total=rows.numel(), much=much)
+    found = (weak if much else note)("excitation.stops", count=count, total=rows.numel(), much=much)
+    return found if count else None
 
 
-def coarse(plant: ControlEnv, rows: TensorDict) -> Finding | None:
-    """Return that the Runge-Kutta steps of a simulated plant are too long for it; None if they are not.
-
-    Args:
-        plant: The environment, whose states are seen as they are.
-        rows: What `excite` returned.
-    """
-    if type(plant) is not ControlEnv:
-        return None  # another simulator, or a rig, moves it
+def _coarse(parts: PlantComponents, rows: TensorDict) -> Finding | None:
+    """Return that the Runge-Kutta steps of a simulated plant, whose states are seen, are too long for it."""
+    plant = parts.plant
+    if type(plant) is not ControlEnv or parts.sensing is not None:
+        return None  # another simulator, or a rig, moves it, or nobody knows where it was
     report_progress("excitation", note="are the steps of the simulation short enough?")
     rows = rows[:: max(1, len(rows) // LOOKED_AT)]
     x, u = rows["state"], rows["action"].to(rows["state"].dtype)
@@ -196,8 +192,8 @@ def coarse(plant: ControlEnv, rows: TensorDict) -> Finding | None:
     return weak("plant.coarse_steps", apart=float(apart) if math.isfinite(apart) else None, needed=needed)
 
 
-def longer_episodes(plant: ControlEnv) -> Finding | None:
-    """Return that episodes go on past what a Gymnasium environment is registered with; None if they do not."""
+def _longer_episodes(plant: ControlEnv) -> Finding | None:
+    """Return that episodes go on past what a Gymnasium environment is registered with."""
     registered, steps = getattr(plant.system, "registered_steps", None), plant.task.max_steps
     if registered is None or steps <= registered:
         return None

@@ -24,7 +24,7 @@ from dynasindy.control.controller import ControlSetup
 from dynasindy.control.files import NAME
 from dynasindy.dyna.callback import Callback, Cost, Episode, Place
 from dynasindy.dyna.components import Components
-from dynasindy.dyna.excite import coarse, left_out, longer_episodes, restarts
+from dynasindy.dyna.excite import excitation_findings
 from dynasindy.dyna.verdict import distrusted, judge_run
 from dynasindy.evaluation.scenarios import Evaluation, Scenario, evaluate
 from dynasindy.evaluation.summary import Summary, beyond_targets, column_headings, summarise
@@ -128,9 +128,7 @@ class Recorder(Callback):
             delay = getattr(self.parts.world_model, "delay", 0.0)
             text = f"found: {note('model.delay', seconds=delay)}\n" if delay else ""
             write_text(self.folder / IDENTIFICATION, f"{FIRST}\n{report.to_text()}\n{text}")
-        fine = None if self.parts.sensing is not None else coarse(self.plant, excited)
-        found = [restarts(self.parts, excited), fine, left_out(excited), longer_episodes(self.plant)]
-        self.excitation = records(each for each in found if each is not None)
+        self.excitation = records(excitation_findings(self.parts, excited))
         self.progress(0, f"real steps {cost.real_steps}")
         self._write_rollout("excitation", excited)
 

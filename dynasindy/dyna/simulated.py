@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from dynasindy.dyna.components import PlantComponents
-from dynasindy.dyna.excite import RegulatedExcitation, excite, left_out, restarts
+from dynasindy.dyna.excite import RegulatedExcitation, excitation_findings, excite
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.rollout_data import disturb, observed, record_plant, transitions
 from dynasindy.excitation import Aprbs, Excitation
@@ -113,20 +113,27 @@ class Simulated(DataSource):
                 f"data.dt={dt:g} s and data.substeps={self.substeps}, is {steps:.3g} steps of the plant; allowed are "
                 f"{LONGEST:g}, an arbitrary limit: shorten it"
             )
-        amplitude, offset = (0.7 * signal.amplitude).tolist(), signal.offset.tolist()
-        held = {"hold": min(HOLD, seconds), "amplitude": amplitude, "offset": offset, "first": signal.first}
-        unseen = Aprbs(signal.n_u, seconds, period, seed=self.seed + 1, **held)
+        unseen = Aprbs(
+            signal.n_u,
+            seconds,
+            period,
+            hold=min(HOLD, seconds),
+            amplitude=(0.7 * signal.amplitude).tolist(),
+            offset=signal.offset.tolist(),
+            seed=self.seed + 1,
+            first=signal.first,
+        )
         recorded = self._open_loop(system, signal, unseen, dt, ends) if signal.first == 1 else None
         training, validation, findings = recorded or self._held(system, signal, unseen, dt)
         training = disturb(training, self.noise, self.seed, system.signature)
         if self.sensors is not None:
             generator = torch.Generator().manual_seed(self.seed)
             training = observed(training, partial(self.sensors.read, signature=system.signature, rng=generator))
-        return Source(system.signature, training, validation, tuple(each for each in findings if each is not None))
+        return Source(system.signature, training, validation, tuple(findings))
 
     def _open_loop(
         self, system: System, signal: Excitation, unseen: Excitation, dt: float, limits: Tensor
-    ) -> tuple[Transitions, Transitions, list[Finding | None]] | None:
+    ) -> tuple[Transitions, Transitions, list[Finding]] | None:
         """Record a plant that stays by itself; None where it leaves its limits, or runs away."""
         far, parts = FAR * torch.tensor(system.signature.x_scale, dtype=torch.float64), list[Transitions]()
         for k, moved in enumerate((signal, unseen)):
@@ -140,15 +147,15 @@ class Simulated(DataSource):
 
     def _held(
         self, system: System, signal: Excitation, unseen: Excitation, dt: float
-    ) -> tuple[Transitions, Transitions, list[Finding | None]]:
+    ) -> tuple[Transitions, Transitions, list[Finding]]:
         """Record a plant that may not stay by itself as training does."""
-        pilot, parts = RegulatedExcitation(signal), list[Transitions]()
-        findings: list[Finding | None] = []
+        pilot, parts, findings = RegulatedExcitation(signal), list[Transitions](), list[Finding]()
         for k, moved in enumerate((signal, unseen)):
             bench = self._bench(system, moved, dt, self.seed + k)
             pilot.signal = moved
             rows = excite(bench, pilot)
-            findings += [restarts(bench, rows), left_out(rows)] if k == 0 else []
+            if k == 0:  # how the plant is simulated is set elsewhere than in training
+                findings = [each for each in excitation_findings(bench, rows) if each.code.startswith("excitation.")]
             rows["next", "samples"] = rows["next", "samples"][:, self.substeps - 1 :: self.substeps]
             parts.append(transitions(rows, self.substeps * bench.plant.log_dt))
         return parts[0], parts[1], findings

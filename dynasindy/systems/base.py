@@ -71,16 +71,14 @@ class Signature:
         if len(set(names)) != len(names):
             raise ValueError(f"state and input names must differ, got {names}; rename the repeated one")
         # Names and units come from files and end up in tables, figures and files: they are words, not text of any kind.
-        if wrong := [name for name in names if not isinstance(name, str) or not NAME.fullmatch(name)]:
-            raise ValueError(
-                f"{str(wrong[0])[:60]!r} is no name of a state or an input; allowed are a letter or '_', then letters, "
-                "digits, '_', ' ', '.', '-' and \"'\", 60 at most: rename it"
-            )
-        if wrong := [unit for unit in units if not isinstance(unit, str) or not UNIT.fullmatch(unit)]:
-            raise ValueError(
-                f"{str(wrong[0])[:60]!r} is no unit of a state or an input; allowed are up to 30 letters, digits and "
-                "'°%^*/().- ': correct it, or give '-'"
-            )
+        for words, pattern, what, allowed in (
+            (names, NAME, "name", "a letter or '_', then letters, digits, '_', ' ', '.', '-' and \"'\", 60 at most"),
+            (units, UNIT, "unit", "up to 30 letters, digits and '°%^*/().- ', or '-' for none"),
+        ):
+            if wrong := [word for word in words if not isinstance(word, str) or not pattern.fullmatch(word)]:
+                raise ValueError(
+                    f"{str(wrong[0])[:60]!r} is no {what} of a state or an input; allowed are {allowed}: correct it"
+                )
         if not all(0 < scale < math.inf for scale in self.x_scale):
             raise ValueError(
                 f"x_scale must be positive and finite, got {self.x_scale}; give the typical range of each state"

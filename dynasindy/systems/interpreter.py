@@ -38,23 +38,9 @@ def simulate_program(
     u_end: Tensor | None = None,
     update: MeasurementUpdate | None = None,
 ) -> Tensor:
-    """Advance states over periods that follow each other, see `dynasindy.systems.integrators.trajectory`.
+    """Return states at the end of each period, `(rows, T, n_x)`, before they are corrected.
 
-    Args:
-        program: the vector field.
-        x: states at the start of the first period, `(rows, n_x)` float64.
-        u: inputs at the start of each period, `(rows, T, n_u)` float64.
-        dt: length of a period [s].
-        substeps: Runge-Kutta steps in it.
-        u_end: inputs at the end of each period, see `Transitions`.
-        update: what corrects the states after each period.
-
-    Returns:
-        States at the end of each period, `(rows, T, n_x)`, before they are corrected.
-
-    Raises:
-        ValueError: a formula holds something that is none.
-        FileNotFoundError: there is no compiler.
+    Arguments and errors are those of `simulate_sensitivities`, with a program for the whole vector field.
     """
     listing = _Listing(replace(program, constants=(), step=None), len(program.constants), None)
     units, steps = torch.eye(program.n_x, dtype=torch.float64), steps_of(program.step, dt, substeps)
@@ -91,7 +77,7 @@ def simulate_sensitivities(
     u_end: Tensor | None = None,
     update: MeasurementUpdate | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Advance states of a model that is sparse in functions, dx/dt = Xi' Theta(x, u), otherwise as `simulate_program`.
+    """Advance states of a model that is sparse in functions, dx/dt = Xi' Theta(x, u), over periods that follow.
 
     Args:
         functions: formulas of the functions, as a program whose results they are.

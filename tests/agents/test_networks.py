@@ -4,7 +4,7 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
-from dynasindy.agents.networks import MLP, actor, critic
+from dynasindy.agents.networks import MLP, actor
 
 
 def test_mlp_equals_a_sequential_of_torch_modules():
@@ -44,11 +44,3 @@ def test_the_first_of_a_stack_is_a_detached_view_of_its_numbers():
     x = torch.randn(5, 4)
     torch.testing.assert_close(networks[0].functional(firsts, x), networks[0](x))
     assert not any(part.requires_grad for layer in firsts for part in layer)
-
-
-def test_observations_come_before_actions_and_every_part_of_the_critic_counts():
-    value = critic(3, 2, [8])
-    assert not value.module.squash
-    x, u = torch.randn(4, 3), torch.randn(4, 2)
-    expected = value.module(torch.cat([x, u], -1))
-    torch.testing.assert_close(value(TensorDict({"observation": x, "action": u}, [4]))["state_action_value"], expected)

@@ -4,16 +4,14 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from dynasindy.dyna.excite import (
     RegulatedExcitation,
     _excitation_limits,
-    coarse,
+    excitation_findings,
     excite,
     interact,
-    left_out,
-    longer_episodes,
-    restarts,
 )
 from dynasindy.envs import ControlEnv, Foreign, GymnasiumEnv
 from dynasindy.envs.rollout_data import transitions
@@ -49,13 +47,18 @@ def parts(plant, n_r=1, duration=10.0, sensing=None, careful=None, **settings):
     return SimpleNamespace(plant=env, env=env, excitation=signal, sensing=sensing)
 
 
+def finding(code, made, rows):
+    """Return what is said of an excitation under a code, None if nothing."""
+    return next((each for each in excitation_findings(made, rows) if each.code == code), None)
+
+
 def test_a_plant_within_its_limits_is_excited_open_loop_as_ever():
     mine, plain = parts(Xi(), 2, 2.0), parts(Xi(), 2, 2.0)
     excited, wanted = excite(mine), interact(plain.env, plain.excitation, 40)
     assert set(excited.keys(True, True)) == set(wanted.keys(True, True)) and excited.shape == wanted.shape == (40,)
     for key in wanted.keys(True, True):
         torch.testing.assert_close(excited[key], wanted[key], atol=0.0, rtol=0.0)
-    assert restarts(mine, excited) is None
+    assert finding("excitation.restarts", mine, excited) is None
 
 
 def test_a_plant_that_falls_is_caught_after_its_first_fall():
@@ -73,7 +76,9 @@ def test_a_plant_that_falls_is_caught_after_its_first_fall():
     assert excited["action"][begins[-2] :].std() > 0.05  # the signal goes on, on top of the loop
     times = len(lengths) - 1
     left = {"state": "theta", "low": -0.5, "high": 0.5, "unit": "rad", "times": times}
-    assert restarts(experiment, excited) == note("excitation.restarts", times=times, beyond=[left])
+    assert finding("excitation.restarts", experiment, excited) == note(
+        "excitation.restarts", times=times, beyond=[left]
+    )
 
 
 def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
@@ -90,10 +95,10 @@ def test_a_plant_that_falls_is_caught_by_its_encoder_alone():
     assert lengths[0] < 40 and max(lengths) > 100
     truth = excited["next", "true_state"][..., 0].abs()
     assert float(truth.max()) < 0.7
-    assert restarts(experiment, excited).values["times"] == len(lengths) - 1
+    assert finding("excitation.restarts", experiment, excited).values["times"] == len(lengths) - 1
     blind = excited.clone()
     blind["next", "true_state"].fill_(torch.nan)
-    assert restarts(experiment, blind) == restarts(experiment, excited)
+    assert finding("excitation.restarts", experiment, blind) == finding("excitation.restarts", experiment, excited)
 
 
 def test_where_nobody_knows_whether_a_plant_stays_it_is_moved_little_at_first_and_more_in_every_period():
@@ -115,7 +120,9 @@ def test_a_plant_that_begins_many_ranges_from_zero_is_excited_there_without_boun
 
     experiment = parts(Tank(signature), start={"T": 350.0})
     rows = excite(experiment)
-    assert restarts(experiment, rows) is None and rows["step_count"].flatten().tolist() == [*range(200)]
+    assert finding("excitation.restarts", experiment, rows) is None and rows["step_count"].flatten().tolist() == [
+        *range(200)
+    ]
     own = experiment.plant.task.with_starts(torch.tensor([[350.0], [352.0]]))  # as an environment of Gymnasium says
     experiment.plant.task = own
     assert [end.tolist() for end in _excitation_limits(experiment)] == [[300.0], [402.0]]
@@ -207,17 +214,20 @@ def test_an_episode_that_the_task_ends_closes_no_loop(monkeypatch):
 
 
 def test_periods_at_a_stop_are_told_as_they_are_left_out():
-    rows = excite(parts(Xi(), 2, 2.0))
-    assert left_out(rows) is None
+    experiment = parts(Xi(), 2, 2.0)
+    rows = excite(experiment)
+    assert finding("excitation.stops", experiment, rows) is None
     rows["next", "at_stop"][[3, 4, 17]] = True
     fine = transitions(rows, 0.01)
-    assert left_out(rows) == note("excitation.stops", count=3, total=40, much=False)
+    assert finding("excitation.stops", experiment, rows) == note("excitation.stops", count=3, total=40, much=False)
     assert len(fine) == (40 - 3) * rows["next", "samples"].shape[-2]
     # What would leave more data is said only where much is lost.
     for count, kind in ((9, note), (10, weak)):
         rows["next", "at_stop"][:] = False
         rows["next", "at_stop"][:count] = True
-        assert left_out(rows) == kind("excitation.stops", count=count, total=40, much=kind is weak)
+        assert finding("excitation.stops", experiment, rows) == kind(
+            "excitation.stops", count=count, total=40, much=kind is weak
+        )
 
 
 def kept_share(rate, steps):
@@ -239,7 +249,7 @@ def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_ne
 
     experiment = parts(Lag(), duration=2.0)
     rows = excite(experiment)
-    told, most = coarse(experiment.plant, rows), float((rows["state"] - rows["action"]).abs().max())
+    told, most = finding("plant.coarse_steps", experiment, rows), float((rows["state"] - rows["action"]).abs().max())
     fewer = [n for n in (5, 10, 20) if n < (steps or 5)]
     assert all(abs(kept_share(rate, n) - kept_share(rate, 2 * n)) * most > 1e-3 for n in fewer)
     assert abs(kept_share(rate, steps or 5) - kept_share(rate, 2 * (steps or 5))) * most <= 1e-3
@@ -252,8 +262,12 @@ def test_runge_kutta_steps_too_long_for_the_plant_are_told_with_as_many_as_it_ne
 def test_episodes_longer_than_an_environment_is_registered_with_are_said(steps, longer):
     system = Foreign("Pendulum-v1", {"c": 1.0, "s": 1.0, "w": 8.0}, ["torque"])
     task = Tracking(system.signature, Step([[1.0, 0.0]]), ("c", "s"), (), TrackingReward((4.0,)), steps)
+    rows = TensorDict({"step_count": torch.zeros(1, 1), "next": {"at_stop": torch.zeros(1, 1)}}, [1])
     wanted = note("plant.longer_episodes", steps=steps, registered=200) if longer else None
-    assert longer_episodes(GymnasiumEnv(system, task)) == wanted
+    assert (
+        finding("plant.longer_episodes", SimpleNamespace(plant=GymnasiumEnv(system, task), sensing=True), rows)
+        == wanted
+    )
     plant = Pendulum()
     task = Tracking(plant.signature, RandomStep([0], [1]), ("theta",), (), TrackingReward((4.0,)), 9000)
-    assert longer_episodes(ControlEnv(plant, task)) is None
+    assert finding("plant.longer_episodes", SimpleNamespace(plant=ControlEnv(plant, task), sensing=True), rows) is None

@@ -13,7 +13,7 @@ from dynasindy.findings import LogError, note
 from dynasindy.identification.identify import LoggedData, identify_source, to_words
 from dynasindy.identification.source import Source
 from dynasindy.sindy import Refinement, Regression, SindyModel
-from dynasindy.systems import Diverged, Pendulum, Signature, Tras
+from dynasindy.systems import Pendulum, Signature, Tras
 from dynasindy.systems.integrators import moved
 from dynasindy.systems.transitions import Transitions
 
@@ -100,13 +100,14 @@ def test_a_log_without_a_map_has_the_names_of_the_plant_or_those_of_its_headings
     assert mine.input_names == ("torque",)
 
 
-def test_a_plant_that_leaves_its_bounds_is_told_and_not_fitted():
+def test_a_plant_that_leaves_its_bounds_begins_anew_and_is_held_there():
     source = Simulated(bounds={"theta": 1.0}, validation_seconds=1.0).load(
         Pendulum(), partial(EXCITATION, amplitude=0.1)
     )
     assert source.findings == () and len(source.training) == 1000
-    with pytest.raises(Diverged, match="bounds"):
-        Simulated(bounds={"theta": 0.1}, validation_seconds=1.0).load(Pendulum(), EXCITATION)
+    held = Simulated(bounds={"theta": 0.1}, validation_seconds=1.0).load(Pendulum(), EXCITATION)
+    assert [each.code for each in held.findings] == ["excitation.restarts"] and len(held.training) == 1000
+    assert float(held.training.x[::5, 0].abs().max()) <= 0.1  # no control period begins beyond
 
 
 def test_validation_is_random_levels_of_seven_tenths_of_the_range_about_the_same_offset():
