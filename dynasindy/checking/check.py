@@ -92,13 +92,9 @@ class Settings:
     @property
     def targets(self) -> Tensor:
         """All combinations of targets, `(points ** n_r, n_r)`."""
-        ends = zip(self.low, self.high, strict=True)
-        axes = [
-            torch.linspace(a, b, self.points, dtype=torch.float64)
-            if self.points > 1
-            else torch.tensor([(a + b) / 2], dtype=torch.float64)
-            for a, b in ends
-        ]
+        part = torch.linspace(0.0, 1.0, self.points) if self.points > 1 else torch.tensor([0.5])
+        low, high = (torch.tensor(ends, dtype=torch.float64) for ends in (self.low, self.high))
+        axes = torch.lerp(low.unsqueeze(-1), high.unsqueeze(-1), part.double())
         return torch.cartesian_prod(*axes).reshape(-1, len(axes))
 
 
@@ -484,10 +480,7 @@ def spread(
         seconds: How long a loop may run to come to rest [s].
     """
     count = len(changed)
-    radii, errors = (
-        torch.zeros(len(r), count, dtype=torch.float64),
-        torch.zeros(len(r), count, r.shape[-1], dtype=torch.float64),
-    )
+    radii, errors = (torch.zeros(len(r), count, *more, dtype=torch.float64) for more in ((), r.shape[-1:]))
     for k, target in enumerate(r.double() if count else []):
         start = nominal.select(torch.full((count,), k))
         with reporting_as(f"plants that differ from the model, target {k + 1} of {len(r)}"):

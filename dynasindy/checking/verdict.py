@@ -46,11 +46,8 @@ class Thresholds:
 
 def check_record(found: Check, findings: Sequence[Finding] = ()) -> dict[str, Any]:
     """Return all figures as plain numbers, findings first; null stands for what is infinite or does not exist."""
-    outputs, inputs, states = (
-        found.loop.task.output_names,
-        found.loop.signature.input_names,
-        found.loop.signature.state_names,
-    )
+    signature, outputs = found.loop.signature, found.loop.task.output_names
+    inputs, states = signature.input_names, signature.state_names
     others, linear, targets = found.spread, found.rest.linear, []
     for k, stable in enumerate(found.stable.tolist()):
         gain, swings = found.noise[k], (*found.swings.outputs[k].tolist(), *found.swings.inputs[k].tolist())

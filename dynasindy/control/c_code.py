@@ -162,14 +162,9 @@ def controller_sources(controller: Controller, name: str = "controller") -> Sour
         ValueError: The name is none, the policy or the model is of another kind, or the model has a function without a
             formula, or so many states that a call would overflow the stack.
     """
-    name, signature, task, observer = (
-        module_name(name),
-        controller.signature,
-        controller.setup.task,
-        controller.observer,
-    )
+    name, signature, observer = module_name(name), controller.signature, controller.observer
+    task, integral = controller.setup.task, controller.integral
     weights = [(layer.weight.cpu(), layer.bias.cpu()) for layer in network(controller).layers()]
-    integral = controller.integral
     targets, units = controller.targets_in_words(), dict(zip(signature.state_names, signature.state_units, strict=True))
     words: dict[str, Any] = {
         "name": name,
@@ -250,25 +245,14 @@ class Native:
 
     def __init__(self, sources: Sources) -> None:
         name, self._sources = sources.name, sources
-        more = f"""
-unsigned long size(void)
-{{
-    return sizeof({name}_state) / sizeof(double);
-}}
-
-void many({name}_state *s, const double *y, const double *r, const double *rate, double *u, int n)
-{{
-    while (n--)
-        {name}_act(s, y, r, rate, u);
-}}
-"""
-        text = sources.header + sources.source.replace(f'#include "{name}.h"\n', "") + more
+        size = f"\nunsigned long size(void) {{ return sizeof({name}_state) / sizeof(double); }}\n"
+        text = sources.header + sources.source.replace(f'#include "{name}.h"\n', "") + size
         code = load_library(text, fast=False)
         n_x, n_u, n_r = sources.shape
         self.state, self._u = np.zeros(code.size()), np.zeros(n_u)
         self._given = np.zeros(n_x), np.zeros(n_r), np.zeros(n_r)
         places = [ctypes.c_void_p(array.ctypes.data) for array in (self.state, *self._given, self._u)]
-        self._act, self._many = partial(code[f"{name}_act"], *places), partial(code["many"], *places)
+        self._act = partial(code[f"{name}_act"], *places)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return what a copy is made of, which the library itself is not."""
@@ -304,12 +288,11 @@ void many({name}_state *s, const double *y, const double *r, const double *rate,
         return self._u.copy()
 
     def microseconds(self) -> float:
-        """Return the time that a call takes on this computer, the best of five [us]."""
+        """Return the time that a call takes on this computer, from Python and as the best of five [us]."""
         for values in self._given:  # zeros would end in numbers too small to be added fast
             values[:] = 0.1
-        calls, best = 1, 0.0
-        while best < 0.02:
-            calls *= 4
-            best = min(timeit.repeat(partial(self._many, calls), number=1, repeat=5))
+        timer = timeit.Timer(self._act)
+        calls, _ = timer.autorange()
+        best = min(timer.repeat(5, calls // 10 + 1)) / (calls // 10 + 1)
         self.reset()
-        return 1e6 * best / calls
+        return 1e6 * best

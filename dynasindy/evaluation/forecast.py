@@ -69,20 +69,15 @@ class Forecast:
     @property
     def place(self) -> str:
         """Say what was flown, in the words of the prediction: no plant."""
-        return (
-            "on the model of the plan itself" if self.in_sample else "on a model fitted to data that the plan never saw"
-        )
+        return f"on {'the model of the plan itself' if self.in_sample else 'a model fitted to data the plan never saw'}"
 
     @property
     def _missed(self) -> bool:
         """Whether an error is larger than is asked for; the worst reference of a model may be `LOST` times as far."""
-        errors = [
-            (_number(flight.share[name]), _number(flight.worst[name]))
-            for flight in self.flights
-            if flight is not None
-            for name in flight.share
-        ]
-        return not all(share <= self.within and worst <= LOST * self.within for share, worst in errors)
+        flown = [flight for flight in self.flights if flight is not None]
+        share = [_number(each) for flight in flown for each in flight.share.values()]
+        worst = [_number(each) for flight in flown for each in flight.worst.values()]
+        return max(share, default=0.0) > self.within or max(worst, default=0.0) > LOST * self.within
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -119,12 +114,8 @@ class Forecast:
                 "worst": max(100 * _number(flight.worst[name]) for flight in flown),
                 "of_turn": name in flown[0].turned,
             }
-        return {
-            "outputs": outputs,
-            "seconds": self.seconds,
-            "within": 100 * self.within,
-            "lost": 100 * LOST * self.within,
-        }
+        limits = {"within": 100 * self.within, "lost": 100 * LOST * self.within}
+        return {"outputs": outputs, "seconds": self.seconds, **limits}
 
     def summary(self) -> str:
         """Return the prediction in one line."""
@@ -150,15 +141,8 @@ class Forecast:
         """Return what `metrics.json` holds of it."""
         flights = [None if flight is None else asdict(flight) for flight in self.flights]
         judged = {"promised": self.promised, "controlled": self.controlled, "within": self.within}
-        score = self.score if math.isfinite(self.score) else None
-        return {
-            "models": len(flights),
-            **judged,
-            "score": score,
-            "sentence": self.summary(),
-            "flights": flights,
-            "findings": records(self.findings),
-        }
+        score = {"score": self.score if math.isfinite(self.score) else None, "sentence": self.summary()}
+        return {"models": len(flights), **judged, **score, "flights": flights, "findings": records(self.findings)}
 
 
 def predict(
