@@ -125,7 +125,7 @@ def plan(
         if task.ends is not None:
             require_radians(log, dict(zip(task.output_names, zip(*task.ends, strict=True), strict=True)))
     task = as_planned(task, model, log)
-    setup = ControlSetup(task, dt or suited_period(model, task, log).seconds, stops=model.stops)
+    setup = ControlSetup(task, dt or suited_period(model, task, log)[0], stops=model.stops)
     if log is not None and sensors is None:
         sensors = _sensors_of(log, model)
     observer = None if sensors is None else _watching(model, sensors, setup, log)

@@ -89,9 +89,8 @@ def plan_from_log(cfg: DictConfig) -> bool:
     write_json(folder / "origin.json", command_and_commit(HydraConfig.get()) | read)
     model.save(folder / "model.json")
     if dt is None:
-        period = suited_period(model, task, source)
-        dt = period.seconds
-        say(*lines([period.why] if period.why else []))
+        dt, why = suited_period(model, task, source)
+        say(*lines([why] if why else []))
     say(*lines(filter(None, [refit_shortage(model, source)])))
     within = cfg.evaluation.get("within", WITHIN)
     saved = False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -31,21 +30,8 @@ SHARED = 0.25
 equations bend, or where they only guess."""
 
 
-@dataclass(frozen=True)
-class Period:
-    """A control period that nobody asked for.
-
-    Attributes:
-        seconds: Its length [s].
-        why: Why it is not `PERIOD`; None where it is.
-    """
-
-    seconds: float
-    why: Finding | None = None
-
-
-def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Period:
-    """Return the control period that suits a model and its log, where nobody asks for one.
+def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> tuple[float, Finding | None]:
+    """Return the control period that suits a model and its log [s], and why it is not `PERIOD`; None where it is.
 
     It is what suits the log, but a fifth of the model's fastest oscillation at most, and a quarter of the time in which
     a deviation doubles, where the log mostly was or in a quarter of its places; without a log where episodes begin. It
@@ -74,12 +60,8 @@ def suited_period(model: SindyModel, task: Tracking, log: Source | None) -> Peri
         return _chosen(slow, "settles", seconds)
     if usual < PERIOD - step:
         return _chosen(usual, "samples")
-    return Period(
-        usual,
-        None
-        if math.isclose(usual, PERIOD, rel_tol=1e-6)
-        else note("control.sampled", seconds=usual, wanted=PERIOD, step=step),
-    )
+    alike = math.isclose(usual, PERIOD, rel_tol=1e-6)
+    return usual, None if alike else note("control.sampled", seconds=usual, wanted=PERIOD, step=step)
 
 
 def as_planned(task: Tracking, model: SindyModel, log: Source | None) -> Tracking:
@@ -146,8 +128,8 @@ def _two_digits(seconds: float) -> float:
     return 10.0 ** (math.floor(math.log10(seconds)) - 1)
 
 
-def _chosen(seconds: float, cause: str, value: float = 0.0) -> Period:
-    return Period(seconds, note("control.period", seconds=seconds, cause=cause, value=value, ahead=LONGEST))
+def _chosen(seconds: float, cause: str, value: float = 0.0) -> tuple[float, Finding]:
+    return seconds, note("control.period", seconds=seconds, cause=cause, value=value, ahead=LONGEST)
 
 
 def _typical(data: Transitions, model: SindyModel) -> Tensor:

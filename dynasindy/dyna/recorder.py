@@ -180,8 +180,8 @@ class Recorder(Callback):
             What `metrics.json` holds; it is written last, so that a run that has it has ended.
         """
         final = self.evaluate()
-        shown = representative_episode(final)
-        self._write_rollout("step_response", final.trajectory[shown.row], last=True)
+        episode, words = representative_episode(final)
+        self._write_rollout("step_response", final.trajectory[episode], last=True)
         plant, model, sensing = self.plant, self.parts.world_model, self.parts.sensing
         observer = None if sensing is None else sensing.observer
         model.save(self.folder / "model.json")
@@ -209,7 +209,7 @@ class Recorder(Callback):
             "imagined_error": self.parts.planner.imagined_error,
             "reward": plant.task.summary(),
             "untrained": self.untrained,
-            "drawn": asdict(shown),
+            "drawn": {"row": episode, "words": words},
             "equations": model.equations(),
             "delay": getattr(model, "delay", 0.0),
         }

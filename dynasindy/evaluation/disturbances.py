@@ -8,7 +8,6 @@ how much noisier the sensors are.
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 from tensordict import TensorDictBase
@@ -22,14 +21,6 @@ from dynasindy.systems import Altered, Signature, System
 
 SHARE = 1e-3
 """Noise of a state of whose sensor nothing is known [ranges of the state]."""
-
-
-@runtime_checkable
-class SizedDisturbance(Protocol):
-    """A disturbance that says how large it is."""
-
-    def summary(self) -> str:
-        """Say what disturbs, by how much and in which units."""
 
 
 class PerturbedPlant(Altered):

@@ -20,7 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from dynasindy.agents.replay import is_finite_rollout, require_finite_rollout
 from dynasindy.envs import ControlEnv
 from dynasindy.envs.control_env import FARTHEST
-from dynasindy.evaluation.disturbances import SensorNoise, SizedDisturbance
+from dynasindy.evaluation.disturbances import SensorNoise
 from dynasindy.evaluation.metrics import steady_seconds, tracking_metrics
 from dynasindy.limits import Count, check_memory, raise_if_memory
 from dynasindy.progress import report_progress
@@ -272,7 +272,7 @@ def evaluate(
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.random.fork_rng():
         _check_action(policy, start, env.system.signature.n_u, scenario.name)
         trajectory = _run(calm, wrapped, scenario, start, sensing, phase or f"policy in scenario '{scenario.name}'")
-    words = tuple(each.summary() for each in disturbing if isinstance(each, SizedDisturbance))
+    words = tuple(each.summary() for each in disturbing if hasattr(each, "summary"))
     return replace(_measure(calm, task, scenario, trajectory), disturbances=words)
 
 

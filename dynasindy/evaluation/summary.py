@@ -195,7 +195,7 @@ def save_evaluation(evaluation: Evaluation, folder: Path) -> list[Path]:
         The files.
     """
     figures, table = (folder / f"{evaluation.scenario}.{suffix}" for suffix in ("json", "csv"))
-    row = representative_episode(evaluation).row
+    row, _ = representative_episode(evaluation)
     record = {"scenario": evaluation.scenario, "rows": len(evaluation.outputs), **summarise(evaluation)}
     write_json(figures, record)
     signature = evaluation.signature

@@ -148,21 +148,11 @@ def _named(evaluation: Evaluation, values: Tensor) -> dict[str, float | None]:
     return dict(zip(evaluation.output_names, finite, strict=True))
 
 
-@dataclass(frozen=True)
-class RepresentativeEpisode:
-    """One episode of many.
-
-    Attributes:
-        row: Its row in the evaluation.
-        words: Which it is, why this one, and how many did better; empty of the only one.
-    """
-
-    row: int
-    words: str
-
-
-def representative_episode(evaluation: Evaluation) -> RepresentativeEpisode:
+def representative_episode(evaluation: Evaluation) -> tuple[int, str]:
     """Choose the episode to be drawn, by nothing that a controller does: figures of several show the same one.
+
+    Its row in the evaluation stands beside which it is, why this one, and how many did better; the only one has no
+    such words.
 
     Where all episodes begin in one state it is the first one of the scenario. Where they do not, it is the one that
     begins farthest from its reference, in target ranges, as a pendulum that hangs and is to stand; of a task
@@ -170,7 +160,7 @@ def representative_episode(evaluation: Evaluation) -> RepresentativeEpisode:
     """
     number, tracked = len(evaluation.inputs), bool(evaluation.columns)
     if number == 1:
-        return RepresentativeEpisode(0, "")
+        return 0, ""
     starts = evaluation.trajectory["state"][:, 0]
     row, why = 0, ""
     if bool((starts != starts[0]).any()) and tracked:
@@ -181,4 +171,4 @@ def representative_episode(evaluation: Evaluation) -> RepresentativeEpisode:
     costs = evaluation.errors.mean(1).amax(-1) if tracked else -evaluation.returns
     better = int((costs < costs[row]).sum())
     others = f"{better} others {'have a smaller error' if tracked else 'earn more'}"
-    return RepresentativeEpisode(row, f"episode {row + 1} of {number}{why}; {others}")
+    return row, f"episode {row + 1} of {number}{why}; {others}"

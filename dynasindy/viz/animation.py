@@ -95,7 +95,7 @@ def animate(evaluation: Evaluation, path: Path, seconds: float = 10.0) -> Path:
     dt = float(evaluation.time[1] - evaluation.time[0])
     speed = max(1, math.ceil(len(evaluation.time) * dt / seconds - 1e-6))
     every = max(1, round(speed / (RATE * dt)))
-    row = representative_episode(evaluation).row
+    row, _ = representative_episode(evaluation)
     pictures = track("animation", frames(evaluation, row, every), math.ceil(len(evaluation.time) / every), "pictures")
     _write_gif(pictures, path, every * dt / speed)
     return path

@@ -170,17 +170,18 @@ def draw_evaluation(
     Returns:
         The files.
     """
-    episode, name, signature = representative_episode(evaluation), evaluation.scenario, evaluation.signature
-    disturbed = (words.removeprefix(f"{name}: ") for words in evaluation.disturbances)  # which the name says already
+    row, words = representative_episode(evaluation)
+    name, signature = evaluation.scenario, evaluation.signature
+    disturbed = (each.removeprefix(f"{name}: ") for each in evaluation.disturbances)  # which the name says already
     scenario = "; ".join([f"Scenario '{name}'{place and f' {place}'}", *map(spell_names, disturbed)])
-    title = "\n".join(filter(None, [scenario, episode.words]))
+    title = "\n".join(filter(None, [scenario, words]))
     states, following = evaluation.trajectory["state"], evaluation.trajectory["next", "state"]
-    x = torch.cat([states[episode.row], following[episode.row, -1:]])  # and the state after the last period
+    x = torch.cat([states[row], following[row, -1:]])  # and the state after the last period
     columns = list(evaluation.columns) or list(range(signature.n_x))  # all states where the task has no references
     names = [signature.state_names[k] for k in columns]
-    reference = evaluation.references[episode.row] if evaluation.columns else None
+    reference = evaluation.references[row] if evaluation.columns else None
     target = None if reference is None else torch.cat([reference, reference[-1:]])
-    inputs = {label: evaluation.inputs[episode.row]}
+    inputs = {label: evaluation.inputs[row]}
     figures = {name: tracking(evaluation.time, target, {label: x[:, columns]}, inputs, names, signature, title)}
     if evaluation.columns and len(evaluation.outputs) > 1:
         figures[f"{name}_errors"] = error_fan(

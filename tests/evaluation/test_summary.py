@@ -152,7 +152,7 @@ def test_json_holds_the_summary_and_csv_one_row(tmp_path: Path) -> None:
     scenario = Scenario("two", episodes=2, seconds=0.5)
     result = evaluate(env, lambda td: td.set("action", torch.full((*td.batch_size, 2), 0.25)), scenario)
     figures, table = save_evaluation(result, tmp_path / "new")
-    episode = representative_episode(result).row
+    episode, _ = representative_episode(result)
 
     record = json.loads(figures.read_text())
     assert (record.pop("scenario"), record.pop("rows")) == ("two", 2)

@@ -162,26 +162,26 @@ def flights(starts, references, boxes=(), columns=(0, 1), rewards=None) -> Evalu
 
 
 def test_where_all_begin_alike_it_is_the_first_whatever_came_of_it() -> None:
-    found = representative_episode(flights([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]))
-    assert found.row == 0
+    row, words = representative_episode(flights([[0.0, 0.0]] * 4, [[0.5, 0.0], [0.1, 0.0], [0.9, 0.0], [0.2, 0.3]]))
+    assert row == 0
     # 0.1 and 0.3, the larger one of 0.2 and 0.3, are less than 0.5.
-    assert "episode 1 of 4;" in found.words and "2 others" in found.words
+    assert "episode 1 of 4;" in words and "2 others" in words
 
 
 @pytest.mark.parametrize(("boxes", "row"), [((), 2), ((1.0, 10.0), 1)])
 def test_of_different_beginnings_it_is_the_farthest_in_boxes(boxes, row) -> None:
-    found = representative_episode(flights([[0.1, 0.1], [-0.6, 0.0], [0.0, 3.0]], [[0.0, 0.0]] * 3, boxes))
-    assert found.row == row
-    assert found.words.startswith(f"episode {row + 1} of 3, ")
+    found, words = representative_episode(flights([[0.1, 0.1], [-0.6, 0.0], [0.0, 3.0]], [[0.0, 0.0]] * 3, boxes))
+    assert found == row
+    assert words.startswith(f"episode {row + 1} of 3, ")
 
 
 def test_without_references_it_is_the_one_that_earns_least_at_first() -> None:
     rewards = [[-1.0, 0.0, 0.0], [-5.0, 4.0, 4.0], [-2.0, 0.0, 0.0]]
-    found = representative_episode(
+    row, words = representative_episode(
         flights([[0.0, 1.0], [1.0, 0.0], [2.0, 0.0]], [[0.0]] * 3, columns=(), rewards=rewards)
     )
-    assert (found.row, found.words.partition("; ")[2]) == (1, "0 others earn more")
+    assert (row, words.partition("; ")[2]) == (1, "0 others earn more")
 
 
 def test_of_a_single_episode_nothing_is_said() -> None:
-    assert representative_episode(flights([[0.0, 0.0]], [[0.5, 0.0]])).words == ""
+    assert representative_episode(flights([[0.0, 0.0]], [[0.5, 0.0]])) == (0, "")
