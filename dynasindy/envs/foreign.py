@@ -91,7 +91,8 @@ class Foreign(System):
         both = self.observed.ends(torch.as_tensor(np.stack([seen.low, seen.high])).double())
         ends = both.abs().amax(0).tolist()
         scale = [r or (end if end < 1e6 else 1.0) for r, end in zip(ranges.values(), ends, strict=True)]
-        said = {**dict.fromkeys(angles or {}, "rad"), **{(rates or {}).get(angle): "rad/s" for angle in angles or {}}}
+        said = dict.fromkeys(angles or (), "rad")
+        said |= {rate: "rad/s" for angle, rate in (rates or {}).items() if angle in said}
         units = [said.get(name, "-") for name in ranges] if units is None else units
         super().__init__(Signature(tuple(ranges), tuple(units), tuple(names), tuple(scale)))
         self.low, self.high = acted.low, acted.high
